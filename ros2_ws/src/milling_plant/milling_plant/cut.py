@@ -1,0 +1,180 @@
+"""One cut: the axis along its reference, sample by sample, and what it scores.
+
+`Cut` waits for a command in each sample and knows not where it comes from, so that the node drives
+it over topics and `MillingPlant` within a process, with equal results bit for bit.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import isfinite, sqrt
+from typing import Protocol
+
+import numpy as np
+from mpc_controller.model import Array
+from mpc_controller.parameters import build
+from scipy.ndimage import maximum_filter1d
+
+from milling_plant.feed_axis import FeedAxis
+from milling_plant.settings import PlantSettings, default_settings
+
+
+def reference_velocity(settings: PlantSettings) -> Array:
+    """Reference v_ref (N,) [m/s]: the levels, each held for ``samples_per_level`` samples."""
+    return np.repeat(np.array(settings.reference_levels), settings.samples_per_level)
+
+
+def tracking_error(reference: Array, velocity: Array) -> float:
+    """Squared tracking error of a cut, the sum of (v_ref,k - v_k)^2 [(m/s)^2], Eq. 3a."""
+    return float(np.sum((reference - velocity) ** 2))
+
+
+def overshoot(reference: Array, velocity: Array, window: int) -> float:
+    """Largest excess of v_k over the highest reference within `window` samples of k [m/s].
+
+    The window keeps a late step down from counting as overshoot. Never below 0.
+    """
+    ceiling = maximum_filter1d(reference, 2 * window + 1, mode="nearest")
+    return max(float(np.max(velocity - ceiling)), 0.0)
+
+
+class Cut:
+    """A cut in progress.
+
+    Parameters
+    ----------
+    settings
+        Axis, context, noise seed and reference.
+
+    Attributes
+    ----------
+    reference
+        v_ref (N,) [m/s].
+    sample
+        Index k of the sample that waits for its command; N once the cut is done.
+    failure
+        Why the cut failed, or an empty text.
+    """
+
+    def __init__(self, settings: PlantSettings) -> None:
+        self._settings = settings
+        self.reference = reference_velocity(settings)
+        self.sample = 0
+        self.failure = ""
+        n = self.reference.size
+        rng = np.random.default_rng(settings.seed)
+        self._noise = rng.normal(0.0, sqrt(settings.noise_variance), n)
+        self._axis = FeedAxis(settings, float(self.reference[0]))
+        self._velocity = np.full(n, np.nan)
+        self._velocity[0] = self._axis.velocity
+
+    @property
+    def done(self) -> bool:
+        """Whether the cut has ended, well or not."""
+        return bool(self.failure) or self.sample == self.reference.size
+
+    @property
+    def measurement(self) -> float:
+        """Measured velocity of the present sample [m/s]."""
+        return float(self._velocity[self.sample] + self._noise[self.sample])
+
+    @property
+    def velocity(self) -> Array:
+        """True velocity (k,) [m/s] of the samples so far."""
+        return self._velocity[: min(self.sample + 1, self.reference.size)]
+
+    def apply(self, command: float) -> None:
+        """Apply the command [m/s] of the present sample and step to the next.
+
+        A command or a velocity that is not finite, or a speed above ``velocity_limit``, fails the
+        cut.
+        """
+        if not isfinite(command):
+            self.fail(f"command of sample {self.sample} is {command}")
+            return
+        self._axis.step(command)
+        v = self._axis.velocity
+        if not abs(v) <= self._settings.velocity_limit:
+            self.fail(f"velocity after sample {self.sample} is {v} m/s; the loop diverged")
+            return
+        self.sample += 1
+        if self.sample < self.reference.size:
+            self._velocity[self.sample] = v
+
+    def fail(self, reason: str) -> None:
+        """End the cut as failed."""
+        self.failure = reason
+
+    def result(self) -> dict[str, float | str]:
+        """Sum up the cut.
+
+        Returns
+        -------
+        dict
+            ``status`` (``ok`` or ``failed``), ``reason``, context, seed and number of samples,
+            and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
+            true velocity.
+        """
+        s = self._settings
+        summary: dict[str, float | str] = {
+            "status": "failed" if self.failure else "ok",
+            "reason": self.failure,
+            "stiffness_factor": s.stiffness_factor,
+            "damping_factor": s.damping_factor,
+            "seed": s.seed,
+            "samples": self.sample,
+        }
+        if self.done and not self.failure:
+            summary["tracking_error"] = tracking_error(self.reference, self._velocity)
+            summary["overshoot"] = overshoot(self.reference, self._velocity, s.overshoot_window)
+        return summary
+
+
+class Step(Protocol):
+    """What a controller returns for a sample."""
+
+    @property
+    def command(self) -> float:
+        """Commanded velocity [m/s]."""
+
+
+class Controller(Protocol):
+    """What `MillingPlant` asks of a controller in the same process."""
+
+    def start(self, reference: Array) -> None:
+        """Begin a cut along `reference` (N,) [m/s]."""
+
+    def step(self, measurement: float) -> Step:
+        """Take the measured velocity of the next sample [m/s] and give its command."""
+
+
+class MillingPlant:
+    """The plant node without ROS: the same parameters, cut by cut, against a controller object.
+
+    Parameters
+    ----------
+    settings
+        Settings of the first cut; the package's defaults if not given.
+    """
+
+    def __init__(self, settings: PlantSettings | None = None) -> None:
+        self.settings = default_settings() if settings is None else settings
+        self.velocity: Array = np.empty(0)
+
+    def set_parameters(self, values: Mapping[str, object]) -> None:
+        """Change some parameters for the cuts to come, all of them or none.
+
+        Raises
+        ------
+        SettingsError
+            If the resulting set breaks a rule; the settings in force stay.
+        """
+        self.settings = build(PlantSettings, asdict(self.settings) | dict(values))
+
+    def run_cut(self, controller: Controller) -> dict[str, float | str]:
+        """Run one cut in lock-step with `controller` and return `Cut.result`."""
+        cut = Cut(self.settings)
+        controller.start(cut.reference)
+        while not cut.done:
+            cut.apply(controller.step(cut.measurement).command)
+        self.velocity = cut.velocity
+        return cut.result()

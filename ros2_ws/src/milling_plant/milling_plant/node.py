@@ -1,0 +1,165 @@
+"""The plant's ROS 2 node: cuts in lock-step with a controller, faster than real time."""
+
+import sys
+from dataclasses import asdict, replace
+
+from diagnostic_msgs.msg import DiagnosticArray
+from mpc_controller.ros.messages import (
+    LOOP_QOS,
+    NANOSECONDS,
+    cut_identifier,
+    cut_result,
+    from_stamp,
+    joint_velocity,
+    read_joint_velocity,
+    to_stamp,
+    velocity_trajectory,
+)
+from mpc_controller.ros.parameters import NodeParameters
+from mpc_controller.ros.process import run
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from milling_plant.cut import Cut
+from milling_plant.settings import PlantSettings, default_settings
+
+
+class PlantNode(Node):
+    """The simulated feed axis.
+
+    ``~/run_cut`` starts a cut and answers with its identifier. The plant publishes the reference,
+    then measurement k on ``joint_states``, and steps once the command with the same stamp has
+    come; an unanswered measurement is sent again. ``~/cut_result`` carries the metrics.
+    ``~/abort`` ends a cut as failed. Parameters may change at any time and take effect with the
+    next cut.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("milling_plant", automatically_declare_parameters_from_overrides=True)
+        self._parameter_table = NodeParameters(self, PlantSettings, asdict(default_settings()))
+        self._settings = self._parameter_table.settings
+        self._cut: Cut | None = None
+        self._start = 0
+        self._ignored = 0
+        self._resent = 0
+        self._trajectory: JointTrajectory | None = None
+        self._trajectory_of: PlantSettings | None = None
+        self._measurement = self.create_publisher(JointState, "joint_states", LOOP_QOS)
+        self._reference = self.create_publisher(
+            JointTrajectory, "mpc_controller/joint_trajectory", LOOP_QOS
+        )
+        self._result = self.create_publisher(DiagnosticArray, "~/cut_result", LOOP_QOS)
+        self.create_subscription(JointState, "mpc_controller/command", self._on_command, LOOP_QOS)
+        self.create_service(Trigger, "~/run_cut", self._on_run_cut)
+        self.create_service(Trigger, "~/abort", self._on_abort)
+        # Waiting is done by the wall: the simulated time stands still meanwhile.
+        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watchdog = self.create_timer(
+            self._settings.resend_period, self._on_watchdog, clock=self._wall
+        )
+
+    def _on_run_cut(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = False
+        if self._cut is not None:
+            response.message = f"cut {cut_identifier(self._start)} is running; wait or abort it"
+        elif self._reference.get_subscription_count() == 0:
+            response.message = f"no controller listens on {self._reference.topic_name}"
+        else:
+            self._begin()
+            response.success = True
+            response.message = cut_identifier(self._start)
+        return response
+
+    def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._cut is not None
+        response.message = "no cut is running"
+        if self._cut is not None:
+            response.message = f"aborted cut {cut_identifier(self._start)}"
+            self._cut.fail(f"aborted at sample {self._cut.sample}")
+            self._end(self._cut)
+        return response
+
+    def _begin(self) -> None:
+        self._settings = self._parameter_table.settings
+        self._watchdog.timer_period_ns = int(self._settings.resend_period * NANOSECONDS)
+        self._cut = Cut(self._settings)
+        self._start = max(self.get_clock().now().nanoseconds, self._start + 1)
+        self._ignored = 0
+        self._resent = 0
+        self._publish_reference(self._cut)
+        self._publish_measurement(self._cut)
+        self._progress = self._wall.now().nanoseconds
+
+    def _publish_reference(self, cut: Cut) -> None:
+        # A message of some hundred points is worth keeping while only context and noise change.
+        s = self._settings
+        shape = replace(s, stiffness_factor=1.0, damping_factor=1.0, seed=0)
+        if self._trajectory is None or shape != self._trajectory_of:
+            self._trajectory = velocity_trajectory(
+                s.joint_name, self._start, cut.reference, s.sample_time
+            )
+            self._trajectory_of = shape
+        self._trajectory.header.stamp = to_stamp(self._start)
+        self._reference.publish(self._trajectory)
+
+    def _time(self, cut: Cut) -> int:
+        """Simulated time of the present sample [ns]."""
+        return self._start + round(cut.sample * self._settings.sample_time * NANOSECONDS)
+
+    def _publish_measurement(self, cut: Cut) -> None:
+        self._measurement.publish(
+            joint_velocity(self._settings.joint_name, self._time(cut), cut.measurement)
+        )
+
+    def _on_command(self, message: JointState) -> None:
+        cut = self._cut
+        if cut is None or from_stamp(message.header.stamp) != self._time(cut):
+            self._ignored += 1
+            return
+        command = read_joint_velocity(message, self._settings.joint_name)
+        if command is None:
+            self._ignored += 1
+            return
+        cut.apply(command)
+        self._progress = self._wall.now().nanoseconds
+        if cut.done:
+            self._end(cut)
+        else:
+            self._publish_measurement(cut)
+
+    def _on_watchdog(self) -> None:
+        cut = self._cut
+        if cut is None:
+            return
+        silence = (self._wall.now().nanoseconds - self._progress) / NANOSECONDS
+        if silence > self._settings.command_timeout:
+            cut.fail(
+                f"no command for sample {cut.sample} within {self._settings.command_timeout} s"
+            )
+            self._end(cut)
+        elif silence >= 0.5 * self._settings.resend_period:
+            self._resent += 1
+            if cut.sample == 0:
+                self._publish_reference(cut)
+            self._publish_measurement(cut)
+
+    def _end(self, cut: Cut) -> None:
+        self._cut = None
+        counts = {"ignored_messages": self._ignored, "resent_measurements": self._resent}
+        self._result.publish(
+            cut_result(
+                self.get_name(),
+                self._settings.joint_name,
+                self._start,
+                self._time(cut),
+                cut.result() | counts,
+            )
+        )
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(PlantNode))

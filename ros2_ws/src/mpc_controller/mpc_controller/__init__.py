@@ -1,0 +1,1 @@
+"""Kalman filter and model predictive controller of a feed axis, and their ROS 2 node."""

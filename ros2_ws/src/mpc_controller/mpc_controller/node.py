@@ -1,0 +1,135 @@
+"""The controller's ROS 2 node: a reference and measurements in, commands out.
+
+It knows topics only, so that a drive with the same topics can stand in for the simulated axis.
+"""
+
+import sys
+from dataclasses import asdict
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from mpc_controller.controller import MpcController
+from mpc_controller.errors import ControllerError
+from mpc_controller.ros.messages import (
+    LOOP_QOS,
+    NANOSECONDS,
+    cut_result,
+    from_stamp,
+    joint_velocity,
+    read_joint_velocity,
+    read_velocity_trajectory,
+)
+from mpc_controller.ros.parameters import NodeParameters
+from mpc_controller.ros.process import run
+from mpc_controller.settings import ControllerSettings, default_settings
+
+
+class ControllerNode(Node):
+    """Kalman filter and MPC of one axis.
+
+    A reference on ``~/joint_trajectory`` starts a cut: at its stamp, or with the next measurement
+    if the stamp is zero. Each measurement of the cut on ``joint_states`` is answered once on
+    ``~/command``; when it comes again, so does the answer. ``~/cut_result`` sums up the cut.
+    Parameters may change at any time and take effect with the next cut.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("mpc_controller", automatically_declare_parameters_from_overrides=True)
+        self._controller = MpcController()
+        self._parameter_table = NodeParameters(
+            self, ControllerSettings, asdict(default_settings()), self._on_settings
+        )
+        self._on_settings(self._parameter_table.settings)
+        self._start: int | None = None
+        self._running = False
+        self._early: JointState | None = None
+        self._last_command: JointState | None = None
+        self._ignored = 0
+        self._command = self.create_publisher(JointState, "~/command", LOOP_QOS)
+        self._estimate = self.create_publisher(JointState, "~/estimated_state", LOOP_QOS)
+        self._result = self.create_publisher(DiagnosticArray, "~/cut_result", LOOP_QOS)
+        self.create_subscription(
+            JointTrajectory, "~/joint_trajectory", self._on_trajectory, LOOP_QOS
+        )
+        self.create_subscription(JointState, "joint_states", self._on_measurement, LOOP_QOS)
+
+    def _on_settings(self, settings: ControllerSettings) -> None:
+        self._controller.settings = settings
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        start = from_stamp(message.header.stamp)
+        if self._running and start != 0 and start == self._start:
+            return
+        settings = self._parameter_table.settings
+        self._settings = settings
+        self._start = start or None
+        self._running = False
+        self._ignored = 0
+        self._last_command = None
+        try:
+            self._controller.start(
+                read_velocity_trajectory(message, settings.joint_name, settings.sample_time)
+            )
+        except ControllerError as error:
+            self.get_logger().error(str(error))
+            self._publish_result({"status": "failed", "reason": str(error)})
+            return
+        self._running = True
+        # Topics have no order between them: the first measurement may have come before this.
+        early, self._early = self._early, None
+        if start and early is not None and self._sample(early) == 0:
+            self._on_measurement(early)
+
+    def _sample(self, measurement: JointState) -> int:
+        """Index of the sample that a measurement belongs to."""
+        time = from_stamp(measurement.header.stamp)
+        if self._start is None:
+            self._start = time
+        return round((time - self._start) / (self._settings.sample_time * NANOSECONDS))
+
+    def _on_measurement(self, message: JointState) -> None:
+        if not self._running:
+            self._early = message
+            return
+        velocity = read_joint_velocity(message, self._settings.joint_name)
+        controller = self._controller
+        k = self._sample(message)
+        if velocity is None or not 0 <= k < controller.reference_length:
+            self._ignored += 1
+            self._early = message
+            return
+        if k < controller.samples_done:
+            if k == controller.samples_done - 1 and self._last_command is not None:
+                self._command.publish(self._last_command)
+            return
+        while controller.samples_done < k:
+            controller.step(float("nan"))
+        step = controller.step(velocity)
+        time = from_stamp(message.header.stamp)
+        self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
+        self._command.publish(self._last_command)
+        if self._estimate.get_subscription_count() > 0:
+            self._estimate.publish(
+                joint_velocity(self._settings.joint_name, time, step.estimate)
+            )
+        if controller.samples_done == controller.reference_length:
+            self._publish_result(controller.cut_result() | {"ignored_messages": self._ignored})
+
+    def _publish_result(self, result: dict[str, float | str]) -> None:
+        self._result.publish(
+            cut_result(
+                self.get_name(),
+                self._settings.joint_name,
+                self._start or 0,
+                self.get_clock().now().nanoseconds,
+                result,
+            )
+        )
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(ControllerNode))

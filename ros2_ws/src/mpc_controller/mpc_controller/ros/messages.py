@@ -1,0 +1,145 @@
+"""The messages of the closed loop, made and read in one place.
+
+The stamp is the sequence number: a cut starts at the stamp of its reference trajectory, sample k
+is stamped k sample times later, and a command carries the stamp of the measurement that it
+answers. A cut's identifier is its start, written as seconds and nanoseconds.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import isfinite
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from mpc_controller.errors import ControllerError
+from mpc_controller.model import Array
+
+LOOP_QOS = QoSProfile(
+    depth=10,
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.VOLATILE,
+)
+"""Of all topics here: depth bounds loss even when reliable, and no command is ever latched."""
+
+NANOSECONDS = 1_000_000_000
+
+
+def to_stamp(time: int) -> Time:
+    """Make a stamp of a time [ns]."""
+    return Time(sec=time // NANOSECONDS, nanosec=time % NANOSECONDS)
+
+
+def from_stamp(stamp: Time | Duration) -> int:
+    """Read a stamp or a duration [ns]."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def cut_identifier(start: int) -> str:
+    """Name the cut that starts at `start` [ns]."""
+    return f"{start // NANOSECONDS}.{start % NANOSECONDS:09d}"
+
+
+def joint_velocity(joint: str, time: int, velocity: float) -> JointState:
+    """Message with the velocity [m/s] of one joint at `time` [ns]."""
+    return JointState(
+        header=Header(stamp=to_stamp(time)), name=[joint], velocity=[float(velocity)]
+    )
+
+
+def read_joint_velocity(message: JointState, joint: str) -> float | None:
+    """Velocity [m/s] of a joint, or None if the message does not speak of it."""
+    if joint not in message.name or len(message.velocity) != len(message.name):
+        return None
+    return float(message.velocity[message.name.index(joint)])
+
+
+def velocity_trajectory(
+    joint: str, start: int, velocity: Array, sample_time: float
+) -> JointTrajectory:
+    """Message with a velocity [m/s] for each sample, from `start` [ns] on."""
+    times = (np.arange(velocity.size) * sample_time * NANOSECONDS).round().astype(int).tolist()
+    return JointTrajectory(
+        header=Header(stamp=to_stamp(start)),
+        joint_names=[joint],
+        points=[
+            JointTrajectoryPoint(
+                velocities=[v],
+                time_from_start=Duration(sec=t // NANOSECONDS, nanosec=t % NANOSECONDS),
+            )
+            for v, t in zip(velocity.tolist(), times, strict=True)
+        ],
+    )
+
+
+def read_velocity_trajectory(
+    message: JointTrajectory, joint: str, sample_time: float
+) -> list[float]:
+    """Velocities [m/s] of a joint, a point for each sample.
+
+    Raises
+    ------
+    ControllerError
+        If the joint is not in the message, a point lacks its velocity or has one that is not
+        finite, or the points are not one sample time apart.
+    """
+    if joint not in message.joint_names:
+        raise ControllerError(
+            f"reference: joint {joint} is not among {', '.join(message.joint_names) or 'none'}"
+        )
+    index = message.joint_names.index(joint)
+    velocities = []
+    for k, point in enumerate(message.points):
+        if len(point.velocities) != len(message.joint_names):
+            raise ControllerError(f"reference: point {k} has no velocity for joint {joint}")
+        velocity = float(point.velocities[index])
+        if not isfinite(velocity):
+            raise ControllerError(f"reference: velocity of point {k} is {velocity}")
+        if abs(from_stamp(point.time_from_start) - k * sample_time * NANOSECONDS) > 1000:
+            raise ControllerError(
+                f"reference: point {k} is not {k} sample times of {sample_time} s from the start"
+            )
+        velocities.append(velocity)
+    return velocities
+
+
+def cut_result(
+    node: str, joint: str, start: int, stamp: int, result: Mapping[str, float | str]
+) -> DiagnosticArray:
+    """Message with the summary of a cut.
+
+    Parameters
+    ----------
+    node
+        Name of the node; the status is called ``<node>: cut_result`` in every cut (REP 107).
+    joint
+        Name of the axis, the hardware id.
+    start
+        Start of the cut [ns], its identifier.
+    stamp
+        Time of the message [ns].
+    result
+        What the cut gave; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
+        message. Numbers are written so that they read back bit for bit.
+    """
+    ok = result["status"] == "ok"
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.OK if ok else DiagnosticStatus.ERROR,
+        name=f"{node}: cut_result",
+        hardware_id=joint,
+        message=str(result["reason"]),
+        values=[
+            KeyValue(key=key, value=value if isinstance(value, str) else repr(value))
+            for key, value in ({"cut": cut_identifier(start)} | dict(result)).items()
+        ],
+    )
+    return DiagnosticArray(header=Header(stamp=to_stamp(stamp)), status=[status])
+
+
+def texts(values: Sequence[KeyValue]) -> dict[str, str]:
+    """Read key-value pairs as a mapping."""
+    return {item.key: item.value for item in values}

@@ -1,0 +1,132 @@
+"""A node's ROS parameters, kept in step with a checked settings object."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Generic, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from mpc_controller.errors import SettingsError
+from mpc_controller.parameters import Specification, build, specifications
+
+T = TypeVar("T")
+
+ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
+
+
+def descriptor(spec: Specification) -> ParameterDescriptor:
+    """Describe a parameter to ROS: text, unit and range from its line of the table."""
+    result = ParameterDescriptor(name=spec.name, description=spec.description)
+    if spec.choices:
+        result.additional_constraints = f"one of {', '.join(spec.choices)}"
+    if spec.lower is not None and spec.upper is not None:
+        if spec.kind is int:
+            result.integer_range = [
+                IntegerRange(from_value=int(spec.lower), to_value=int(spec.upper), step=0)
+            ]
+        elif spec.kind is float:
+            result.floating_point_range = [
+                FloatingPointRange(
+                    from_value=float(spec.lower), to_value=float(spec.upper), step=0.0
+                )
+            ]
+    return result
+
+
+class NodeParameters(Generic[T]):
+    """Declares a parameter table on a node and judges each change as a whole.
+
+    The node must be made with ``automatically_declare_parameters_from_overrides=True``, so that
+    values from the command line or a file are seen, and checked, even where the table does not
+    know them. A whole number for a double is taken, on the command line and by ``ros2 param set``
+    alike. `settings` always holds the last accepted set.
+
+    Parameters
+    ----------
+    node
+        The node.
+    table
+        Dataclass made with `mpc_controller.parameters.parameter`.
+    defaults
+        A value for each parameter.
+    on_change
+        Called with the new settings after a change was accepted.
+
+    Raises
+    ------
+    SettingsError
+        If a value given at the start breaks a rule.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        table: type[T],
+        defaults: Mapping[str, object],
+        on_change: Callable[[T], None] = lambda settings: None,
+    ) -> None:
+        self._table = table
+        self._specs = {spec.name: spec for spec in specifications(table)}
+        self._on_change = on_change
+        given = {
+            name: _plain(node.get_parameter(name))
+            for name in node.list_parameters([], 0).names
+            if name not in ROS_OWN_PARAMETERS and not name.startswith("qos_overrides.")
+        }
+        self.settings: T = build(table, dict(defaults) | given)
+        for name in given:
+            node.undeclare_parameter(name)
+        for name, value in asdict(self.settings).items():  # type: ignore[call-overload]
+            value = list(value) if isinstance(value, tuple) else value
+            node.declare_parameter(
+                name, value, descriptor(self._specs[name]), ignore_override=True
+            )
+        node.add_pre_set_parameters_callback(self._cast)
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _cast(self, changes: list[Parameter]) -> list[Parameter]:
+        return [
+            Parameter(p.name, Parameter.Type.DOUBLE, float(p.value))
+            if p.type_ is Parameter.Type.INTEGER and self._kind(p.name) is float
+            else p
+            for p in changes
+        ]
+
+    def _kind(self, name: str) -> type | None:
+        return self._specs[name].kind if name in self._specs else None
+
+    def _judge(self, changes: list[Parameter]) -> SetParametersResult:
+        # An exception here would kill the node without an answer to the client.
+        try:
+            self._candidate(changes)
+        except SettingsError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        except Exception as error:
+            return SetParametersResult(successful=False, reason=f"cannot be judged: {error!r}")
+        return SetParametersResult(successful=True)
+
+    def _apply(self, changes: list[Parameter]) -> None:
+        self.settings = self._candidate(changes)
+        self._on_change(self.settings)
+
+    def _candidate(self, changes: list[Parameter]) -> T:
+        current: dict[str, object] = asdict(self.settings)  # type: ignore[call-overload]
+        for p in changes:
+            if p.name not in self._specs:
+                continue
+            if p.type_ is Parameter.Type.NOT_SET:
+                raise SettingsError(f"{p.name}: cannot be deleted")
+            current[p.name] = _plain(p)
+        return build(self._table, current)
+
+
+def _plain(p: Parameter) -> object:
+    return p.value if isinstance(p.value, bool | int | float | str) else list(p.value or ())

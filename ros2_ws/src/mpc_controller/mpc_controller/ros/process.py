@@ -1,0 +1,73 @@
+"""The life of a node's process: start, spin, and a clean end on any signal."""
+
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+import rclpy
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from mpc_controller.errors import SettingsError
+
+try:
+    # Experimental in Jazzy but 1.5 to 7 times faster; only its spin_once is dependable.
+    from rclpy.experimental import EventsExecutor
+except ImportError:
+    EventsExecutor = None
+
+EXIT_USAGE = 2
+SPIN_PERIOD = 0.1
+"""Longest time [s] until a signal is noticed."""
+
+
+def make_executor() -> Executor:
+    """Make the fastest executor that this rclpy has."""
+    return SingleThreadedExecutor() if EventsExecutor is None else EventsExecutor()
+
+
+def run(make_node: Callable[[], Node]) -> int:
+    """Run one node until SIGINT or SIGTERM and return the exit code.
+
+    rclpy's own handlers are not used: an idle ``rclpy.spin`` may hang on SIGTERM, and a second
+    signal during the exit kills the process. Parameters or arguments that cannot be used end the
+    process with one line and code 2.
+    """
+    stop = False
+
+    def request_stop(_signum: int, _frame: FrameType | None) -> None:
+        nonlocal stop
+        stop = True
+
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, request_stop)
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        node = make_node()
+    except (SettingsError, InvalidParameterValueException) as error:
+        return _refuse(str(error))
+    except RuntimeError as error:
+        # rclpy wraps what rcl says of bad arguments or parameter files, several lines of it.
+        return _refuse(str(error).splitlines()[0])
+    executor = make_executor()
+    executor.add_node(node)
+    try:
+        while not stop:
+            executor.spin_once(timeout_sec=SPIN_PERIOD)
+    finally:
+        for signum in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(signum, signal.SIG_IGN)
+        executor.remove_node(node)
+        node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _refuse(reason: str) -> int:
+    sys.stderr.write(f"error: {reason}\n")
+    rclpy.try_shutdown()
+    return EXIT_USAGE
