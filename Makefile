@@ -1,0 +1,103 @@
+# Everything is installed into .venv. Stamp files in it tell what is up to date, so a second call
+# does nothing, and needs no network.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+INSTALL := $(PIP) install --quiet --constraint requirements/constraints.txt
+PACKAGES := mpc_controller milling_plant bo_tuner
+# With the folders, so that a deleted file counts as a change too.
+SOURCES := $(shell find $(PACKAGES:%=ros2_ws/src/%) \
+	\( -name __pycache__ -o -name '*.egg-info' -o -name build \) -prune -o -print)
+SOURCE_PATH := $(subst $() ,:,$(PACKAGES:%=ros2_ws/src/%))
+
+# A sourced ROS installation must not shadow what is in .venv.
+unexport PYTHONPATH PYTHONHOME
+export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
+# Set by the ROS wheels of the environment that called us; with it, ours would load its libraries.
+ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
+endif
+# Nodes of the checks talk to each other only, and leave no shared memory behind.
+CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST FASTDDS_BUILTIN_TRANSPORTS=UDPv4 \
+	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
+
+.PHONY: help setup tune test lint types format check colcon clean
+.NOTPARALLEL:
+
+help:
+	@echo 'make setup    install ROS 2 and the three packages into $(VENV) (PYTHON=python3.12 picks one)'
+	@echo 'make tune     tune the feed axis (ARGS="--trials 20" and so on)'
+	@echo 'make test     run the test suite (ARGS="-k kalman" and so on)'
+	@echo 'make check    lint, types and tests'
+	@echo 'make lint     ruff and import-linter'
+	@echo 'make types    mypy'
+	@echo 'make format   reformat the code'
+	@echo 'make colcon   install colcon into $(VENV)'
+	@echo 'make clean    remove all of it, but not runs/'
+
+setup: $(VENV)/.packages
+
+tune: setup
+	$(BIN)/tune $(ARGS)
+
+test: setup $(VENV)/.dev
+	$(CHECK_ENV) $(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	PYTHONPATH=$(SOURCE_PATH) $(BIN)/lint-imports
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+check: lint types test
+
+colcon: $(VENV)/.colcon
+
+clean:
+	rm -rf $(VENV) ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache .coverage
+
+$(VENV)/.created:
+	@command -v '$(PYTHON)' >/dev/null || { echo 'error: $(PYTHON) not found;' \
+		'install Python 3.11, 3.12 or 3.13, or name one: make PYTHON=python3.12' >&2; exit 1; }
+	@'$(PYTHON)' -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || { \
+		echo "error: $$('$(PYTHON)' -V 2>&1) is not Python 3.11, 3.12 or 3.13;" \
+		'name one: make PYTHON=python3.12' >&2; exit 1; }
+	@'$(PYTHON)' -c 'import ensurepip, venv' 2>/dev/null || { \
+		echo 'error: $(PYTHON) cannot make virtual environments;' \
+		'on Debian and Ubuntu: apt install python3-venv' >&2; exit 1; }
+	'$(PYTHON)' -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.runtime: requirements/runtime.txt requirements/constraints.txt $(VENV)/.created
+	@echo 'installing ROS 2 and the numerics into $(VENV)'
+	$(INSTALL) --requirement requirements/runtime.txt
+	@$(PIP) check
+	@$(CHECK_ENV) $(BIN)/python -c 'import rclpy; rclpy.init(); rclpy.create_node("setup")' || { \
+		echo 'error: the ROS packages in $(VENV) cannot create a node; try make clean setup' >&2; \
+		exit 1; }
+	@touch $@
+
+# Built from a copy: a build leaves folders in its source tree, from which deleted modules return.
+$(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
+	@rm -rf $(VENV)/build && mkdir $(VENV)/build
+	@cp -R $(PACKAGES:%=ros2_ws/src/%) $(VENV)/build
+	@cd $(VENV)/build && rm -rf */build */*.egg-info
+	$(INSTALL) --no-index --no-deps --no-build-isolation --use-pep517 --force-reinstall \
+		$(PACKAGES:%=./$(VENV)/build/%)
+	@rm -rf $(VENV)/build
+	@$(PIP) check
+	@touch $@
+
+$(VENV)/.dev $(VENV)/.colcon: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
+	$(INSTALL) --requirement $<
+	@$(PIP) check
+	@touch $@

@@ -1,0 +1,169 @@
+"""Acquisition function of the paper (Eq. 5), as a sum of logarithms.
+
+    log α(x) = log RI(x) + log p_feas(x) + log(1 - p_out(x)) + log(1 - p_fail(x))
+
+RI is the expected improvement under the reinterpolation model of the objective (Forrester et al.
+2006), p_feas the product of the probabilities of feasibility of independent constraints, p_out and
+p_fail come from the nearest-neighbour classifiers. The logarithm keeps the order of points whose
+plain α underflows.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from bo_tuner.special import log_expected_improvement, log_normal_cdf
+from bo_tuner.surrogate.gaussian_process import GaussianProcess
+from bo_tuner.surrogate.neighbours import NeighbourClassifier
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SurrogateConstraint:
+    """Upper limit on a response, judged by its Gaussian process; build it by a class method.
+
+    Attributes
+    ----------
+    model : GaussianProcess
+        Surrogate of the response.
+    limit : float
+        Upper limit of the latent response, in its unit.
+    """
+
+    model: GaussianProcess
+    limit: float
+
+    @classmethod
+    def on_expectation(cls, model: GaussianProcess, limit: float) -> Self:
+        """Constrain the latent response itself: f(x) ≤ limit.
+
+        For a response whose noise is no property of the parametrization, such as the worst case
+        over contexts estimated from noisy cuts: the noise of the estimate must not count.
+
+        Parameters
+        ----------
+        model : GaussianProcess
+        limit : float
+            In the unit of the response.
+        """
+        return cls(model, limit)
+
+    @classmethod
+    def on_observation(cls, model: GaussianProcess, limit: float, probability: float) -> Self:
+        """Constrain single observations: P[y(x) ≤ limit] ≥ probability (paper, Eq. 3e).
+
+        With y = f(x) + ε and ε ~ N(0, σ²) the constraint holds if and only if
+        f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the predictive noise enters through the limit,
+        and what stays uncertain is f(x).
+
+        Parameters
+        ----------
+        model : GaussianProcess
+        limit : float
+            In the unit of the response.
+        probability : float
+            In (0, 1).
+
+        Raises
+        ------
+        ValueError
+            If `probability` is not in (0, 1).
+        """
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability: expected a value in (0, 1), found {probability}")
+        z = float(ndtri(probability))
+        return cls(model, limit - z * model.noise_variance**0.5)
+
+    def log_probability(self, x: Array) -> Array:
+        """Return the log probability that the constraint holds.
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, d)
+
+        Returns
+        -------
+        ndarray, shape (m,)
+        """
+        mean, variance = self.model.predict(x)
+        # Rounding can leave no variance at all; then the answer is yes or no, but still finite.
+        sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
+        with np.errstate(over="ignore"):  # log Φ stops an infinite argument
+            return log_normal_cdf((self.limit - mean) / sd)
+
+
+@dataclass(frozen=True, eq=False)
+class LogAcquisition:
+    """Log acquisition function, to be maximised.
+
+    Attributes
+    ----------
+    objective : GaussianProcess or None
+        Surrogate of the objective, which is minimised; None while there is no observation of it.
+    best : float or None
+        Objective to improve on, in the unit of the response: the lowest posterior mean among the
+        points believed feasible. None while there is none: then feasibility is sought, so RI is
+        left out, except that evaluated points stay excluded.
+    constraints : tuple of SurrogateConstraint
+    classifiers : tuple of NeighbourClassifier
+        Estimates of p_out and p_fail.
+    """
+
+    objective: GaussianProcess | None
+    best: float | None
+    constraints: tuple[SurrogateConstraint, ...] = ()
+    classifiers: tuple[NeighbourClassifier, ...] = ()
+
+    def __call__(self, x: Array) -> Array:
+        """Return log α(x).
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, d)
+            Points in the unit cube.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            -inf exactly at points of which the objective was observed, and at outliers and
+            crashes.
+        """
+        total = np.zeros(len(x))
+        if self.objective is not None:
+            mean, variance = self.objective.predict_reinterpolated(x)
+            if self.best is None:
+                total[variance <= 0.0] = -np.inf
+            else:
+                total += log_expected_improvement(mean, variance, self.best)
+        for constraint in self.constraints:
+            total += constraint.log_probability(x)
+        for classifier in self.classifiers:
+            total += classifier.log_complement(x)
+        return total
+
+
+def best_at_data(model: GaussianProcess, feasible: NDArray[np.bool_]) -> float | None:
+    """Return the lowest posterior mean among the feasible points of a model's data.
+
+    Expected improvement under noise needs a noise-free incumbent: the interpolated values of the
+    reinterpolation model are the posterior means.
+
+    Parameters
+    ----------
+    model : GaussianProcess
+        Surrogate of the objective, with n distinct points.
+    feasible : ndarray of bool, shape (n,)
+        Whether each row of `model.data.x` is believed feasible.
+
+    Returns
+    -------
+    float or None
+        In the unit of the response; None if no point is feasible.
+    """
+    if not feasible.any():
+        return None
+    return float(model.predict(model.data.x[feasible])[0].min())

@@ -1,0 +1,47 @@
+"""From what the nodes say of a cut to the study's metrics."""
+
+from collections.abc import Mapping
+from math import isfinite
+
+from bo_tuner.study import Study
+from bo_tuner.trials import CutOutcome, CutState
+
+STATUS_OK = "ok"
+
+
+def outcome(study: Study, said: Mapping[str, Mapping[str, object]]) -> CutOutcome:
+    """Judge a cut.
+
+    Parameters
+    ----------
+    study
+        The study, for its metrics.
+    said
+        By node key what the node said of the cut: ``status``, ``reason`` and its figures, as
+        numbers or as text.
+
+    Returns
+    -------
+    CutOutcome
+        Failed if a node says so, or if a metric is missing or not finite: such a value never
+        becomes a number.
+    """
+    details = {f"{node}.{key}": str(v) for node, pairs in said.items() for key, v in pairs.items()}
+    for node, pairs in said.items():
+        if pairs.get("status") != STATUS_OK:
+            reason = pairs.get("reason") or "no reason given"
+            return CutOutcome(CutState.FAILED, {}, f"{node}: {reason}", details)
+    metrics = {}
+    for name, metric in study.metrics.items():
+        text = said.get(metric.node, {}).get(metric.key)
+        try:
+            value = float(text)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            value = float("nan")
+        if not isfinite(value):
+            shown = "is missing" if text is None else f"is {str(text)[:40]}"
+            return CutOutcome(
+                CutState.FAILED, {}, f"{metric.node}: metric {metric.key} {shown}", details
+            )
+        metrics[name] = value
+    return CutOutcome(CutState.COMPLETE, metrics, "", details)

@@ -1,0 +1,84 @@
+"""Cuts on plain objects in this process, without ROS.
+
+The study names a class for each node. An object takes ``set_parameters(values)``, refusing by
+ValueError; the trigger's object runs a cut by ``run_cut(*others)``, the others being the objects
+of the remaining nodes in the study's order, and returns what its node would publish; the others
+give theirs by ``cut_result()``.
+"""
+
+import importlib
+from typing import Any
+
+from bo_tuner.backends import Assignments
+from bo_tuner.backends.collect import outcome
+from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.study import Study
+from bo_tuner.trials import CutOutcome, CutState
+
+
+class InProcessBackend:
+    """Runs the study's objects.
+
+    Parameters
+    ----------
+    study
+        The study.
+    """
+
+    name = "inprocess"
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._objects: dict[str, Any] = {}
+
+    def open(self) -> None:
+        """Make the objects and give them the study's constant parameters.
+
+        Raises
+        ------
+        StudyError
+            If a node has no object, it cannot be imported, or it refuses a parameter.
+        """
+        for key, node in self._study.nodes.items():
+            if not node.object:
+                raise StudyError(
+                    "no object; expected module:Class for the in-process backend",
+                    ("nodes", key, "object"),
+                )
+            module, _, name = node.object.partition(":")
+            try:
+                target = importlib.import_module(module)
+                for part in name.split("."):
+                    target = getattr(target, part)
+                self._objects[key] = target()  # type: ignore[operator]
+            except (ImportError, AttributeError) as error:
+                raise StudyError(
+                    f"cannot load {node.object}: {error}", ("nodes", key, "object")
+                ) from error
+            try:
+                self._objects[key].set_parameters(
+                    dict(node.parameters) | dict(node.inprocess_parameters)
+                )
+            except ValueError as error:
+                raise StudyError(str(error), ("nodes", key, "parameters")) from error
+
+    def run_cut(self, assignments: Assignments) -> CutOutcome:
+        """Set parameters, run one cut, and collect its metrics."""
+        if not self._objects:
+            raise BackendError("the backend is not open")
+        try:
+            for key, values in assignments.items():
+                self._objects[key].set_parameters(values)
+            trigger = self._study.trigger.node
+            others = {k: o for k, o in self._objects.items() if k != trigger}
+            said = {trigger: self._objects[trigger].run_cut(*others.values())}
+            if said[trigger].get("status") == "ok":
+                said |= {key: other.cut_result() for key, other in others.items()}
+        except Exception as error:
+            # Foreign code: whatever it raises is a failed cut with its reason, never a lost run.
+            return CutOutcome(CutState.FAILED, {}, f"{type(error).__name__}: {error}")
+        return outcome(self._study, said)
+
+    def close(self) -> None:
+        """Forget the objects."""
+        self._objects.clear()

@@ -1,0 +1,197 @@
+"""Checks of single values that come from a study file.
+
+Each returns the value in its Python type or raises a `StudyError`; `path` leads from the object
+that is checked to the value.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from bo_tuner.errors import StudyError
+
+ParameterValue = bool | int | float | str | tuple[bool | int | float | str, ...]
+"""What a ROS parameter can hold."""
+
+# ROS 2 stores an integer parameter in 64 bits.
+INTEGER_LIMIT = 2**63
+
+SIMPLE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+PARAMETER_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
+NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")
+EXECUTABLE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+OBJECT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
+
+
+def show(value: object) -> str:
+    """Return a short one-line description of a value for an error text."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value) if abs(value) < INTEGER_LIMIT else "an integer beyond 64 bits"
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, str):
+        return f"text {value!r}" if len(value) <= 60 else f"text {value[:57]!r}..."
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, (list, tuple)):
+        return f"a list of {len(value)}"
+    return f"a {type(value).__name__}"
+
+
+def suggestion(value: str, allowed: Iterable[str]) -> str:
+    """Return "did you mean ..." for a slip of the pen, otherwise what is allowed."""
+    names = list(allowed)
+    near = difflib.get_close_matches(value[:80], names, n=1)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return f"expected one of {', '.join(names)}" if names else "there are none"
+
+
+def integer(value: object, *path: str | int, at_least: int = -INTEGER_LIMIT) -> int:
+    """Return `value` if it is an integer: neither 3.0 nor "3" nor true is one."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise StudyError(f"expected an integer, found {show(value)}", path)
+    if not -INTEGER_LIMIT <= value < INTEGER_LIMIT:
+        raise StudyError(f"expected a 64-bit integer, found {show(value)}", path)
+    if value < at_least:
+        raise StudyError(f"expected an integer of at least {at_least}, found {value}", path)
+    return value
+
+
+def number(value: object, *path: str | int) -> float:
+    """Return `value` as a float if it is a finite number; an integer is one, true is not."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise StudyError(f"expected a number, found {show(value)}", path)
+    if isinstance(value, int):
+        value = integer(value, *path)
+    if not math.isfinite(value):
+        raise StudyError(f"expected a finite number, found {show(value)}", path)
+    return float(value)
+
+
+def positive(value: object, *path: str | int) -> float:
+    """Return `value` as a float if it is a finite number above zero."""
+    checked = number(value, *path)
+    if checked <= 0.0:
+        raise StudyError(f"expected a number above 0, found {checked}", path)
+    return checked
+
+
+def fraction(value: object, *path: str | int) -> float:
+    """Return `value` as a float if it lies strictly between 0 and 1."""
+    checked = number(value, *path)
+    if not 0.0 < checked < 1.0:
+        raise StudyError(f"expected a number between 0 and 1, both excluded, found {checked}", path)
+    return checked
+
+
+def text(value: object, *path: str | int) -> str:
+    """Return `value` if it is text."""
+    if not isinstance(value, str):
+        raise StudyError(f"expected text, found {show(value)}", path)
+    return value
+
+
+def matching(value: object, pattern: re.Pattern[str], expected: str, *path: str | int) -> str:
+    """Return `value` if it is text of the form `pattern`, which `expected` puts into words."""
+    if not isinstance(value, str) or not pattern.fullmatch(value):
+        raise StudyError(f"expected {expected}, found {show(value)}", path)
+    return value
+
+
+def parameter_name(value: object, *path: str | int) -> str:
+    """Return `value` if it can name a ROS parameter; dots separate groups."""
+    return matching(value, PARAMETER_NAME, "a ROS parameter name such as gains.kp", *path)
+
+
+def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:
+    """Return `value` if it is one of the words `allowed`."""
+    if not isinstance(value, str):
+        raise StudyError(f"expected one of {', '.join(allowed)}, found {show(value)}", path)
+    if value not in allowed:
+        raise StudyError(f"unknown {show(value)}; {suggestion(value, allowed)}", path)
+    return value
+
+
+def reference(value: object, kind: str, known: Iterable[str], *path: str | int) -> str:
+    """Return `value` if it names a known `kind` of thing, such as a node."""
+    names = list(known)
+    if not isinstance(value, str):
+        raise StudyError(f"expected the name of a {kind}, found {show(value)}", path)
+    if value not in names:
+        raise StudyError(f"there is no {kind} {show(value)[5:]}; {suggestion(value, names)}", path)
+    return value
+
+
+def sequence(value: object, expected: str, *path: str | int) -> tuple[object, ...]:
+    """Return the items of a list as a tuple."""
+    if not isinstance(value, (list, tuple)):
+        raise StudyError(f"expected {expected}, found {show(value)}", path)
+    return tuple(value)
+
+
+def pair(value: object, expected: str, *path: str | int) -> tuple[object, object]:
+    """Return the two items of a list of two."""
+    items = sequence(value, expected, *path)
+    if len(items) != 2:
+        raise StudyError(f"expected {expected}, found {show(value)}", path)
+    return items[0], items[1]
+
+
+def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]:
+    """Return finite bounds, the lower one below the upper one, as floats."""
+    items = pair(value, "bounds [lower, upper]", *path)
+    lower, upper = (number(item, *path, index) for index, item in enumerate(items))
+    check_width(lower, upper, *path, instead=instead)
+    return lower, upper
+
+
+def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
+    """Refuse bounds that are reversed, or whose width cannot be computed with.
+
+    `instead` says what to write for a value that does not vary.
+    """
+    if lower > upper:
+        raise StudyError(f"lower bound {lower} is not below upper bound {upper}", path)
+    if lower == upper:
+        raise StudyError(f"both bounds are {lower}; {instead}", path)
+    width = float(upper) - float(lower)
+    if not 0.0 < width < math.inf or math.isinf(1.0 / width):
+        raise StudyError(f"bounds [{lower}, {upper}] have no usable width", path)
+
+
+def parameter_values(values: object, *path: str | int) -> dict[str, ParameterValue]:
+    """Return values by parameter name, of the types that a ROS parameter can have."""
+    if not isinstance(values, Mapping):
+        raise StudyError(f"expected parameters by name, found {show(values)}", path)
+    checked: dict[str, ParameterValue] = {}
+    for name, value in values.items():
+        parameter_name(name, *path)
+        here = (*path, name)
+        if not isinstance(value, (list, tuple)):
+            checked[name] = _scalar(value, *here)
+            continue
+        items = tuple(_scalar(item, *here, index) for index, item in enumerate(value))
+        if len({type(item) for item in items}) != 1:
+            raise StudyError("expected a list of values of one type, at least one", here)
+        checked[name] = items
+    return checked
+
+
+def _scalar(value: object, *path: str | int) -> bool | int | float | str:
+    if isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, int):
+        return integer(value, *path)
+    if isinstance(value, float):
+        return number(value, *path)
+    raise StudyError(
+        f"expected a number, text, true, false or a list of these, found {show(value)}", path
+    )

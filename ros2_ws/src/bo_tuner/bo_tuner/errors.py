@@ -1,0 +1,75 @@
+"""Errors of this package; each is also the builtin that fits it best."""
+
+KeyPath = tuple[str | int, ...]
+"""Keys and list positions that lead to a value in a study file."""
+
+
+class BoTunerError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class PackageFilesError(BoTunerError, FileNotFoundError):
+    """The files that ship with the package are not where an installation puts them."""
+
+
+class ParameterError(BoTunerError, ValueError):
+    """A parametrization or a context that does not belong to its space."""
+
+
+class StudyError(BoTunerError, ValueError):
+    """A study that breaks a rule; its text is one line.
+
+    Parameters
+    ----------
+    problem : str
+        What was expected and what was found.
+    path : tuple of str and int
+        Where it was found, from the study's root, or from the object that was checked.
+    source : str
+        Name of the study file; empty when the study does not come from a file.
+    line : int, optional
+        Line in the study file, from 1.
+    """
+
+    def __init__(self, problem: str, path: KeyPath = (), source: str = "", line: int | None = None):
+        super().__init__(problem, path, source, line)
+        self.problem = problem
+        self.path = path
+        self.source = source
+        self.line = line
+
+    def under(self, *keys: str | int) -> "StudyError":
+        """Return the same error as seen from an outer object, `keys` above this one."""
+        return StudyError(self.problem, (*keys, *self.path), self.source, self.line)
+
+    def located(self, source: str, line: int | None) -> "StudyError":
+        """Return the same error with the file and, where known, the line."""
+        return StudyError(self.problem, self.path, source, line)
+
+    def __str__(self) -> str:
+        source = f"{self.source}:{self.line}" if self.source and self.line else self.source
+        return ": ".join(part for part in (source, _dotted(self.path), self.problem) if part)
+
+
+def _dotted(path: KeyPath) -> str:
+    text = ""
+    for key in path:
+        if isinstance(key, int):
+            text += f"[{key}]"
+        else:
+            # A key comes from a file: it may be long or hold characters that break the line.
+            shown = key if key.isprintable() else repr(key)[1:-1]
+            text += ("." if text else "") + (shown if len(shown) <= 60 else f"{shown[:57]}...")
+    return text
+
+
+class BackendError(BoTunerError, RuntimeError):
+    """The nodes or objects of a study cannot be had."""
+
+
+class JournalError(BoTunerError, OSError):
+    """The record of a run cannot be written or read."""
+
+
+class RunError(BoTunerError, RuntimeError):
+    """A run cannot go on; what it recorded stays."""

@@ -1,0 +1,46 @@
+"""The algorithms of the paper's comparison (Sec. 5.1), as choices for the two stages."""
+
+from dataclasses import dataclass
+
+from bo_tuner.stage_one import BayesianOptimization, RandomSearch, StageOne
+from bo_tuner.stage_two import POSTERIOR
+from bo_tuner.study import Study
+
+
+@dataclass(frozen=True)
+class Method:
+    """Choices that make up an algorithm.
+
+    Attributes
+    ----------
+    title
+        What it is, in a line.
+    nominal
+        Evaluate parametrizations in the nominal context only, by one cut each.
+    random
+        Draw parametrizations at random instead of by the surrogates.
+    reject_outliers
+        Use the outlier scheme.
+    worst_case
+        Estimate of the worst case: ``posterior`` or ``observed``.
+    """
+
+    title: str
+    nominal: bool = False
+    random: bool = False
+    reject_outliers: bool = True
+    worst_case: str = POSTERIOR
+
+    def stage_one(self, study: Study) -> StageOne:
+        """Make the stage one of a run."""
+        if self.random:
+            return RandomSearch(study)
+        return BayesianOptimization(study, reject_outliers=self.reject_outliers)
+
+
+METHODS = {
+    "I": Method("Bayesian optimization on the nominal model", nominal=True),
+    "II": Method("random sampling in stage one", random=True),
+    "III": Method("Bayesian optimization without outlier detection", reject_outliers=False),
+    "IV": Method("Bayesian optimization with outlier detection"),
+}

@@ -1,0 +1,183 @@
+"""Stage one: which parametrization to try next (Sec. 4.1), by ask and tell."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from bo_tuner.acquisition import LogAcquisition, best_at_data
+from bo_tuner.particle_swarm import SwarmSettings, maximise
+from bo_tuner.seeds import Stream, generator
+from bo_tuner.space import SearchSpace
+from bo_tuner.special import Array
+from bo_tuner.study import Study
+from bo_tuner.surrogates import Surrogates, WarmStarts
+from bo_tuner.trials import Trial, Value
+
+INITIAL, ACQUISITION, RANDOM, SPACE_FILLING = "initial", "acquisition", "random", "space-filling"
+
+BELIEVED_FEASIBLE = np.log(0.5)
+"""Log probability of feasibility from which a parametrization counts as feasible."""
+
+SPACE_FILLING_CANDIDATES = 512
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A parametrization to try.
+
+    Attributes
+    ----------
+    parameters
+        Every parameter of the study.
+    origin
+        What proposed it: ``initial``, ``acquisition``, ``random`` or ``space-filling``.
+    warnings
+        Numerical trouble on the way.
+    """
+
+    parameters: dict[str, Value]
+    origin: str
+    warnings: tuple[str, ...] = ()
+
+
+class StageOne(Protocol):
+    """Proposes parametrizations from the trials that it is told."""
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parametrization."""
+
+    def tell(self, trial: Trial) -> None:
+        """Take note of a finished trial, complete or failed."""
+
+
+class _Designed:
+    """An initial Latin hypercube and the memory of all trials."""
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        self.space = study.search_space()
+        self.trials: list[Trial] = []
+        self._design = self.space.latin_hypercube(
+            study.budget.initial_trials, generator(study.seed, Stream.INITIAL_DESIGN)
+        )
+
+    def tell(self, trial: Trial) -> None:
+        """Take note of a finished trial, complete or failed."""
+        self.trials.append(trial)
+
+    def initial(self) -> Proposal | None:
+        """Return the design's point for the next trial, or None after the last."""
+        number = len(self.trials)
+        if number >= len(self._design):
+            return None
+        return Proposal(self.space.to_parameters(self._design[number]), INITIAL)
+
+    def rng(self) -> np.random.Generator:
+        """Random generator of the next trial."""
+        return generator(self.study.seed, Stream.ACQUISITION, len(self.trials))
+
+
+class RandomSearch(_Designed):
+    """Algorithm II: random parametrizations, with the same initial design."""
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parametrization."""
+        proposal = self.initial()
+        if proposal is None:
+            cube = self.space.latin_hypercube(1, self.rng())[0]
+            proposal = Proposal(self.space.to_parameters(cube), RANDOM)
+        return proposal
+
+
+class BayesianOptimization(_Designed):
+    """Algorithm 1 of the paper: surrogates of all trials, acquisition of Eq. 5, particle swarm.
+
+    Parameters
+    ----------
+    study
+        The study.
+    reject_outliers
+        Whether outliers of the objective are kept out of its model and their region is avoided.
+    """
+
+    def __init__(self, study: Study, *, reject_outliers: bool = True) -> None:
+        super().__init__(study)
+        self._reject_outliers = reject_outliers
+        self._warm: WarmStarts = {}
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parametrization.
+
+        A parametrization that was tried is never proposed again while others are left. Numerical
+        trouble falls back on a point far from all that was tried, with a warning.
+        """
+        proposal = self.initial()
+        if proposal is not None:
+            return proposal
+        rng = self.rng()
+        warnings: tuple[str, ...] = ()
+        try:
+            surrogates = Surrogates.fit(
+                self.study,
+                self.trials,
+                rng=rng,
+                start=self._warm,
+                reject_outliers=self._reject_outliers,
+            )
+            warnings = surrogates.warnings
+            self._warm = self._warm | surrogates.hyperparameters
+            cube = self._search(surrogates, rng)
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+            cube = None
+            warnings += (f"no acquisition: {type(error).__name__}: {error}",)
+        if cube is not None:
+            parameters = self.space.to_parameters(cube)
+            if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
+                return Proposal(parameters, ACQUISITION, warnings)
+        cube = space_filling(self.space, self._tried(), rng)
+        return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings)
+
+    def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> Array | None:
+        model = surrogates.objective
+        best = None
+        starts = np.empty((0, self.space.dimension))
+        if model is not None:
+            points = model.data.x
+            log_feasible = surrogates.log_feasibility(points)
+            best = best_at_data(model, log_feasible >= BELIEVED_FEASIBLE)
+            # The swarm also looks around the most promising points so far.
+            cost, _ = model.predict(points)
+            order = np.lexsort((cost, log_feasible < BELIEVED_FEASIBLE))[:8]
+            starts = points[order] + rng.normal(0.0, 0.05, (len(order), self.space.dimension))
+        acquisition = LogAcquisition(
+            model, best, surrogates.constraints, surrogates.classifiers
+        )
+        found = maximise(
+            acquisition,
+            self.space.dimension,
+            rng,
+            repair=self.space.repair,
+            initial=np.clip(starts, 0.0, 1.0),
+            settings=SwarmSettings(),
+        )
+        return found.position if np.isfinite(found.value) else None
+
+    def _tried(self) -> Array:
+        names = self.space.names
+        rows = [self.space.to_cube({n: t.parameters[n] for n in names}) for t in self.trials]
+        return np.array(rows).reshape(-1, self.space.dimension)
+
+    def _key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
+        return self.space.key({name: parameters[name] for name in self.space.names})
+
+
+def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
+    """Point (d,) of the cube that is farthest from all points `tried` (n, d), among random ones."""
+    candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
+    if len(tried) == 0:
+        return candidates[0]
+    squared = ((candidates[:, None, :] - tried[None, :, :]) ** 2).sum(axis=2)
+    farthest: Array = candidates[int(squared.min(axis=1).argmax())]
+    return farthest

@@ -1,0 +1,1 @@
+"""Surrogate models: Gaussian process, Student-t process and nearest-neighbour classifiers."""

@@ -1,0 +1,164 @@
+"""The surrogates of stage one: what all trials so far say of every parametrization (Sec. 4.1).
+
+One Gaussian process for the objective, one for each constrained response, and two
+nearest-neighbour classifiers. A failed trial has no values; it speaks through the classifier of
+failures alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.acquisition import SurrogateConstraint
+from bo_tuner.special import Array
+from bo_tuner.study import Study
+from bo_tuner.surrogate.gaussian_process import GaussianProcess
+from bo_tuner.surrogate.hyperpriors import Hyperparameters
+from bo_tuner.surrogate.neighbours import NeighbourClassifier
+from bo_tuner.surrogate.student_t import fit_without_outliers
+from bo_tuner.trials import Trial, TrialState
+
+OBJECTIVE = "objective"
+# Distance in the unit cube within which a failure speaks for its neighbours. Not the objective's
+# length scales: they come from complete trials only, and a flat response would stretch them.
+CLASSIFIER_SCALE = 0.25
+WarmStarts = dict[str, Hyperparameters]
+
+
+@dataclass(frozen=True, eq=False)
+class Surrogates:
+    """Models of the cost and the constraints over the unit cube; build them by `fit`.
+
+    Attributes
+    ----------
+    objective
+        Model of the cost (the objective's metric, on its scale, to be minimised); None while no
+        trial is complete.
+    constraints
+        One for each constraint of the study, in its order; empty while no trial is complete.
+    classifiers
+        Probabilities of a failure and, with the outlier scheme, of an outlier.
+    outliers
+        Numbers of the trials that were taken for outliers of the objective.
+    hyperparameters
+        Of each model by name, for the next warm start.
+    warnings
+        Numerical trouble of the fits.
+    """
+
+    objective: GaussianProcess | None
+    constraints: tuple[SurrogateConstraint, ...]
+    classifiers: tuple[NeighbourClassifier, ...]
+    outliers: frozenset[int] = frozenset()
+    hyperparameters: WarmStarts = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def fit(
+        cls,
+        study: Study,
+        trials: Sequence[Trial],
+        *,
+        rng: np.random.Generator,
+        start: WarmStarts | None = None,
+        reject_outliers: bool = True,
+    ) -> Self:
+        """Fit to all trials.
+
+        Parameters
+        ----------
+        study
+            The study.
+        trials
+            All trials so far, failed ones too.
+        rng
+            Source of further starts of the hyperparameter searches.
+        start
+            Hyperparameters of an earlier fit.
+        reject_outliers
+            Whether outliers of the objective are kept out of its model.
+        """
+        space = study.search_space()
+        minimum = space.minimum_length_scales()
+        warm = start or {}
+        complete = [t for t in trials if t.state is TrialState.COMPLETE]
+        cube = {t.number: space.to_cube(_tuned(t, space.names)) for t in trials}
+        models: dict[str, GaussianProcess] = {}
+
+        def fit_model(name: str, x: Array, y: Array) -> GaussianProcess:
+            models[name] = GaussianProcess.fit(
+                x, y, rng=rng, minimum_length_scales=minimum, start=warm.get(name)
+            )
+            return models[name]
+
+        outliers: frozenset[int] = frozenset()
+        objective = None
+        constraints: list[SurrogateConstraint] = []
+        if complete:
+            x, y, number = _observations(complete, cube, study.objective.metric)
+            y = study.objective.to_cost(y)
+            if reject_outliers:
+                objective, mask = fit_without_outliers(
+                    x, y, rng=rng, minimum_length_scales=minimum, start=warm.get(OBJECTIVE)
+                )
+                models[OBJECTIVE] = objective
+                outliers = frozenset(number[mask].tolist())
+            else:
+                objective = fit_model(OBJECTIVE, x, y)
+            for constraint in study.chance_constraints:
+                x, y, _ = _observations(complete, cube, constraint.metric)
+                model = fit_model(constraint.name, x, y)
+                constraints.append(
+                    SurrogateConstraint.on_observation(
+                        model, constraint.upper, constraint.probability or 0.5
+                    )
+                )
+            worst = study.worst_case_constraint
+            if worst is not None:
+                x = np.array([cube[t.number] for t in complete])
+                y = np.array([t.worst_case.value for t in complete if t.worst_case])
+                model = fit_model(worst.name, x, y)
+                constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
+        x_all = np.array([cube[t.number] for t in trials]).reshape(-1, space.dimension)
+        failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
+        scales = np.full(space.dimension, CLASSIFIER_SCALE)
+        classifiers = [NeighbourClassifier(x_all, failed, scales)]
+        if reject_outliers and complete:
+            flagged = np.array([t.number in outliers for t in complete], dtype=bool)
+            x_complete = np.array([cube[t.number] for t in complete])
+            classifiers.append(NeighbourClassifier(x_complete, flagged, scales))
+        return cls(
+            objective=objective,
+            constraints=tuple(constraints),
+            classifiers=tuple(classifiers),
+            outliers=outliers,
+            hyperparameters={name: model.hyperparameters for name, model in models.items()},
+            warnings=tuple(f"{name}: {w}" for name, m in models.items() for w in m.warnings),
+        )
+
+    def log_feasibility(self, x: Array) -> Array:
+        """Log probability (m,) that a parametrization at x (m, d) meets all constraints."""
+        total = np.zeros(len(x))
+        for constraint in self.constraints:
+            total += constraint.log_probability(x)
+        return total
+
+
+def _tuned(trial: Trial, names: Sequence[str]) -> dict[str, int | float]:
+    return {name: trial.parameters[name] for name in names}
+
+
+def _observations(
+    trials: Sequence[Trial], cube: dict[int, Array], metric: str
+) -> tuple[Array, Array, NDArray[np.int_]]:
+    """Points (N, d), values (N,) and trial numbers (N,) of the estimating cuts."""
+    x, y, number = [], [], []
+    for trial in trials:
+        for value in trial.observations(metric):
+            x.append(cube[trial.number])
+            y.append(value)
+            number.append(trial.number)
+    return np.array(x), np.array(y), np.array(number)

@@ -1,0 +1,138 @@
+"""The record of a run: cuts, and the trials that they make up."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+Value = int | float
+
+
+class Stage(StrEnum):
+    """What a cut was run for."""
+
+    NOMINAL = "nominal"
+    DRAWN = "drawn"
+    SEARCH = "search"
+    VALIDATION = "validation"
+
+
+class CutState(StrEnum):
+    """How a cut ended: whole, failed in itself, or lost with a node."""
+
+    COMPLETE = "complete"
+    FAILED = "failed"
+    LOST = "lost"
+
+
+class TrialState(StrEnum):
+    """How a trial ended; only a complete one has values, a failed one is infeasible."""
+
+    COMPLETE = "complete"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class CutOutcome:
+    """What a backend reports of one cut.
+
+    Attributes
+    ----------
+    state
+        A cut whose metrics are not all finite is not complete.
+    metrics
+        The study's metrics by name, each in its unit; empty unless complete.
+    reason
+        Why the cut is not complete.
+    details
+        All else that the nodes said of the cut, as text.
+    """
+
+    state: CutState
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    reason: str = ""
+    details: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """One closed-loop run of a trial.
+
+    Attributes
+    ----------
+    trial, index
+        Number of the trial, and of the cut within it, both from 0.
+    stage
+        What the cut was run for.
+    context
+        Value of each context variable.
+    seed
+        Seed of the noise.
+    outcome
+        What came of it.
+    """
+
+    trial: int
+    index: int
+    stage: Stage
+    context: Mapping[str, float]
+    seed: int
+    outcome: CutOutcome
+
+
+@dataclass(frozen=True)
+class WorstCase:
+    """Estimate of the worst metric over all contexts.
+
+    Attributes
+    ----------
+    value
+        The estimate, in the metric's unit.
+    context
+        Where it was found.
+    observed
+        The largest single observation.
+    """
+
+    value: float
+    context: Mapping[str, float]
+    observed: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One parametrization and all that was found out about it.
+
+    Attributes
+    ----------
+    number
+        From 0, in the order of the run.
+    parameters
+        Every parameter of the study, tied and fixed ones included.
+    origin
+        What proposed it, such as ``initial`` or ``acquisition``.
+    state, reason
+        Outcome, and why the trial failed.
+    cuts
+        All its cuts.
+    worst_case
+        Worst case of the constrained metric, if the study has such a constraint.
+    warnings
+        Numerical trouble on the way to the proposal.
+    """
+
+    number: int
+    parameters: Mapping[str, Value]
+    origin: str
+    state: TrialState
+    reason: str = ""
+    cuts: tuple[Cut, ...] = ()
+    worst_case: WorstCase | None = None
+    warnings: tuple[str, ...] = ()
+
+    def observations(self, metric: str) -> list[float]:
+        """Values of `metric` in the cuts that estimate its distribution, not in the search."""
+        return [
+            cut.outcome.metrics[metric]
+            for cut in self.cuts
+            if cut.stage in (Stage.DRAWN, Stage.NOMINAL) and cut.outcome.state is CutState.COMPLETE
+        ]

@@ -1,0 +1,173 @@
+"""The run: trials of stage one, each with its cuts of stage two, on any backend."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from bo_tuner.backends import Backend
+from bo_tuner.errors import RunError
+from bo_tuner.methods import Method
+from bo_tuner.seeds import Stream, generator, noise_seed
+from bo_tuner.stage_one import Proposal
+from bo_tuner.stage_two import WorstCaseSearch
+from bo_tuner.study import Study
+from bo_tuner.trials import (
+    Cut,
+    CutOutcome,
+    CutState,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    WorstCase,
+)
+
+LOST_IN_A_ROW = 3
+"""So many trials in a row lost with their nodes end a run."""
+
+CutObserver = Callable[[Cut, Mapping[str, Value]], None]
+
+
+class Tuning:
+    """A run of a study.
+
+    Iterating over it runs the trials that are left, one by one.
+
+    Parameters
+    ----------
+    study
+        The study.
+    backend
+        Runs the cuts; open.
+    method
+        The algorithm.
+    observe
+        Called after each cut with the cut and its parametrization, before anything builds on it.
+    trials
+        Trials of an earlier session of the same run.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        backend: Backend,
+        method: Method,
+        *,
+        observe: CutObserver = lambda cut, parameters: None,
+        trials: Sequence[Trial] = (),
+    ) -> None:
+        self._study = study
+        self._backend = backend
+        self._method = method
+        self._observe = observe
+        self._stage_one = method.stage_one(study)
+        self._contexts = study.context_space()
+        self._lost = 0
+        self.trials: list[Trial] = []
+        for trial in trials:
+            self._take(trial)
+
+    def __iter__(self) -> Iterator[Trial]:
+        """Run the trials that are left.
+
+        Raises
+        ------
+        RunError
+            If three trials in a row were lost with their nodes.
+        """
+        while len(self.trials) < self._study.budget.trials:
+            trial = self._evaluate(len(self.trials), self._stage_one.ask())
+            self._take(trial)
+            yield trial
+            if self._lost >= LOST_IN_A_ROW:
+                raise RunError(
+                    f"{self._lost} trials in a row were lost with their nodes: {trial.reason}"
+                )
+
+    def _take(self, trial: Trial) -> None:
+        self.trials.append(trial)
+        self._stage_one.tell(trial)
+        lost = any(cut.outcome.state is CutState.LOST for cut in trial.cuts)
+        self._lost = self._lost + 1 if lost else 0
+
+    def _evaluate(self, number: int, proposal: Proposal) -> Trial:
+        cuts: list[Cut] = []
+
+        def finish(state: TrialState, reason: str, worst_case: WorstCase | None) -> Trial:
+            return Trial(
+                number=number,
+                parameters=proposal.parameters,
+                origin=proposal.origin,
+                state=state,
+                reason=reason,
+                cuts=tuple(cuts),
+                worst_case=worst_case,
+                warnings=proposal.warnings,
+            )
+
+        def run(stage: Stage, context: Mapping[str, float]) -> CutOutcome:
+            seed = noise_seed(self._study.seed, Stream.NOISE, number, len(cuts))
+            outcome = run_cut(self._study, self._backend, proposal.parameters, context, seed)
+            cut = Cut(number, len(cuts), stage, context, seed, outcome)
+            cuts.append(cut)
+            self._observe(cut, proposal.parameters)
+            return outcome
+
+        for stage, context in self._estimating_contexts(number):
+            outcome = run(stage, context)
+            if outcome.state is not CutState.COMPLETE:
+                return finish(TrialState.FAILED, outcome.reason, None)
+        search = self._search(cuts)
+        if search is None:
+            return finish(TrialState.COMPLETE, "", None)
+        metric = self._worst_case_metric
+        while not search.done:
+            context = search.ask(generator(self._study.seed, Stream.SEARCH, number, len(cuts)))
+            outcome = run(Stage.SEARCH, context)
+            if outcome.state is not CutState.COMPLETE:
+                return finish(TrialState.FAILED, outcome.reason, None)
+            search.tell(context, outcome.metrics[metric])
+        rng = generator(self._study.seed, Stream.SEARCH, number, len(cuts))
+        return finish(TrialState.COMPLETE, "", search.worst_case(rng))
+
+    def _estimating_contexts(self, number: int) -> list[tuple[Stage, dict[str, float]]]:
+        if self._method.nominal:
+            return [(Stage.NOMINAL, self._contexts.to_dict(self._contexts.nominal()))]
+        rng = generator(self._study.seed, Stream.CONTEXTS, number)
+        drawn = self._contexts.draw(self._study.budget.drawn_contexts, rng)
+        return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]
+
+    @property
+    def _worst_case_metric(self) -> str:
+        constraint = self._study.worst_case_constraint
+        return constraint.metric if constraint else ""
+
+    def _search(self, cuts: Sequence[Cut]) -> WorstCaseSearch | None:
+        constraint = self._study.worst_case_constraint
+        if constraint is None:
+            return None
+        search = WorstCaseSearch(
+            self._contexts,
+            constraint.upper,
+            0 if self._method.nominal else self._study.budget.search_cuts,
+            "observed" if self._method.nominal else self._method.worst_case,
+        )
+        for cut in cuts:
+            search.tell(cut.context, cut.outcome.metrics[constraint.metric])
+        return search
+
+
+def run_cut(
+    study: Study,
+    backend: Backend,
+    parameters: Mapping[str, Value],
+    context: Mapping[str, float],
+    seed: int,
+) -> CutOutcome:
+    """Run one cut; an objective that its scale cannot take makes it a failed one."""
+    outcome = backend.run_cut(study.assignments(parameters, context, seed))
+    objective = study.objective
+    if outcome.state is CutState.COMPLETE and objective.scale == "log":
+        value = outcome.metrics[objective.metric]
+        if value <= 0.0:
+            reason = f"metric {objective.metric} is {value}; its log scale needs a positive value"
+            return CutOutcome(CutState.FAILED, {}, reason, outcome.details)
+    return outcome
