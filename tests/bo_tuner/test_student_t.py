@@ -153,6 +153,22 @@ def test_a_step_beyond_the_mode_cannot_diverge():
     assert np.isfinite(process.log_marginal_likelihood)
 
 
+def test_at_a_saddle_the_positive_weights_take_the_place_of_the_curvature():
+    """Two neighbours that contradict each other: by symmetry the iteration stays between them."""
+    x, y = np.array([[0.5], [0.5 + 1e-3]]), np.array([-3.0, 3.0])
+    theta = Hyperparameters(np.array([0.2]), 1.0, 0.1)
+    process = StudentTProcess.fit(x, y, reference_process(theta))
+    kernel = latent_covariance(theta, x, x)
+    nu, residual = process.degrees_of_freedom, y - process.mode
+    spread = nu * process.scale**2 + residual**2
+    curvature = (nu + 1.0) * (nu * process.scale**2 - residual**2) / spread**2
+    assert np.linalg.det(np.eye(2) + kernel * curvature) < 0.0
+    weights = (nu + 1.0) / spread
+    expected = kernel - kernel @ np.linalg.inv(kernel + np.diag(1.0 / weights)) @ kernel
+    np.testing.assert_allclose(process.predict(x)[1], np.diag(expected), rtol=1e-3)
+    assert np.isfinite(process.log_marginal_likelihood)
+
+
 def planted(seed, points=40, replicates=5):
     """Return a smooth response, huge values in a corner region and at three more points."""
     rng = np.random.default_rng(seed)
@@ -213,6 +229,14 @@ def test_a_steep_but_smooth_response_is_no_outlier():
     rng = np.random.default_rng(0)
     x = np.repeat(rng.random((40, 2)), 5, axis=0)
     y = np.exp(3.0 * x[:, 0]) + 0.05 * rng.normal(size=len(x))
+    assert not fit_without_outliers(x, y, rng=rng)[1].any()
+
+
+def test_variation_above_a_plateau_is_no_outlier():
+    rng = np.random.default_rng(0)
+    x = np.repeat(rng.random((40, 2)), 5, axis=0)
+    y = np.maximum(1e-3, 0.6 * (x[:, 0] - 0.6))
+    assert (y == 1e-3).mean() > 0.5
     assert not fit_without_outliers(x, y, rng=rng)[1].any()
 
 

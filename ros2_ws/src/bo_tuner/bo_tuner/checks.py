@@ -37,7 +37,7 @@ def show(value: object) -> str:
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, str):
-        return f"text {value!r}" if len(value) <= 60 else f"text {value[:57]!r}..."
+        return f"text {quoted(value)}"
     if isinstance(value, dict):
         return "a mapping"
     if isinstance(value, (list, tuple)):
@@ -45,10 +45,16 @@ def show(value: object) -> str:
     return f"a {type(value).__name__}"
 
 
+def quoted(value: str) -> str:
+    """Return text in quotation marks, on one line and not too long, for an error text."""
+    return repr(value) if len(value) <= 60 else f"{value[:57]!r}..."
+
+
 def suggestion(value: str, allowed: Iterable[str]) -> str:
     """Return "did you mean ..." for a slip of the pen, otherwise what is allowed."""
     names = list(allowed)
-    near = difflib.get_close_matches(value[:80], names, n=1)
+    near = [name for name in names if len(value) > 2 and value in name]
+    near += difflib.get_close_matches(value[:80], names, n=1, cutoff=0.7)
     if near:
         return f"did you mean '{near[0]}'?"
     return f"expected one of {', '.join(names)}" if names else "there are none"
@@ -116,7 +122,7 @@ def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:
     if not isinstance(value, str):
         raise StudyError(f"expected one of {', '.join(allowed)}, found {show(value)}", path)
     if value not in allowed:
-        raise StudyError(f"unknown {show(value)}; {suggestion(value, allowed)}", path)
+        raise StudyError(f"unknown {quoted(value)}; {suggestion(value, allowed)}", path)
     return value
 
 
@@ -126,7 +132,7 @@ def reference(value: object, kind: str, known: Iterable[str], *path: str | int) 
     if not isinstance(value, str):
         raise StudyError(f"expected the name of a {kind}, found {show(value)}", path)
     if value not in names:
-        raise StudyError(f"there is no {kind} {show(value)[5:]}; {suggestion(value, names)}", path)
+        raise StudyError(f"there is no {kind} {quoted(value)}; {suggestion(value, names)}", path)
     return value
 
 

@@ -126,7 +126,10 @@ class _Continuous(Distribution):
         else:
             nominal = self._inside(self.nominal, "nominal")
         object.__setattr__(self, "nominal", nominal)
-        if not np.all(np.isfinite(self.ppf([0.0, 0.1, 0.5, 0.9, 1.0]))):
+        with np.errstate(all="ignore"):
+            quantiles = self._quantile(np.array([0.0, 0.1, 0.5, 0.9, 1.0]))
+        slack = 1e-6 * self.width
+        if not np.all((quantiles >= self.lower - slack) & (quantiles <= self.upper + slack)):
             raise StudyError(f"this {self.kind} is too extreme to compute its quantiles")
 
     def _inside(self, value: object, key: str) -> float:

@@ -73,3 +73,7 @@ class JournalError(BoTunerError, OSError):
 
 class RunError(BoTunerError, RuntimeError):
     """A run cannot go on; what it recorded stays."""
+
+
+class OutputError(BoTunerError, OSError):
+    """The folder for results cannot be used."""

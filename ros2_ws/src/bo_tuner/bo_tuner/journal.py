@@ -118,7 +118,7 @@ class Journal:
     def trials(self) -> list[Trial]:
         """Return all recorded trials with their cuts, in order."""
         cuts: dict[int, list[Cut]] = {}
-        for trial, cut in self._cuts(("nominal", "drawn", "search")):
+        for trial, cut in self._cuts((Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)):
             cuts.setdefault(trial, []).append(cut)
         rows = self._db.execute(
             "SELECT number, parameters, origin, state, reason, worst_case, warnings "

@@ -25,8 +25,14 @@ class Parametrization:
 
     Attributes
     ----------
+    parameters : tuple of Parameter
+        All parameters.
+    order : tuple of (str, str)
+        As given.
+    tuned : tuple of Parameter
+        The tuned ones.
     names : tuple of str
-        Tuned parameters.
+        Names of the tuned ones.
     lower, upper : ndarray, shape (d,)
         Bounds of the tuned parameters as the study gives them, in own units.
     permitted : tuple of two ndarrays, shape (d,)
@@ -44,11 +50,12 @@ class Parametrization:
     """
 
     def __init__(self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]]) -> None:
-        self._parameters = tuple(parameters)
-        self._by_name = {item.name: item for item in self._parameters}
-        if len(self._by_name) != len(self._parameters):
+        self.parameters = tuple(parameters)
+        self.order = tuple(order)
+        self._by_name = {item.name: item for item in self.parameters}
+        if len(self._by_name) != len(self.parameters):
             raise StudyError("two parameters have the same name", ("parameters",))
-        self.tuned = tuple(item for item in self._parameters if item.is_tuned)
+        self.tuned = tuple(item for item in self.parameters if item.is_tuned)
         if not self.tuned:
             raise StudyError("no parameter is tuned; give one bounds", ("parameters",))
         self._check_ties()
@@ -57,13 +64,13 @@ class Parametrization:
         bounds = np.array([item.bounds for item in self.tuned], dtype=np.float64)
         self.lower, self.upper = bounds[:, 0], bounds[:, 1]
         self.defaults: dict[str, Number] = {}
-        for item in self._parameters:
+        for item in self.parameters:
             default = self._leader(item.name).default
             if default is not None:
                 self.defaults[item.name] = default
         self.permitted = (self.lower, self.upper)
         self.partial_order = PartialOrder(len(self.tuned), ())
-        for index, names in enumerate(order):
+        for index, names in enumerate(self.order):
             self._add_order(index, names)
 
     def row(self, parameters: Mapping[str, Number]) -> FloatArray:
@@ -99,7 +106,7 @@ class Parametrization:
     def complete(self, row: FloatArray) -> dict[str, Number]:
         """Return all parameters by name for a row of tuned values in own units, shape (d,)."""
         parameters = dict(self.defaults)
-        for item in self._parameters:
+        for item in self.parameters:
             column = self._column.get(self._leader(item.name).name)
             if column is not None:
                 value = float(row[column])
@@ -111,7 +118,7 @@ class Parametrization:
         return item if item.tied_to is None else self._by_name[item.tied_to]
 
     def _check_ties(self) -> None:
-        for item in self._parameters:
+        for item in self.parameters:
             if item.tied_to is None:
                 continue
             path = ("parameters", item.name, "tied_to")

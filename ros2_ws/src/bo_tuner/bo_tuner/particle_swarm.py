@@ -129,16 +129,7 @@ def maximise(
     reference, stalled = own_value.max(), 0
     for _ in range(settings.iterations):
         leader = ring[np.arange(len(ring)), own_value[ring].argmax(axis=1)]
-        pull = rng.uniform(0.0, ATTRACTION, (2, *position.shape))
-        velocity = (
-            INERTIA * velocity
-            + pull[0] * (own_best - position)
-            + pull[1] * (own_best[leader] - position)
-        )
-        velocity = np.clip(velocity, -MAXIMUM_VELOCITY, MAXIMUM_VELOCITY)
-        moved = position + velocity
-        position = np.clip(moved, 0.0, 1.0)
-        velocity[position != moved] = 0.0  # a wall absorbs
+        position, velocity = _move(position, velocity, own_best, own_best[leader], rng)
         candidate = admissible(position)
         value = evaluate(candidate)
         evaluations += len(position)
@@ -157,6 +148,19 @@ def maximise(
 
 def _identity(position: Array) -> Array:
     return position
+
+
+def _move(
+    position: Array, velocity: Array, own_best: Array, leader: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return the next positions and velocities; all arrays have the shape (m, d)."""
+    pull = rng.uniform(0.0, ATTRACTION, (2, *position.shape))
+    velocity = INERTIA * velocity + pull[0] * (own_best - position) + pull[1] * (leader - position)
+    velocity = np.clip(velocity, -MAXIMUM_VELOCITY, MAXIMUM_VELOCITY)
+    moved = position + velocity
+    position = np.clip(moved, 0.0, 1.0)
+    velocity[position != moved] = 0.0  # a wall absorbs
+    return position, velocity
 
 
 def _ring(count: int) -> NDArray[np.intp]:

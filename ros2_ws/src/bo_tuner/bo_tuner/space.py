@@ -33,6 +33,17 @@ class SearchSpace:
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parametrization.
 
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        All parameters.
+    order : tuple of (str, str)
+        As given.
+    names : tuple of str
+        Tuned parameters, one for each column.
+    lower, upper : ndarray, shape (d,)
+        Bounds of the tuned parameters, in own units.
+
     Raises
     ------
     StudyError
@@ -44,12 +55,14 @@ class SearchSpace:
         self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]] = ()
     ) -> None:
         self._parametrization = Parametrization(parameters, order)
+        self.parameters = self._parametrization.parameters
+        self.order = self._parametrization.order
         self.names = self._parametrization.names
         self.lower = self._parametrization.lower
         self.upper = self._parametrization.upper
         self._width = self.upper - self.lower
         self._tuned = self._parametrization.tuned
-        self._integer = np.array([item.is_integer for item in self._tuned])
+        self.integer = np.array([item.is_integer for item in self._tuned])
         self._order = self._parametrization.partial_order
         # What the order leaves of the bounds.
         self._low, self._high = self._parametrization.permitted
@@ -145,7 +158,7 @@ class SearchSpace:
         places = -np.floor(np.log10(RESOLUTION * self._width)).astype(int)
         return tuple(
             int(value) if integer else round(value, int(digits))
-            for value, integer, digits in zip(row.tolist(), self._integer, places, strict=True)
+            for value, integer, digits in zip(row.tolist(), self.integer, places, strict=True)
         )
 
     def latin_hypercube(self, count: int, rng: np.random.Generator) -> FloatArray:
@@ -175,7 +188,7 @@ class SearchSpace:
         values = self._low + uniform * (self._high - self._low)
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
-        values = np.where(self._integer, integers, values)
+        values = np.where(self.integer, integers, values)
         return self._distinct(self._to_unit(self._values_of(self._order.swap(values))))
 
     def minimum_length_scales(self) -> FloatArray:
@@ -214,7 +227,7 @@ class SearchSpace:
         """
         row = self._parametrization.row(parameters)
         neighbours = []
-        for column in np.flatnonzero(self._integer):
+        for column in np.flatnonzero(self.integer):
             for step in (-1.0, 1.0):
                 moved = row.copy()
                 moved[column] += step
@@ -232,7 +245,7 @@ class SearchSpace:
     def _values_of(self, values: FloatArray) -> FloatArray:
         ordered = self._order.project(values)
         # Rounding and clipping to tightened bounds both keep the order.
-        rounded = np.where(self._integer, np.floor(ordered + 0.5), ordered)
+        rounded = np.where(self.integer, np.floor(ordered + 0.5), ordered)
         return np.clip(rounded, self._low, self._high)
 
     def _to_unit(self, values: FloatArray) -> FloatArray:

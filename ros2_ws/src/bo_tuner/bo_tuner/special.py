@@ -80,7 +80,7 @@ def log_h(z: Array) -> Array:
     near, far = np.minimum(a, SERIES_FROM), np.maximum(a, SERIES_FROM)
     closed = np.log1p(-SQRT_HALF_PI * near * erfcx(near / np.sqrt(2.0)))
     inverse = far**-2
-    series = np.log1p(inverse * (-3.0 + inverse * (15.0 - 105.0 * inverse))) - 2.0 * np.log(far)
+    series = np.log1p(inverse * (-3.0 + 15.0 * inverse)) - 2.0 * np.log(far)
     below = log_normal_pdf(a) + np.where(a < SERIES_FROM, closed, series)
     upper = np.maximum(z, -1.0)
     above = np.log(np.exp(log_normal_pdf(upper)) + upper * np.exp(log_ndtr(upper)))

@@ -177,7 +177,9 @@ def _represent(value: object) -> Any:
             "tag:yaml.org,2002:seq", [_represent(item) for item in value], flow_style=True
         )
     if isinstance(value, str):
-        # Quoted wherever this reading, not only PyYAML's, would take it for something else.
+        # Quoted wherever this reading, not only PyYAML's, would take it for something else; and
+        # escaped, as only double quotes do, where a line break could be folded away.
         quoted = _FLOAT.fullmatch(value) or not isinstance(plain_scalar(value), str)
-        return yaml.ScalarNode("tag:yaml.org,2002:str", value, style='"' if quoted else None)
+        style = '"' if quoted or not value.isprintable() else None
+        return yaml.ScalarNode("tag:yaml.org,2002:str", value, style=style)
     return yaml.representer.SafeRepresenter().represent_data(value)

@@ -71,7 +71,7 @@ def load_study(name_or_path: str | Path) -> Study:
         names = shipped_studies()
         if name_or_path not in names:
             raise StudyError(
-                f"unknown study {checks.show(name_or_path)[5:]}; shipped are {', '.join(names)}; "
+                f"unknown study {checks.quoted(name_or_path)}; shipped are {', '.join(names)}; "
                 "write a path with its suffix, such as ./mine.yaml"
             )
         path = config_directory() / "studies" / f"{name_or_path}.yaml"

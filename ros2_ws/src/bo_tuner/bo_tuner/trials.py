@@ -13,7 +13,12 @@ class Stage(StrEnum):
     NOMINAL = "nominal"
     DRAWN = "drawn"
     SEARCH = "search"
+    CHECK = "check"
     VALIDATION = "validation"
+
+
+ESTIMATING = (Stage.NOMINAL, Stage.DRAWN)
+"""Stages whose contexts follow the distribution that the objective is an expectation over."""
 
 
 class CutState(StrEnum):
@@ -134,5 +139,5 @@ class Trial:
         return [
             cut.outcome.metrics[metric]
             for cut in self.cuts
-            if cut.stage in (Stage.DRAWN, Stage.NOMINAL) and cut.outcome.state is CutState.COMPLETE
+            if cut.stage in ESTIMATING and cut.outcome.state is CutState.COMPLETE
         ]

@@ -82,6 +82,7 @@ class MpcController:
         ControllerError
             If the reference is empty or not finite.
         """
+        self._reference = None
         r = np.asarray(reference, dtype=float)
         if r.ndim != 1 or r.size == 0 or not np.isfinite(r).all():
             raise ControllerError(

@@ -82,7 +82,11 @@ class Mpc:
         preview
             The next H_p reference values (H_p,) [m/s].
         """
-        self._solver.update(q=self._linear @ np.concatenate((x, (last_input,), preview)))
+        q = self._linear @ np.concatenate((x, (last_input,), preview))
+        if not np.isfinite(q).all():
+            # OSQP would keep NaN in its iterates, and with it fail in all samples to come.
+            return Solution(None, "data not finite", 0)
+        self._solver.update(q=q)
         result = self._solver.solve(raise_error=False)
         if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
             return Solution(None, result.info.status, result.info.iter)

@@ -8,7 +8,9 @@ estimate, r the next H_p reference values and u_{k-1} the last command:
 ADMM converges fast only on well-conditioned problems, and P = Theta' Theta + 10^lambda D' D is
 not: its condition number passes 10^6 within the usual search range. The program is therefore posed
 in W = L' U, with P = L L', so that its Hessian is the identity and the bounded inputs are L^-T W.
-The optimum is the same.
+J is first divided by the mean eigenvalue of P: where the inputs hardly act within the horizon, as
+with H_p no longer than the dead time, J is as small as its weight, and the solver's absolute
+tolerance would let the input drift. The optimum is the same.
 """
 
 from dataclasses import dataclass
@@ -27,7 +29,7 @@ class CondensedProgram:
     Attributes
     ----------
     P
-        Hessian of J / 2 over U, shape (H_u, H_u).
+        Hessian of J / 2 over U, scaled to a mean eigenvalue of 1; shape (H_u, H_u).
     linear
         Maps the stacked (x, u_{k-1}, r), shape (n + 1 + H_p,), onto q: shape (H_u, n + 1 + H_p).
     inputs
@@ -73,6 +75,8 @@ def condense(
     R = 10.0**lambda_mpc
     D = np.eye(control_horizon) - np.eye(control_horizon, k=-1)
     P = Theta.T @ Theta + R * (D.T @ D)
+    scale = np.trace(P) / control_horizon
+    P = P / scale
     try:
         L = cholesky(P, lower=True)
     except np.linalg.LinAlgError:
@@ -82,7 +86,7 @@ def condense(
         ) from None
     on_last_input = np.zeros((control_horizon, 1))
     on_last_input[0] = -R
-    linear = np.hstack([Theta.T @ Phi, on_last_input, -Theta.T])
+    linear = np.hstack([Theta.T @ Phi, on_last_input, -Theta.T]) / scale
     return CondensedProgram(
         P=P,
         linear=solve_triangular(L, linear, lower=True),

@@ -158,10 +158,12 @@ def maximise_posterior(
 ) -> tuple[Array, tuple[str, ...]]:
     """Find the maximum a posteriori of φ by L-BFGS-B.
 
-    Rule for the starts: the prior medians and DRAWN_CHALLENGERS draws from the priors are compared
-    by their log posterior, which costs no gradient. Without `start` the best two are optimised.
-    With it only `start` is, unless a challenger already beats it: then the data have outgrown the
-    earlier hyperparameters, and the best challenger is optimised as well.
+    Rule for the starts: challengers are the prior medians, short length scales with little noise
+    (two spreads below their medians; the optimum that a start among long ones misses) and
+    DRAWN_CHALLENGERS draws from the priors. They are compared by their log posterior, which costs
+    no gradient. Without `start` the best two are optimised, and the short length scales in any
+    case. With it only `start` is, unless a challenger already beats it: then the data have outgrown
+    the earlier hyperparameters, and the best challenger is optimised as well.
 
     Parameters
     ----------
@@ -182,7 +184,11 @@ def maximise_posterior(
     dimension = len(box) - 2
     lower, upper = box.T
     priors = posterior.priors
-    challengers = [priors.medians(dimension)]
+    medians, spreads = priors.medians(dimension), priors.spreads(dimension)
+    short = medians.copy()
+    short[:-2] -= 2.0 * spreads[:-2]
+    short[-1] -= spreads[-1]
+    challengers = [medians, short]
     challengers += [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
     challengers = [np.clip(phi, lower, upper) for phi in challengers]
     fallback = challengers[0]

@@ -55,9 +55,9 @@ SCALE_FLOOR = 0.05
 # A parametrization is an outlier if a t variable exceeds its residual with at most this
 # probability: 7.2 scales above the model for ν = 4.
 TAIL_PROBABILITY = 1e-3
-# Replicate means farther than this many robust standard deviations from the median are no part of
-# the bulk. Wide on purpose: the Student-t process decides, this only keeps its reference clean.
-BULK_WIDTH = 10.0
+# Replicate means farther than this many robust standard deviations above the median are no part of
+# the bulk that the reference is fitted to; whether they are outliers the Student-t process decides.
+BULK_WIDTH = 5.0
 MAD_TO_SD = 1.4826
 MAXIMUM_ITERATIONS = 100
 TOLERANCE = 1e-6
@@ -259,7 +259,8 @@ def fit_without_outliers(
     hyperparameters marks the outliers, and the Gaussian process is fitted to the rest. The bulk is
     found anew from medians each time, so no earlier judgement keeps a point out for ever. Where
     the rest is the bulk, as in most cases, the reference is the result, and the whole costs one
-    fit. The scheme breaks down when half of the parametrizations are outliers.
+    fit. The scheme breaks down when half of the parametrizations are outliers, and it takes varied
+    responses for outliers where half of them lie on a nearly constant plateau below.
 
     Parameters
     ----------
@@ -299,11 +300,11 @@ def fit_without_outliers(
 
 
 def _bulk(x: Array, y: Array) -> NDArray[np.bool_]:
-    """Mark the observations of points whose mean is near the median of all means, shape (N,)."""
+    """Mark the observations of points whose mean is not far above the median, shape (N,)."""
     data = Replicates.group(x, Standardisation.of(y).apply(y))
-    deviation = np.abs(data.mean - np.median(data.mean))
-    width = BULK_WIDTH * MAD_TO_SD * np.median(deviation)
-    if width == 0.0:  # at least half of the means are equal; keep those, drop nothing by chance
-        width = BULK_WIDTH * MAD_TO_SD * deviation.mean()
-    near: NDArray[np.bool_] = deviation <= width
+    above = data.mean - np.median(data.mean)
+    width = BULK_WIDTH * MAD_TO_SD * np.median(np.abs(above))
+    if width == 0.0:  # half of the means are equal, a response at its limit; the rest may vary
+        width = BULK_WIDTH * MAD_TO_SD * np.abs(above).mean()
+    near: NDArray[np.bool_] = above <= width
     return near[data.index]

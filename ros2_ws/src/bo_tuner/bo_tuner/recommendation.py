@@ -1,0 +1,144 @@
+"""Which parametrization to use: one function decides for the command line, files and reports.
+
+Among the parametrizations that were tried, those believed feasible are ranked by the posterior
+mean of the cost plus a penalty for a narrow optimum: what a step to a neighbour costs on average.
+The luckiest noisy sample does not win, and a point whose neighbours are bad loses to a calmer one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.seeds import Stream, generator
+from bo_tuner.space import SearchSpace
+from bo_tuner.special import Array
+from bo_tuner.study import Study
+from bo_tuner.surrogates import Surrogates
+from bo_tuner.trials import Trial, TrialState
+
+BELIEVED_FEASIBLE = 0.5
+"""Probability of feasibility from which a parametrization is a candidate."""
+
+LARGEST_STEP = 0.1
+"""A neighbour in a continuous direction is at most this part of the range away."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A tried parametrization and what the surrogates believe of it.
+
+    Attributes
+    ----------
+    trial
+        The trial.
+    objective
+        Posterior mean of the objective, in the metric's unit.
+    feasibility
+        Probability that all constraints hold.
+    violation
+        Largest predicted excess over a limit, relative to the limit; negative if within all.
+    penalty
+        Mean relative loss at the neighbours, in cost and in excess over limits.
+    score
+        Cost plus penalty, by which feasible candidates are ranked.
+    """
+
+    trial: Trial
+    objective: float
+    feasibility: float
+    violation: float
+    penalty: float
+    score: float
+
+    @property
+    def believed_feasible(self) -> bool:
+        """Whether this is a candidate for use."""
+        return self.feasibility >= BELIEVED_FEASIBLE
+
+
+def rank(
+    study: Study, trials: Sequence[Trial], *, reject_outliers: bool = True
+) -> list[Candidate]:
+    """Rank the complete trials, outliers of the objective excepted, the recommended one first.
+
+    Those believed feasible come first, by score; the others follow, the least violating first.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trials
+        All trials so far.
+    reject_outliers
+        As in stage one.
+
+    Returns
+    -------
+    list of Candidate
+        Empty if no trial is complete.
+    """
+    space = study.search_space()
+    rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
+    models = Surrogates.fit(study, trials, rng=rng, reject_outliers=reject_outliers)
+    # The model of the objective was not told the outliers, so it cannot judge them.
+    complete = [
+        t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
+    ]
+    if models.objective is None:
+        return []
+    scale = 1.0 if study.objective.scale == "log" else models.objective.standardisation.scale
+    candidates = []
+    for trial in complete:
+        x = space.to_cube({name: trial.parameters[name] for name in space.names})[None]
+        (cost,) = models.objective.predict(x)[0]
+        (excess,) = _excess(models, x)
+        around = neighbourhood(space, trial, models)
+        loss = np.maximum(models.objective.predict(around)[0] - cost, 0.0) / scale
+        penalty = float(np.mean(loss + np.maximum(_excess(models, around), 0.0)))
+        candidates.append(
+            Candidate(
+                trial=trial,
+                objective=float(study.objective.from_cost(cost)),
+                feasibility=float(np.exp(models.log_feasibility(x)[0])),
+                violation=float(excess),
+                penalty=penalty,
+                score=float(cost + scale * penalty),
+            )
+        )
+    return sorted(
+        candidates,
+        key=lambda c: (0, c.score) if c.believed_feasible else (1, c.violation),
+    )
+
+
+def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:
+    """Points (m, d) one integer step, or half a length scale, away from a trial.
+
+    The length scale is the shortest of all models; the half of it is at most `LARGEST_STEP`.
+    """
+    tuned = {name: trial.parameters[name] for name in space.names}
+    x = space.to_cube(tuned)
+    scales = np.min([h.length_scales for h in models.hyperparameters.values()], axis=0)
+    points = [
+        space.to_cube({name: neighbour[name] for name in space.names})
+        for neighbour in space.integer_neighbours(tuned)
+    ]
+    for column in np.flatnonzero(~space.integer):
+        for sign in (-1.0, 1.0):
+            moved = x.copy()
+            moved[column] += sign * min(0.5 * scales[column], LARGEST_STEP)
+            points.append(space.repair(moved[None])[0])
+    return np.array(points)
+
+
+def _excess(models: Surrogates, x: Array) -> Array:
+    """Largest predicted excess (m,) over a limit, relative to the limit's size."""
+    if not models.constraints:
+        return np.full(len(x), -np.inf)
+    excess = [
+        (c.model.predict(x)[0] - c.limit) / max(abs(c.limit), np.finfo(float).tiny)
+        for c in models.constraints
+    ]
+    largest: Array = np.max(excess, axis=0)
+    return largest

@@ -1,0 +1,129 @@
+"""Validation of parametrizations on fresh draws of context and noise (Sec. 5.2)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.backends import Backend
+from bo_tuner.seeds import Stream, generator, noise_seed
+from bo_tuner.study import Study
+from bo_tuner.trials import Cut, CutState, Stage, Value
+from bo_tuner.tuning import CutObserver, run_cut
+
+
+@dataclass(frozen=True)
+class ConstraintCheck:
+    """How a constraint fared in a validation.
+
+    Attributes
+    ----------
+    name
+        The constraint.
+    worst
+        Largest value of its metric.
+    violations
+        Draws above the limit.
+    holds
+        For a worst case: without any violation. For a chance constraint: with at least the
+        required share of draws within the limit.
+    """
+
+    name: str
+    worst: float
+    violations: int
+    holds: bool
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What fresh draws say of one parametrization.
+
+    Attributes
+    ----------
+    parameters
+        The parametrization.
+    draws, failures
+        Number of cuts, and of those that failed.
+    objective, deviation
+        Mean of the objective's metric over the whole cuts, and its standard deviation.
+    constraints
+        How each constraint fared.
+    """
+
+    parameters: Mapping[str, Value]
+    draws: int
+    failures: int
+    objective: float
+    deviation: float
+    constraints: tuple[ConstraintCheck, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether no cut failed and every constraint holds."""
+        return self.failures == 0 and all(check.holds for check in self.constraints)
+
+
+def validate(
+    study: Study,
+    backend: Backend,
+    parametrizations: Sequence[Mapping[str, Value]],
+    *,
+    observe: CutObserver = lambda cut, parameters: None,
+    advance: Callable[[], None] = lambda: None,
+) -> list[Validation]:
+    """Run each parametrization on the same fresh draws.
+
+    Parameters
+    ----------
+    study
+        Its budget says how many draws.
+    backend
+        Runs the cuts; open.
+    parametrizations
+        Compared on equal contexts and noise.
+    observe
+        Called after each cut.
+    advance
+        Called after each draw, for progress.
+    """
+    contexts = study.context_space()
+    rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
+    drawn = contexts.draw(study.budget.validation_draws, rng)
+    cuts: list[list[Cut]] = [[] for _ in parametrizations]
+    for k, row in enumerate(drawn):
+        seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
+        context = contexts.to_dict(row)
+        for number, parameters in enumerate(parametrizations):
+            outcome = run_cut(study, backend, parameters, context, seed)
+            cut = Cut(number, k, Stage.VALIDATION, context, seed, outcome)
+            cuts[number].append(cut)
+            observe(cut, parameters)
+        advance()
+    return [_judge(study, p, c) for p, c in zip(parametrizations, cuts, strict=True)]
+
+
+def _judge(study: Study, parameters: Mapping[str, Value], cuts: Sequence[Cut]) -> Validation:
+    whole = [cut.outcome.metrics for cut in cuts if cut.outcome.state is CutState.COMPLETE]
+    objective = np.array([metrics[study.objective.metric] for metrics in whole])
+    checks = []
+    for constraint in study.constraints.values():
+        values = np.array([metrics[constraint.metric] for metrics in whole])
+        violations = int(np.sum(values > constraint.upper))
+        allowed = 0.0 if constraint.probability is None else 1.0 - constraint.probability
+        checks.append(
+            ConstraintCheck(
+                name=constraint.name,
+                worst=float(values.max()) if len(values) else float("nan"),
+                violations=violations,
+                holds=len(values) > 0 and violations <= allowed * len(values) + 1e-9,
+            )
+        )
+    return Validation(
+        parameters=dict(parameters),
+        draws=len(cuts),
+        failures=len(cuts) - len(whole),
+        objective=float(objective.mean()) if len(whole) else float("nan"),
+        deviation=float(objective.std(ddof=1)) if len(whole) > 1 else float("nan"),
+        constraints=tuple(checks),
+    )
