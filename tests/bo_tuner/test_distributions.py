@@ -2,6 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
 from bo_tuner.context_space import ContextSpace
 from bo_tuner.distributions import (
     DISTRIBUTIONS,
@@ -12,9 +16,6 @@ from bo_tuner.distributions import (
     Uniform,
 )
 from bo_tuner.errors import ParameterError, StudyError
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import stats
 
 EXAMPLES = {
     "truncated_normal": TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3)),

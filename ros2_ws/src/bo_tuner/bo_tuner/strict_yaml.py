@@ -114,7 +114,7 @@ class _Reader:
         items: list[object] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
             here = (*path, len(items))
-            self._document.lines[here] = event.start_mark.line + 1
+            self._document.lines[here] = _line(event)
             items.append(self._node(event, here))
         return items
 
@@ -130,7 +130,7 @@ class _Reader:
             if key in items:
                 first = self._document.lines[here]
                 raise self._error(f"given twice, first in line {first}", event, here)
-            self._document.lines[here] = event.start_mark.line + 1
+            self._document.lines[here] = _line(event)
             items[key] = self._node(next(self._events), here)
         return items
 
@@ -141,7 +141,12 @@ class _Reader:
 
     @staticmethod
     def _error(problem: str, event: Any, path: KeyPath = ()) -> StudyError:
-        return StudyError(problem, path, line=event.start_mark.line + 1)
+        return StudyError(problem, path, line=_line(event))
+
+
+def _line(event: Any) -> int:
+    line: int = event.start_mark.line
+    return line + 1
 
 
 def plain_scalar(text: str) -> Scalar:

@@ -158,12 +158,12 @@ def maximise_posterior(
 ) -> tuple[Array, tuple[str, ...]]:
     """Find the maximum a posteriori of φ by L-BFGS-B.
 
-    Rule for the starts: challengers are the prior medians, short length scales with little noise
-    (two spreads below their medians; the optimum that a start among long ones misses) and
-    DRAWN_CHALLENGERS draws from the priors. They are compared by their log posterior, which costs
-    no gradient. Without `start` the best two are optimised, and the short length scales in any
-    case. With it only `start` is, unless a challenger already beats it: then the data have outgrown
-    the earlier hyperparameters, and the best challenger is optimised as well.
+    Rule for the starts: without `start`, one run from the prior medians and one from short length
+    scales and little noise (two spreads and one below their medians), because all long length
+    scales can lead to an optimum that takes the signal for noise. With `start`, one run from there,
+    unless one of the two, or of DRAWN_CHALLENGERS draws from the priors, already has the greater
+    log posterior, which costs no gradient to find out: then the data have outgrown the earlier
+    hyperparameters, and the best challenger gets a run as well.
 
     Parameters
     ----------
@@ -184,22 +184,19 @@ def maximise_posterior(
     dimension = len(box) - 2
     lower, upper = box.T
     priors = posterior.priors
-    medians, spreads = priors.medians(dimension), priors.spreads(dimension)
-    short = medians.copy()
-    short[:-2] -= 2.0 * spreads[:-2]
-    short[-1] -= spreads[-1]
-    challengers = [medians, short]
-    challengers += [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
-    challengers = [np.clip(phi, lower, upper) for phi in challengers]
-    fallback = challengers[0]
-    values = [posterior.value(phi) for phi in challengers]
-    ranked = [challengers[i] for i in np.argsort(values)[::-1]]
-    if start is None:
-        starts = ranked[:2]
-    else:
+    medians = priors.medians(dimension)
+    short = medians - priors.spreads(dimension) * np.repeat([2.0, 0.0, 1.0], [dimension, 1, 1])
+    starts = [np.clip(phi, lower, upper) for phi in (medians, short)]
+    fallback = starts[0]
+    if start is not None:
         fallback = np.clip(start, lower, upper)
-        outgrown = max(values) > posterior.value(fallback)
-        starts = [fallback, ranked[0]] if outgrown else [fallback]
+        draws = [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
+        challengers = starts + [np.clip(phi, lower, upper) for phi in draws]
+        values = [posterior.value(phi) for phi in challengers]
+        best_challenger = int(np.argmax(values))
+        starts = [fallback]
+        if values[best_challenger] > posterior.value(fallback):
+            starts.append(challengers[best_challenger])
 
     def loss(phi: Array) -> tuple[float, Array]:
         value, gradient = posterior.value_and_gradient(phi)
