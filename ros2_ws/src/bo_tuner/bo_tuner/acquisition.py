@@ -111,12 +111,17 @@ class LogAcquisition:
     constraints : tuple of SurrogateConstraint
     classifiers : tuple of NeighbourClassifier
         Estimates of p_out and p_fail.
+    reinterpolate : bool
+        Whether the improvement is the one under the reinterpolation model. If not, it is the one
+        under the noisy model, which stays uncertain around its data, the evaluated points
+        excepted.
     """
 
     objective: GaussianProcess | None
     best: float | None
     constraints: tuple[SurrogateConstraint, ...] = ()
     classifiers: tuple[NeighbourClassifier, ...] = ()
+    reinterpolate: bool = True
 
     def __call__(self, x: Array) -> Array:
         """Return log α(x).
@@ -135,10 +140,12 @@ class LogAcquisition:
         total = np.zeros(len(x))
         if self.objective is not None:
             mean, variance = self.objective.predict_reinterpolated(x)
-            if self.best is None:
-                total[variance <= 0.0] = -np.inf
-            else:
+            evaluated = variance <= 0.0
+            if self.best is not None:
+                if not self.reinterpolate:
+                    mean, variance = self.objective.predict(x)
                 total += log_expected_improvement(mean, variance, self.best)
+            total[evaluated] = -np.inf
         for constraint in self.constraints:
             total += constraint.log_probability(x)
         for classifier in self.classifiers:

@@ -61,6 +61,32 @@ class ContextSpace:
             contexts[:, column] = item.ppf(uniform[:, column])
         return contexts
 
+    def draw_stratified(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw contexts that together cover their distribution evenly.
+
+        Each single one follows the distribution, but of n values of a variable one lies in each
+        of its n quantile ranges, independently arranged for each variable (Latin hypercube; McKay,
+        Beckman and Conover 1979). A mean over them varies less than over independent draws.
+
+        Parameters
+        ----------
+        count : int
+            Number of contexts, n.
+        rng : numpy.random.Generator
+            Source of the arrangement and the places within the ranges.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Contexts in their own units.
+        """
+        strata = rng.permuted(np.tile(np.arange(count), (self.dimension, 1)), axis=1).T
+        uniform = (strata + rng.random((count, self.dimension))) / count
+        contexts = np.empty_like(uniform)
+        for column, item in enumerate(self.distributions):
+            contexts[:, column] = item.ppf(uniform[:, column])
+        return contexts
+
     def to_contexts(self, cube: ArrayLike) -> FloatArray:
         """Map points of the unit cube to contexts, linearly between the bounds.
 

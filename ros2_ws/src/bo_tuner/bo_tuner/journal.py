@@ -4,6 +4,7 @@ import csv
 import json
 import sqlite3
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -26,6 +27,9 @@ CREATE TABLE cut (
     reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL
 );
 """
+
+OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
+"""Columns that hold JSON objects."""
 
 
 class Journal:
@@ -51,21 +55,16 @@ class Journal:
         new = not path.exists()
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
-            self._db.execute("PRAGMA journal_mode = WAL")
-            self._db.execute("PRAGMA synchronous = FULL")
-            if new:
-                self._db.executescript(f"BEGIN; {SCHEMA} COMMIT;")
-                self._db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-                self._db.executemany(
-                    "INSERT INTO provenance VALUES (?, ?)", (provenance or {}).items()
-                )
-            (version,) = self._db.execute("PRAGMA user_version").fetchone()
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {error}") from error
-        if version != SCHEMA_VERSION:
-            raise JournalError(
-                f"{path}: journal version {version}; this program reads version {SCHEMA_VERSION}"
-            )
+        try:
+            self._open(new, provenance or {})
+        except sqlite3.Error as error:
+            self.close()
+            raise JournalError(f"{path}: {error}") from error
+        except JournalError:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         """Use the journal in a ``with`` block, which closes it."""
@@ -99,14 +98,13 @@ class Journal:
 
     def record_trial(self, trial: Trial) -> None:
         """Append a trial whose cuts were recorded before."""
-        worst = trial.worst_case
         row = (
             trial.number,
             json.dumps(dict(trial.parameters)),
             trial.origin,
             trial.state,
             trial.reason,
-            json.dumps([worst.value, dict(worst.context), worst.observed]) if worst else None,
+            json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
             json.dumps(trial.warnings),
         )
         self._insert("trial", row)
@@ -118,8 +116,10 @@ class Journal:
     def trials(self) -> list[Trial]:
         """Return all recorded trials with their cuts, in order."""
         cuts: dict[int, list[Cut]] = {}
-        for trial, cut in self._cuts((Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)):
-            cuts.setdefault(trial, []).append(cut)
+        for cut in self._cuts():
+            # The cuts of a validation belong to no trial.
+            if cut.stage is not Stage.VALIDATION:
+                cuts.setdefault(cut.trial, []).append(cut)
         rows = self._db.execute(
             "SELECT number, parameters, origin, state, reason, worst_case, warnings "
             "FROM trial ORDER BY number"
@@ -132,47 +132,70 @@ class Journal:
                 state=TrialState(state),
                 reason=reason,
                 cuts=tuple(cuts.get(number, ())),
-                worst_case=WorstCase(*json.loads(worst)) if worst else None,
+                worst_case=WorstCase(**json.loads(worst)) if worst else None,
                 warnings=tuple(json.loads(warnings)),
             )
             for number, parameters, origin, state, reason, worst, warnings in rows
         ]
 
     def export_csv(self, directory: Path) -> None:
-        """Write ``trials.csv`` and ``cuts.csv``, with a column for each parameter and metric."""
+        """Write ``trials.csv`` and ``cuts.csv``.
+
+        Each parameter, context variable and metric has a column of its own, such as
+        ``metrics.overshoot``.
+
+        Raises
+        ------
+        JournalError
+            If a file cannot be written.
+        """
         for table in ("trial", "cut"):
-            cursor = self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")  # noqa: S608
+            cursor = self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")
             names = [column[0] for column in cursor.description]
             rows = [_flat(dict(zip(names, row, strict=True))) for row in cursor]
             header = list(dict.fromkeys(key for row in rows for key in row)) or names
-            with (directory / f"{table}s.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, header)
-                writer.writeheader()
-                writer.writerows(rows)
+            path = directory / f"{table}s.csv"
+            try:
+                with path.open("w", newline="", encoding="utf-8") as file:
+                    writer = csv.DictWriter(file, header)
+                    writer.writeheader()
+                    writer.writerows(rows)
+            except OSError as error:
+                raise JournalError(f"{path}: cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
         """Close the file."""
         self._db.close()
 
-    def _cuts(self, stages: tuple[str, ...]) -> list[tuple[int, Cut]]:
-        marks = ", ".join("?" * len(stages))
+    def _open(self, new: bool, provenance: Mapping[str, str]) -> None:
+        self._db.execute("PRAGMA journal_mode = WAL")
+        self._db.execute("PRAGMA synchronous = FULL")
+        if new:
+            # One transaction: a kill in between must not leave a journal without a version.
+            self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA_VERSION}; {SCHEMA}")
+            self._db.executemany("INSERT INTO provenance VALUES (?, ?)", provenance.items())
+            self._db.execute("COMMIT")
+        (version,) = self._db.execute("PRAGMA user_version").fetchone()
+        if version != SCHEMA_VERSION:
+            raise JournalError(
+                f"{self._path}: journal version {version}; "
+                f"this program reads version {SCHEMA_VERSION}"
+            )
+
+    def _cuts(self) -> list[Cut]:
         rows = self._db.execute(
             "SELECT trial, position, stage, context, seed, state, reason, metrics, details "
-            f"FROM cut WHERE stage IN ({marks}) ORDER BY rowid",  # noqa: S608
-            stages,
+            "FROM cut ORDER BY rowid"
         )
         return [
-            (
-                trial,
-                Cut(
-                    trial=trial,
-                    index=position,
-                    stage=Stage(stage),
-                    context=json.loads(context),
-                    seed=seed,
-                    outcome=CutOutcome(
-                        CutState(state), json.loads(metrics), reason, json.loads(details)
-                    ),
+            Cut(
+                trial=trial,
+                index=position,
+                stage=Stage(stage),
+                context=json.loads(context),
+                seed=seed,
+                outcome=CutOutcome(
+                    CutState(state), json.loads(metrics), reason, json.loads(details)
                 ),
             )
             for trial, position, stage, context, seed, state, reason, metrics, details in rows
@@ -181,7 +204,7 @@ class Journal:
     def _insert(self, table: str, row: tuple[object, ...]) -> None:
         marks = ", ".join("?" * len(row))
         try:
-            self._db.execute(f"INSERT INTO {table} VALUES ({marks})", row)  # noqa: S608
+            self._db.execute(f"INSERT INTO {table} VALUES ({marks})", row)
         except sqlite3.Error as error:
             raise JournalError(f"{self._path}: {error}") from error
 
@@ -190,8 +213,9 @@ def _flat(row: dict[str, object]) -> dict[str, object]:
     """Spread the JSON objects of a row over columns of their own."""
     flat: dict[str, object] = {}
     for key, value in row.items():
-        if key in ("parameters", "context", "metrics", "details"):
-            flat |= {name: v for name, v in json.loads(str(value)).items()}
+        if key in OBJECTS and value is not None:
+            # With the section in front: names are unique within one only.
+            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
         else:
             flat[key] = value
     return flat

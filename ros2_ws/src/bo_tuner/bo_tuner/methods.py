@@ -23,6 +23,8 @@ class Method:
         Use the outlier scheme.
     worst_case
         Estimate of the worst case: ``posterior`` or ``observed``.
+    neighbour_starts
+        Most contexts, the worst of neighbouring trials, with which a worst-case search starts.
     """
 
     title: str
@@ -30,6 +32,7 @@ class Method:
     random: bool = False
     reject_outliers: bool = True
     worst_case: str = POSTERIOR
+    neighbour_starts: int = 2
 
     def stage_one(self, study: Study) -> StageOne:
         """Make the stage one of a run."""

@@ -32,6 +32,9 @@ class Parameter:
     default : int or float, optional
         Hand-tuned value, the point of comparison. Needed for a tuned parameter; follows for the
         others, see `SearchSpace.defaults`.
+    scale : str
+        `linear`, or `log` for a positive parameter whose ratios matter rather than differences:
+        the surrogates then see its logarithm.
     unit : str
         Unit, for people.
     minimum_correlation : float, optional
@@ -47,6 +50,7 @@ class Parameter:
     tied_to: str | None = None
     fixed: Number | None = None
     default: Number | None = None
+    scale: str = "linear"
     unit: str = ""
     minimum_correlation: float | None = None
     parameter: str = ""
@@ -56,6 +60,7 @@ class Parameter:
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.choice(self.type, ("integer", "double"), "type")
+        checks.choice(self.scale, ("linear", "log"), "scale")
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
@@ -104,6 +109,10 @@ class Parameter:
             raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
         checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
         object.__setattr__(self, "bounds", (lower, upper))
+        if self.scale == "log" and lower <= 0:
+            raise StudyError(
+                f"the log scale needs bounds above 0, found lower bound {lower}", ("scale",)
+            )
         if self.default is None:
             raise StudyError("missing; expected the hand-tuned value", ("default",))
         default = self._typed(self.default, "default")
@@ -119,6 +128,8 @@ class Parameter:
             object.__setattr__(self, "minimum_correlation", correlation)
 
     def _refuse(self, kind: str, *keys: str) -> None:
+        if self.scale != "linear":
+            raise StudyError(f"{kind} has no scale; leave it out", ("scale",))
         for key in keys:
             if getattr(self, key) is not None:
                 raise StudyError(f"{kind} has no {key}; leave it out", (key,))

@@ -32,7 +32,7 @@ class RunProgress:
             BarColumn(),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
             console=console,
             # A log file gets the lines of the trials instead.
             disable=not console.is_terminal,
@@ -64,9 +64,9 @@ class RunProgress:
         """Count a trial, and tell of it and of the incumbent."""
         self._progress.update(self._task, advance=1, note=self._incumbent(best))
         line = f"trial {trial.number:3d}  {describe(trial, self._study)}"
-        self._console.print(line, highlight=False, soft_wrap=True)
+        self._console.print(line, soft_wrap=True)
         for warning in trial.warnings:
-            self._console.print(f"           warning: {warning}", highlight=False, soft_wrap=True)
+            self._console.print(f"           warning: {warning}", soft_wrap=True)
 
     def _incumbent(self, best: Candidate | None) -> str:
         if best is None:
@@ -121,11 +121,11 @@ def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
         unit = study.metrics[constraint.metric].unit
         checks = [v.constraints[index] for v in both]
         table.add_row(
-            f"largest {constraint.metric} (limit {constraint.upper:g})",
-            unit,
-            *[f"{check.worst:.4g}" for check in checks],
+            f"largest {constraint.metric}", unit, *[f"{check.worst:.4g}" for check in checks]
         )
-        table.add_row("  draws above the limit", "", *[str(check.violations) for check in checks])
+        table.add_row(
+            f"  draws above {constraint.upper:g}", "", *[str(check.violations) for check in checks]
+        )
     table.add_row("failed cuts", "", *[str(v.failures) for v in both])
     table.add_section()
     table.add_row("feasible", "", *["yes" if v.feasible else "NO" for v in both])

@@ -20,6 +20,12 @@ from bo_tuner.trials import Trial, TrialState
 BELIEVED_FEASIBLE = 0.5
 """Probability of feasibility from which a parametrization is a candidate."""
 
+TOLERABLE = 0.2
+"""A relative loss at a neighbour up to this is no sign of a narrow optimum.
+
+Where a limit is active some neighbours always exceed it a little.
+"""
+
 LARGEST_STEP = 0.1
 """A neighbour in a continuous direction is at most this part of the range away."""
 
@@ -39,7 +45,7 @@ class Candidate:
     violation
         Largest predicted excess over a limit, relative to the limit; negative if within all.
     penalty
-        Mean relative loss at the neighbours, in cost and in excess over limits.
+        Mean relative loss at the neighbours beyond `TOLERABLE`, in cost and over limits.
     score
         Cost plus penalty, by which feasible candidates are ranked.
     """
@@ -94,8 +100,8 @@ def rank(
         (cost,) = models.objective.predict(x)[0]
         (excess,) = _excess(models, x)
         around = neighbourhood(space, trial, models)
-        loss = np.maximum(models.objective.predict(around)[0] - cost, 0.0) / scale
-        penalty = float(np.mean(loss + np.maximum(_excess(models, around), 0.0)))
+        loss = (models.objective.predict(around)[0] - cost) / scale
+        penalty = float(np.mean(_beyond(loss) + _beyond(_excess(models, around))))
         candidates.append(
             Candidate(
                 trial=trial,
@@ -130,6 +136,10 @@ def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array
             moved[column] += sign * min(0.5 * scales[column], LARGEST_STEP)
             points.append(space.repair(moved[None])[0])
     return np.array(points)
+
+
+def _beyond(loss: Array) -> Array:
+    return np.maximum(loss - TOLERABLE, 0.0)
 
 
 def _excess(models: Surrogates, x: Array) -> Array:

@@ -1,6 +1,7 @@
 """The folder of a run: the study as run, the journal, and what came out of it."""
 
 import json
+import math
 import os
 import platform
 import sys
@@ -21,7 +22,7 @@ LATEST = "latest"
 
 
 class RunFolder:
-    """A new folder ``<output>/<study>-<date-time>``, with ``<output>/latest`` pointing to it.
+    """A new folder ``<output>/<study>-<date-time>``, with a number behind if that exists.
 
     Parameters
     ----------
@@ -38,18 +39,11 @@ class RunFolder:
 
     def __init__(self, output: Path, study: Study) -> None:
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-        self.path = output / f"{study.name}-{stamp}"
         try:
             output.mkdir(parents=True, exist_ok=True)
-            suffix = 1
-            while self.path.exists():
-                suffix += 1
-                self.path = output / f"{study.name}-{stamp}-{suffix}"
-            self.log.mkdir(parents=True)
+            self.path = _new_folder(output / f"{study.name}-{stamp}")
+            self.log.mkdir()
             (self.path / "study.yaml").write_text(study_to_yaml(study), encoding="utf-8")
-            link = output / f".{LATEST}-{os.getpid()}"
-            link.symlink_to(self.path.name)
-            link.replace(output / LATEST)
         except OSError as error:
             raise OutputError(f"{output}: cannot write runs there: {error.strerror}") from error
 
@@ -63,33 +57,97 @@ class RunFolder:
         """File of the journal."""
         return self.path / "journal.sqlite"
 
+    def link_latest(self) -> None:
+        """Let ``latest``, beside the folder, point to it.
+
+        Raises
+        ------
+        OutputError
+            If the link cannot be made, for example because a folder has its name.
+        """
+        link = self.path.with_name(f".{LATEST}-{os.getpid()}")
+        target = self.path.with_name(LATEST)
+        try:
+            link.unlink(missing_ok=True)
+            link.symlink_to(self.path.name)
+            link.replace(target)
+        except OSError as error:
+            link.unlink(missing_ok=True)
+            raise OutputError(f"{target}: cannot point to the run: {error.strerror}") from error
+
     def write_parameters(self, study: Study, parameters: Mapping[str, Value]) -> Path:
         """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
 
         A node is addressed by its name in any namespace. Doubles keep their decimal point, since
-        a node refuses an integer for one.
+        a node refuses an integer for one. What the study sets once on a tuned node is part of it:
+        the parametrization was judged with it.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
         """
-        nodes: dict[str, dict[str, dict[str, Value]]] = {}
+        values: dict[str, dict[str, object]] = {}
         for name, value in parameters.items():
             item = study.parameters[name]
-            node = f"/**/{study.nodes[item.node].node}"
-            typed: Value = int(value) if item.is_integer else float(value)
-            nodes.setdefault(node, {"ros__parameters": {}})["ros__parameters"][item.parameter] = (
-                typed
-            )
-        path = self.path / "best.yaml"
-        path.write_text(yaml.safe_dump(nodes, sort_keys=False), encoding="utf-8")
-        return path
+            constants = study.nodes[item.node].parameters
+            of_node = values.setdefault(item.node, {k: _plain(v) for k, v in constants.items()})
+            of_node[item.parameter] = int(value) if item.is_integer else float(value)
+        nodes = {
+            f"/**/{study.nodes[key].node}": {"ros__parameters": of_node}
+            for key, of_node in values.items()
+        }
+        return self._write("best.yaml", yaml.safe_dump(nodes, sort_keys=False))
 
     def write_summary(self, summary: Mapping[str, object]) -> Path:
-        """Write ``summary.json`` and return its path."""
-        path = self.path / "summary.json"
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        """Write ``summary.json``, with null for what is not a number, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        text = json.dumps(_without_nan(summary), indent=2, allow_nan=False)
+        return self._write("summary.json", text + "\n")
+
+    def _write(self, name: str, text: str) -> Path:
+        path = self.path / name
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
         return path
+
+
+def _new_folder(path: Path) -> Path:
+    """Make `path`, or the first of ``<path>-2``, ``<path>-3``... that does not exist yet."""
+    folder = path
+    number = 1
+    while True:
+        # Making it is the test: two runs of the same second must not meet in one folder.
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = path.with_name(f"{path.name}-{number}")
+        else:
+            return folder
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _without_nan(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
-    """What produced a run: versions, machine, backend, algorithm and seed."""
+    """Tell what produced a run: versions, machine, backend, algorithm and seed."""
     versions = {}
     for package in PACKAGES:
         try:

@@ -1,9 +1,10 @@
 """The search space: the unit cube that the optimizer sees, and the parameters that nodes take.
 
 Scaling. A tuned parameter v with bounds [lower, upper] lies at the cube coordinate
-z = (v - lower) / (upper - lower). An integer is represented by its own coordinate, so that one
-step is 1 / (upper - lower) wide and repaired positions are constant within an integer; the
-surrogates therefore see what the node gets (Garrido-Merchan and Hernandez-Lobato 2020).
+z = (s(v) - s(lower)) / (s(upper) - s(lower)), where s is the logarithm for a parameter on the log
+scale and the identity otherwise. An integer is represented by its own coordinate, so that repaired
+positions are constant within an integer; the surrogates therefore see what the node gets
+(Garrido-Merchan and Hernandez-Lobato 2020).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -60,9 +61,11 @@ class SearchSpace:
         self.names = self._parametrization.names
         self.lower = self._parametrization.lower
         self.upper = self._parametrization.upper
-        self._width = self.upper - self.lower
         self._tuned = self._parametrization.tuned
         self.integer = np.array([item.is_integer for item in self._tuned])
+        self._log = np.array([item.scale == "log" for item in self._tuned])
+        self._scaled_lower = self._scaled(self.lower)
+        self._scaled_width = self._scaled(self.upper) - self._scaled_lower
         self._order = self._parametrization.partial_order
         # What the order leaves of the bounds.
         self._low, self._high = self._parametrization.permitted
@@ -113,7 +116,7 @@ class SearchSpace:
         ParameterError
             If a tuned parameter is missing, of a wrong type or out of bounds, or a name is unknown.
         """
-        return (self._parametrization.row(parameters) - self.lower) / self._width
+        return self._to_unit(self._parametrization.row(parameters))
 
     def repair(self, positions: ArrayLike) -> FloatArray:
         """Move positions to points that stand for a permitted parametrization.
@@ -155,7 +158,7 @@ class SearchSpace:
             As `to_cube`.
         """
         row = self._parametrization.row(parameters)
-        places = -np.floor(np.log10(RESOLUTION * self._width)).astype(int)
+        places = -np.floor(np.log10(RESOLUTION * (self.upper - self.lower))).astype(int)
         return tuple(
             int(value) if integer else round(value, int(digits))
             for value, integer, digits in zip(row.tolist(), self.integer, places, strict=True)
@@ -194,16 +197,18 @@ class SearchSpace:
     def minimum_length_scales(self) -> FloatArray:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
 
-        A squared-exponential kernel correlates neighbouring integers, 1 / (upper - lower) apart,
-        by at least c = `minimum_correlation` if l >= 1 / ((upper - lower) sqrt(-2 ln c)). The
-        paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
+        A squared-exponential kernel correlates integers that are d apart in the cube by at least
+        c = `minimum_correlation` if l >= d / sqrt(-2 ln c), here for the neighbours that are
+        farthest apart: 1 / (upper - lower) on the linear scale, the lowest two on the log scale.
+        The paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
         0 where the study sets no minimum.
         """
         scales = np.zeros(self.dimension)
+        step = self._to_unit(self.lower + 1.0)
         for column, item in enumerate(self._tuned):
             if item.minimum_correlation is not None:
                 reach = np.sqrt(-2.0 * np.log(item.minimum_correlation))
-                scales[column] = 1.0 / (self._width[column] * reach)
+                scales[column] = step[column] / reach
         return scales
 
     def integer_neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
@@ -240,7 +245,10 @@ class SearchSpace:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
         if not np.all(np.isfinite(positions)):
             raise ParameterError("positions: expected finite values")
-        return self._values_of(self.lower + np.clip(positions, 0.0, 1.0) * self._width)
+        scaled = self._scaled_lower + np.clip(positions, 0.0, 1.0) * self._scaled_width
+        values = scaled.copy()
+        values[:, self._log] = np.exp(scaled[:, self._log])
+        return self._values_of(values)
 
     def _values_of(self, values: FloatArray) -> FloatArray:
         ordered = self._order.project(values)
@@ -249,7 +257,14 @@ class SearchSpace:
         return np.clip(rounded, self._low, self._high)
 
     def _to_unit(self, values: FloatArray) -> FloatArray:
-        return (values - self.lower) / self._width
+        unit: FloatArray = (self._scaled(values) - self._scaled_lower) / self._scaled_width
+        return unit
+
+    def _scaled(self, values: FloatArray) -> FloatArray:
+        """Return s(v) for values of shape (..., d)."""
+        scaled = values.copy()
+        scaled[..., self._log] = np.log(values[..., self._log])
+        return scaled
 
     def _distinct(self, points: FloatArray) -> FloatArray:
         """Move repeated points to the nearest free parametrization in integer steps."""

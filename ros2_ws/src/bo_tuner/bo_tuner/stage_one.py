@@ -1,5 +1,6 @@
 """Stage one: which parametrization to try next (Sec. 4.1), by ask and tell."""
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from bo_tuner.acquisition import LogAcquisition, best_at_data
-from bo_tuner.particle_swarm import SwarmSettings, maximise
+from bo_tuner.particle_swarm import SwarmResult, maximise
 from bo_tuner.seeds import Stream, generator
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
@@ -15,10 +16,22 @@ from bo_tuner.study import Study
 from bo_tuner.surrogates import Surrogates, WarmStarts
 from bo_tuner.trials import Trial, Value
 
-INITIAL, ACQUISITION, RANDOM, SPACE_FILLING = "initial", "acquisition", "random", "space-filling"
+INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
+RANDOM, SPACE_FILLING = "random", "space-filling"
 
 BELIEVED_FEASIBLE = np.log(0.5)
 """Log probability of feasibility from which a parametrization counts as feasible."""
+
+NEGLIGIBLE = 1e-3
+"""Acquisition below this, relative to the spread of the cost, is no gain worth a trial.
+
+The interpolating model takes what lies between noisy data for known, and its improvement can vanish
+everywhere although the incumbent is known only to the noise. The trials left then refine what is
+known around it.
+"""
+
+STARTS = 8
+"""So many particles of the swarm start around the most promising points."""
 
 SPACE_FILLING_CANDIDATES = 512
 
@@ -32,7 +45,8 @@ class Proposal:
     parameters
         Every parameter of the study.
     origin
-        What proposed it: ``initial``, ``acquisition``, ``random`` or ``space-filling``.
+        What proposed it: ``initial``, ``acquisition``, ``refinement``, ``random`` or
+        ``space-filling``.
     warnings
         Numerical trouble on the way.
     """
@@ -128,18 +142,20 @@ class BayesianOptimization(_Designed):
             )
             warnings = surrogates.warnings
             self._warm = self._warm | surrogates.hyperparameters
-            cube = self._search(surrogates, rng)
+            cube, origin = self._search(surrogates, rng)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cube = None
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
         if cube is not None:
             parameters = self.space.to_parameters(cube)
             if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
-                return Proposal(parameters, ACQUISITION, warnings)
+                return Proposal(parameters, origin, warnings)
         cube = space_filling(self.space, self._tried(), rng)
         return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings)
 
-    def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> Array | None:
+    def _search(
+        self, surrogates: Surrogates, rng: np.random.Generator
+    ) -> tuple[Array | None, str]:
         model = surrogates.objective
         best = None
         starts = np.empty((0, self.space.dimension))
@@ -149,20 +165,29 @@ class BayesianOptimization(_Designed):
             best = best_at_data(model, log_feasible >= BELIEVED_FEASIBLE)
             # The swarm also looks around the most promising points so far.
             cost, _ = model.predict(points)
-            order = np.lexsort((cost, log_feasible < BELIEVED_FEASIBLE))[:8]
+            order = np.lexsort((cost, log_feasible < BELIEVED_FEASIBLE))[:STARTS]
             starts = points[order] + rng.normal(0.0, 0.05, (len(order), self.space.dimension))
-        acquisition = LogAcquisition(
-            model, best, surrogates.constraints, surrogates.classifiers
-        )
-        found = maximise(
+        acquisition = LogAcquisition(model, best, surrogates.constraints, surrogates.classifiers)
+        found = self._maximise(acquisition, starts, rng)
+        origin = ACQUISITION
+        if model is not None and best is not None:
+            negligible = np.log(NEGLIGIBLE * model.standardisation.scale)
+            if found.value < negligible:
+                noisy = dataclasses.replace(acquisition, reinterpolate=False)
+                found = self._maximise(noisy, starts, rng)
+                origin = REFINEMENT
+        return (found.position if np.isfinite(found.value) else None), origin
+
+    def _maximise(
+        self, acquisition: LogAcquisition, starts: Array, rng: np.random.Generator
+    ) -> SwarmResult:
+        return maximise(
             acquisition,
             self.space.dimension,
             rng,
             repair=self.space.repair,
             initial=np.clip(starts, 0.0, 1.0),
-            settings=SwarmSettings(),
         )
-        return found.position if np.isfinite(found.value) else None
 
     def _tried(self) -> Array:
         names = self.space.names

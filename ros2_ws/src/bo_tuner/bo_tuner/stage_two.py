@@ -1,7 +1,6 @@
 """Stage two: the worst context of one parametrization (Sec. 4.2), by ask and tell."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -9,19 +8,33 @@ from bo_tuner.context_space import ContextSpace
 from bo_tuner.particle_swarm import SwarmSettings, maximise
 from bo_tuner.special import Array, log_expected_improvement
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
+from bo_tuner.surrogate.hyperpriors import Hyperpriors, LogNormal
 from bo_tuner.trials import WorstCase
 
 OBSERVED, POSTERIOR = "observed", "posterior"
 
 SEARCH_EFFORT = SwarmSettings(particles=40, iterations=25, stall=6)
 
+MOST_CORNER_DIMENSIONS = 5
+"""The swarm starts in all corners of so many leading dimensions: worst cases like corners."""
 
-@dataclass
+DISTINCT = 0.1
+"""Contexts closer than this in the unit cube count as one."""
+
+# A handful of cuts cannot tell noise from a short length scale. The priors say what holds for a
+# plant in a bounded box: the response is smooth across it, and a context matters more than noise.
+PRIORS = Hyperpriors(
+    length_scale=LogNormal(0.7, 0.5, 0.1, 20.0),
+    signal=LogNormal(1.0, 0.5, 0.05, 20.0),
+    noise=LogNormal(0.15, 0.5, 1e-3, 3.0),
+)
+
+
 class WorstCaseSearch:
     """Bayesian search of the context that maximises one metric of a parametrization.
 
-    It starts from whatever contexts it is told, and ends at the first observation above the limit
-    or when its cuts are used up.
+    It builds on whatever contexts it is told, tries given starting contexts, then maximises the
+    reinterpolation expected improvement. It ends when the limit is violated or all cuts are used.
 
     Parameters
     ----------
@@ -32,80 +45,142 @@ class WorstCaseSearch:
     cuts
         Most contexts that `ask` will give.
     estimate
-        How `worst_case` estimates: ``observed``, the paper's maximum of the observations, which
-        noise biases upwards by more, the more cuts there are; or ``posterior``, the largest
-        posterior mean over all contexts.
+        ``observed``, as in the paper: the limit is violated by a single observation above it, and
+        the worst case is the largest observation, which noise biases upwards by more, the more
+        cuts there are. ``posterior``: violated where the posterior mean is a standard deviation
+        above it, and the worst case is the largest posterior mean over all contexts.
+    starts
+        Contexts that were the worst for neighbouring parametrizations; tried first in any case.
     """
 
-    space: ContextSpace
-    limit: float
-    cuts: int
-    estimate: str = POSTERIOR
-    _contexts: list[Array] = field(default_factory=list)
-    _values: list[float] = field(default_factory=list)
-    _asked: int = 0
+    def __init__(
+        self,
+        space: ContextSpace,
+        limit: float,
+        cuts: int,
+        estimate: str = POSTERIOR,
+        starts: Sequence[Mapping[str, float]] = (),
+    ) -> None:
+        self._space = space
+        self._limit = limit
+        self._cuts = cuts if space.dimension > 0 else 0
+        self._estimate = estimate
+        self._starts = [dict(start) for start in starts[: self._cuts]]
+        self._contexts: list[Array] = []
+        self._values: list[float] = []
+        self._asked = 0
 
     def tell(self, context: Mapping[str, float], value: float) -> None:
         """Take note of a cut: its context and the metric."""
-        self._contexts.append(np.array([context[name] for name in self.space.names]))
+        self._contexts.append(np.array([context[name] for name in self._space.names]))
         self._values.append(value)
 
-    @property
-    def done(self) -> bool:
-        """Whether a violation was observed or all cuts are used up."""
-        if self.space.dimension == 0 or self._asked >= self.cuts:
+    def done(self, rng: np.random.Generator) -> bool:
+        """Whether nothing is left to ask: all cuts are used, or the limit is violated."""
+        if self._asked >= self._cuts:
             return True
-        return max(self._values, default=-np.inf) > self.limit
+        if self._starts:
+            return False
+        if max(self._values) <= self._limit or self._estimate == OBSERVED:
+            return max(self._values) > self._limit
+        model = self._fit(rng)
+        mean, variance = model.predict(model.data.x)
+        return bool((mean - np.sqrt(variance)).max() > self._limit)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
-        """Give the next context: the reinterpolation EI's choice, or the farthest if it has none.
+        """Give the next context.
 
-        Once every context is explained by the model, the improvement is zero everywhere; the
-        search then fills the space.
+        Where the model leaves no improvement to expect, it is the context that is farthest from
+        all that were tried.
         """
         self._asked += 1
+        if self._starts:
+            return self._starts.pop(0)
         model = self._fit(rng)
-        lowest = -max(model.predict(model.data.x)[0])
+        lowest = -float(model.predict(model.data.x)[0].max())
 
         def acquisition(x: Array) -> Array:
             mean, variance = model.predict_reinterpolated(x)
             return log_expected_improvement(-mean, variance, lowest)
 
-        found = self._maximise(acquisition, rng)
-        if not np.isfinite(found[1]):
-            tried = model.data.x
-            found = self._maximise(
-                lambda x: ((x[:, None, :] - tried[None]) ** 2).sum(axis=2).min(axis=1), rng
-            )
-        return self.space.to_dict(self.space.to_contexts(found[0][None])[0])
+        def distance(x: Array) -> Array:
+            squared = ((x[:, None, :] - model.data.x[None, :, :]) ** 2).sum(axis=2)
+            nearest: Array = squared.min(axis=1)
+            return nearest
+
+        position, value = self._maximise(acquisition, rng)
+        if not np.isfinite(value):
+            position, _ = self._maximise(distance, rng)
+        return self._to_context(position)
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all that was told."""
         top = int(np.argmax(self._values))
         observed = self._values[top]
-        if self.estimate == OBSERVED or self.space.dimension == 0:
-            return WorstCase(observed, self.space.to_dict(self._contexts[top]), observed)
+        if self._estimate == OBSERVED or self._space.dimension == 0:
+            return WorstCase(observed, self._space.to_dict(self._contexts[top]), observed)
         model = self._fit(rng)
         position, value = self._maximise(lambda x: model.predict(x)[0], rng)
-        context = self.space.to_contexts(position[None])[0]
-        return WorstCase(value, self.space.to_dict(context), observed)
+        noise = float(np.sqrt(model.noise_variance))
+        return WorstCase(value, self._to_context(position), observed, noise)
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
-        x = self.space.to_cube(np.array(self._contexts))
-        return GaussianProcess.fit(x, np.array(self._values), rng=rng)
+        x = self._space.to_cube(np.array(self._contexts))
+        return GaussianProcess.fit(x, np.array(self._values), rng=rng, priors=PRIORS)
 
     def _maximise(
         self, function: Callable[[Array], Array], rng: np.random.Generator
     ) -> tuple[Array, float]:
-        d = self.space.dimension
-        corners = np.array(np.meshgrid(*[[0.0, 1.0]] * min(d, 5))).reshape(min(d, 5), -1).T
-        initial = np.hstack([corners, np.full((len(corners), d - corners.shape[1]), 0.5)])
+        d = self._space.dimension
+        axes = [[0.0, 1.0]] * min(d, MOST_CORNER_DIMENSIONS)
+        corners = np.full((2 ** len(axes), d), 0.5)
+        corners[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
+        tried = self._space.to_cube(np.array(self._contexts))
         found = maximise(
             function,
             d,
             rng,
-            repair=lambda x: self.space.to_cube(self.space.to_contexts(x)),
-            initial=np.vstack([self.space.to_cube(np.array(self._contexts)), initial]),
+            repair=lambda x: self._space.to_cube(self._space.to_contexts(x)),
+            initial=np.vstack([tried, corners]),
             settings=SEARCH_EFFORT,
         )
         return found.position, found.value
+
+    def _to_context(self, position: Array) -> dict[str, float]:
+        return self._space.to_dict(self._space.to_contexts(position[None])[0])
+
+
+def worst_contexts_nearby(
+    point: Array,
+    tried: Array,
+    worst_cases: Sequence[WorstCase],
+    space: ContextSpace,
+    count: int,
+) -> list[dict[str, float]]:
+    """Worst contexts of the nearest parametrizations, all different.
+
+    Parameters
+    ----------
+    point
+        Parametrization (d,) in the unit cube.
+    tried
+        Parametrizations (n, d) with a known worst case.
+    worst_cases
+        These worst cases, n of them.
+    space
+        The contexts.
+    count
+        Most contexts to return; half as many neighbours again are asked for them.
+    """
+    chosen: list[Mapping[str, float]] = []
+    nearest = np.argsort(((tried - point) ** 2).sum(axis=1), kind="stable")
+    for index in nearest[: count + (count + 1) // 2]:
+        candidate = worst_cases[int(index)].context
+        if all(_distance(candidate, other, space) > DISTINCT for other in chosen):
+            chosen.append(candidate)
+    return [dict(context) for context in chosen[:count]]
+
+
+def _distance(a: Mapping[str, float], b: Mapping[str, float], space: ContextSpace) -> float:
+    rows = space.to_cube([[c[name] for name in space.names] for c in (a, b)])
+    return float(np.abs(rows[0] - rows[1]).max())

@@ -11,17 +11,27 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from bo_tuner.acquisition import SurrogateConstraint
 from bo_tuner.special import Array
 from bo_tuner.study import Study
+from bo_tuner.study_parts import MINIMIZE
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogate.neighbours import NeighbourClassifier
 from bo_tuner.surrogate.student_t import fit_without_outliers
 from bo_tuner.trials import Trial, TrialState
 
-OBJECTIVE = "objective"
+OBJECTIVE, OUTLIERS = "objective", "outliers"
+
+SINGLE_CUT_PROBABILITY = 0.92
+"""With this probability a cut in the worst context shall stay within the limit (Eq. 3f).
+
+On the machine a single cut does the damage, so its noise counts, although the worst case itself
+is an expectation over it. The paper's maximum of observations has the noise in it already.
+"""
+
 # Distance in the unit cube within which a failure speaks for its neighbours. Not the objective's
 # length scales: they come from complete trials only, and a flat response would stretch them.
 CLASSIFIER_SCALE = 0.25
@@ -98,18 +108,21 @@ class Surrogates:
         objective = None
         constraints: list[SurrogateConstraint] = []
         if complete:
-            x, y, number = _observations(complete, cube, study.objective.metric)
-            y = study.objective.to_cost(y)
+            metric = study.objective.metric
+            x, y, number = _observations(complete, cube, metric)
             if reject_outliers:
-                objective, mask = fit_without_outliers(
-                    x, y, rng=rng, minimum_length_scales=minimum, start=warm.get(OBJECTIVE)
+                # On the metric's own scale, where off-the-charts values stand out the most.
+                sign = 1.0 if study.objective.direction == MINIMIZE else -1.0
+                models[OUTLIERS], mask = fit_without_outliers(
+                    x, sign * y, rng=rng, minimum_length_scales=minimum, start=warm.get(OUTLIERS)
                 )
-                models[OBJECTIVE] = objective
                 outliers = frozenset(number[mask].tolist())
-            else:
-                objective = fit_model(OBJECTIVE, x, y)
+            # What has an outlying objective would mislead the other models as well.
+            kept = [t for t in complete if t.number not in outliers]
+            x, y, _ = _observations(kept, cube, metric)
+            objective = fit_model(OBJECTIVE, x, study.objective.to_cost(y))
             for constraint in study.chance_constraints:
-                x, y, _ = _observations(complete, cube, constraint.metric)
+                x, y, _ = _observations(kept, cube, constraint.metric)
                 model = fit_model(constraint.name, x, y)
                 constraints.append(
                     SurrogateConstraint.on_observation(
@@ -118,9 +131,8 @@ class Surrogates:
                 )
             worst = study.worst_case_constraint
             if worst is not None:
-                x = np.array([cube[t.number] for t in complete])
-                y = np.array([t.worst_case.value for t in complete if t.worst_case])
-                model = fit_model(worst.name, x, y)
+                x = np.array([cube[t.number] for t in kept])
+                model = fit_model(worst.name, x, _single_cut_worst_cases(kept))
                 constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
         x_all = np.array([cube[t.number] for t in trials]).reshape(-1, space.dimension)
         failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
@@ -145,6 +157,16 @@ class Surrogates:
         for constraint in self.constraints:
             total += constraint.log_probability(x)
         return total
+
+
+def _single_cut_worst_cases(trials: Sequence[Trial]) -> Array:
+    """What a single cut in the worst context reaches, by `SINGLE_CUT_PROBABILITY`, per trial (n,).
+
+    The noise is taken as equal everywhere: the few cuts of one trial say little of it.
+    """
+    worst = [t.worst_case for t in trials if t.worst_case is not None]
+    noise = float(np.median([w.noise for w in worst]))
+    return np.array([w.value for w in worst]) + float(ndtri(SINGLE_CUT_PROBABILITY)) * noise
 
 
 def _tuned(trial: Trial, names: Sequence[str]) -> dict[str, int | float]:

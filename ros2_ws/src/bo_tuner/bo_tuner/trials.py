@@ -13,11 +13,12 @@ class Stage(StrEnum):
     NOMINAL = "nominal"
     DRAWN = "drawn"
     SEARCH = "search"
-    CHECK = "check"
+    CHECK_DRAWN = "check-drawn"
+    CHECK_WORST = "check-worst"
     VALIDATION = "validation"
 
 
-ESTIMATING = (Stage.NOMINAL, Stage.DRAWN)
+ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 """Stages whose contexts follow the distribution that the objective is an expectation over."""
 
 
@@ -96,11 +97,15 @@ class WorstCase:
         Where it was found.
     observed
         The largest single observation.
+    noise
+        Standard deviation of a single observation in that context; 0 if the estimate counts it
+        in already.
     """
 
     value: float
     context: Mapping[str, float]
     observed: float
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+import numpy as np
+
 from bo_tuner.backends import Backend
 from bo_tuner.errors import RunError
 from bo_tuner.methods import Method
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.stage_one import Proposal
-from bo_tuner.stage_two import WorstCaseSearch
-from bo_tuner.study import Study
+from bo_tuner.special import Array
+from bo_tuner.stage_two import OBSERVED, WorstCaseSearch, worst_contexts_nearby
+from bo_tuner.study import Constraint, Study
 from bo_tuner.trials import (
     Cut,
     CutOutcome,
@@ -115,44 +118,53 @@ class Tuning:
             outcome = run(stage, context)
             if outcome.state is not CutState.COMPLETE:
                 return finish(TrialState.FAILED, outcome.reason, None)
-        search = self._search(cuts)
-        if search is None:
+        constraint = self._study.worst_case_constraint
+        if constraint is None:
             return finish(TrialState.COMPLETE, "", None)
-        metric = self._worst_case_metric
-        while not search.done:
-            context = search.ask(generator(self._study.seed, Stream.SEARCH, number, len(cuts)))
+        search = self._search(constraint, proposal.parameters)
+        for cut in cuts:
+            search.tell(cut.context, cut.outcome.metrics[constraint.metric])
+
+        def rng() -> np.random.Generator:
+            return generator(self._study.seed, Stream.SEARCH, number, len(cuts))
+
+        while not search.done(rng()):
+            context = search.ask(rng())
             outcome = run(Stage.SEARCH, context)
             if outcome.state is not CutState.COMPLETE:
                 return finish(TrialState.FAILED, outcome.reason, None)
-            search.tell(context, outcome.metrics[metric])
-        rng = generator(self._study.seed, Stream.SEARCH, number, len(cuts))
-        return finish(TrialState.COMPLETE, "", search.worst_case(rng))
+            search.tell(context, outcome.metrics[constraint.metric])
+        return finish(TrialState.COMPLETE, "", search.worst_case(rng()))
 
     def _estimating_contexts(self, number: int) -> list[tuple[Stage, dict[str, float]]]:
         if self._method.nominal:
             return [(Stage.NOMINAL, self._contexts.to_dict(self._contexts.nominal()))]
         rng = generator(self._study.seed, Stream.CONTEXTS, number)
-        drawn = self._contexts.draw(self._study.budget.drawn_contexts, rng)
+        drawn = self._contexts.draw_stratified(self._study.budget.drawn_contexts, rng)
         return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]
 
-    @property
-    def _worst_case_metric(self) -> str:
-        constraint = self._study.worst_case_constraint
-        return constraint.metric if constraint else ""
+    def _search(self, constraint: Constraint, parameters: Mapping[str, Value]) -> WorstCaseSearch:
+        if self._method.nominal:
+            return WorstCaseSearch(self._contexts, constraint.upper, 0, OBSERVED)
+        space = self._study.search_space()
 
-    def _search(self, cuts: Sequence[Cut]) -> WorstCaseSearch | None:
-        constraint = self._study.worst_case_constraint
-        if constraint is None:
-            return None
-        search = WorstCaseSearch(
+        def to_cube(values: Mapping[str, Value]) -> Array:
+            return space.to_cube({name: values[name] for name in space.names})
+
+        known = [(t.parameters, t.worst_case) for t in self.trials if t.worst_case is not None]
+        return WorstCaseSearch(
             self._contexts,
             constraint.upper,
-            0 if self._method.nominal else self._study.budget.search_cuts,
-            "observed" if self._method.nominal else self._method.worst_case,
+            self._study.budget.search_cuts,
+            self._method.worst_case,
+            worst_contexts_nearby(
+                to_cube(parameters),
+                np.array([to_cube(p) for p, _ in known]).reshape(-1, space.dimension),
+                [worst for _, worst in known],
+                self._contexts,
+                self._method.neighbour_starts,
+            ),
         )
-        for cut in cuts:
-            search.tell(cut.context, cut.outcome.metrics[constraint.metric])
-        return search
 
 
 def run_cut(

@@ -10,7 +10,7 @@ import importlib
 from typing import Any
 
 from bo_tuner.backends import Assignments
-from bo_tuner.backends.collect import outcome
+from bo_tuner.backends.collect import STATUS_OK, outcome
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study import Study
 from bo_tuner.trials import CutOutcome, CutState
@@ -45,40 +45,52 @@ class InProcessBackend:
                     "no object; expected module:Class for the in-process backend",
                     ("nodes", key, "object"),
                 )
-            module, _, name = node.object.partition(":")
+            # Foreign code, which may raise anything.
             try:
-                target = importlib.import_module(module)
-                for part in name.split("."):
-                    target = getattr(target, part)
-                self._objects[key] = target()  # type: ignore[operator]
-            except (ImportError, AttributeError) as error:
+                self._objects[key] = _load(node.object)
+            except Exception as error:
                 raise StudyError(
-                    f"cannot load {node.object}: {error}", ("nodes", key, "object")
+                    f"cannot load {node.object}: {type(error).__name__}: {error}",
+                    ("nodes", key, "object"),
                 ) from error
             try:
                 self._objects[key].set_parameters(
                     dict(node.parameters) | dict(node.inprocess_parameters)
                 )
-            except ValueError as error:
-                raise StudyError(str(error), ("nodes", key, "parameters")) from error
+            except Exception as error:
+                problem = str(error) if isinstance(error, ValueError) else repr(error)
+                raise StudyError(problem, ("nodes", key, "parameters")) from error
 
     def run_cut(self, assignments: Assignments) -> CutOutcome:
         """Set parameters, run one cut, and collect its metrics."""
         if not self._objects:
             raise BackendError("the backend is not open")
-        try:
-            for key, values in assignments.items():
+        # Foreign code: whatever it raises is a failed cut with its reason, never a lost run.
+        for key, values in assignments.items():
+            try:
                 self._objects[key].set_parameters(values)
-            trigger = self._study.trigger.node
-            others = {k: o for k, o in self._objects.items() if k != trigger}
+            except Exception as error:
+                reason = str(error) if isinstance(error, ValueError) else repr(error)
+                return CutOutcome(CutState.FAILED, {}, f"{key} refused its parameters: {reason}")
+        trigger = self._study.trigger.node
+        others = {k: o for k, o in self._objects.items() if k != trigger}
+        try:
             said = {trigger: self._objects[trigger].run_cut(*others.values())}
-            if said[trigger].get("status") == "ok":
+            if said[trigger].get("status") == STATUS_OK:
                 said |= {key: other.cut_result() for key, other in others.items()}
+            return outcome(self._study, said)
         except Exception as error:
-            # Foreign code: whatever it raises is a failed cut with its reason, never a lost run.
             return CutOutcome(CutState.FAILED, {}, f"{type(error).__name__}: {error}")
-        return outcome(self._study, said)
 
     def close(self) -> None:
         """Forget the objects."""
         self._objects.clear()
+
+
+def _load(path: str) -> Any:
+    """Make the object that ``module:Class`` names."""
+    module, _, name = path.partition(":")
+    target: Any = importlib.import_module(module)
+    for part in name.split("."):
+        target = getattr(target, part)
+    return target()

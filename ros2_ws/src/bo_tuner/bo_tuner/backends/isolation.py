@@ -30,7 +30,8 @@ class DomainClaim:
     Raises
     ------
     BackendError
-        If the domain and namespace are claimed already, or no domain is free.
+        If the domain and namespace are claimed already, no domain is free, or the lock files
+        cannot be written.
     """
 
     def __init__(self, namespace: str, domain: int | None = None) -> None:
@@ -83,7 +84,12 @@ def _has_participant(domain: int) -> bool:
 
 def _lock(domain: int, namespace: str) -> IO[str] | None:
     name = f"bo_tuner-{os.getuid()}-domain{domain}{namespace.rstrip('/').replace('/', '-')}.lock"
-    handle = (Path(tempfile.gettempdir()) / name).open("w")
+    path = Path(tempfile.gettempdir()) / name
+    try:
+        # Appending truncates nothing, whatever a file of this name may be.
+        handle = path.open("a")
+    except OSError as error:
+        raise BackendError(f"{path}: cannot be locked: {error.strerror}") from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from bo_tuner.errors import BackendError
@@ -28,10 +28,11 @@ def find_executable(package: str, executable: str) -> Path:
     """
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     for prefix in [*prefixes, sys.prefix]:
-        path = Path(prefix) / "lib" / package / executable
-        if os.access(path, os.X_OK):
-            return path
-    found = shutil.which(executable, path=f"{sys.prefix}/bin{os.pathsep}{os.environ['PATH']}")
+        file = Path(prefix) / "lib" / package / executable
+        if os.access(file, os.X_OK):
+            return file
+    path = f"{sys.prefix}/bin{os.pathsep}{os.environ.get('PATH', os.defpath)}"
+    found = shutil.which(executable, path=path)
     if found is None:
         raise BackendError(
             f"{package}: no executable {executable}; install the package or source its workspace"
@@ -55,6 +56,11 @@ class NodeProcess:
         Changes to this process's environment.
     log
         File that takes what the node prints.
+
+    Raises
+    ------
+    BackendError
+        If the executable is not found or cannot be run.
     """
 
     def __init__(
@@ -68,16 +74,19 @@ class NodeProcess:
         self.name = executable
         self.log = log
         command = [str(find_executable(package, executable)), *arguments]
-        with log.open("ab") as output:
-            self._process = subprocess.Popen(
-                command,
-                env=os.environ | dict(environment),
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                preexec_fn=_end_with_parent(os.getpid()),
-            )
+        try:
+            with log.open("ab") as output:
+                self._process = subprocess.Popen(
+                    command,
+                    env=os.environ | dict(environment),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    preexec_fn=_end_with_parent(os.getpid()),
+                )
+        except OSError as error:
+            raise BackendError(f"{command[0]}: cannot be started: {error.strerror}") from error
 
     @property
     def exit_reason(self) -> str | None:
@@ -89,15 +98,28 @@ class NodeProcess:
             return f"{self.name} was ended by {signal.Signals(-code).name}"
         return f"{self.name} ended with exit code {code}; see {self.log}"
 
-    def stop(self) -> None:
-        """End the process: SIGTERM first, SIGKILL if it does not follow."""
+    def ask_to_end(self) -> None:
+        """Send SIGTERM, and do not wait."""
         if self._process.poll() is None:
             self._process.terminate()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(STOP_TIMEOUT)
+
+    def stop(self) -> None:
+        """End the process: SIGTERM first, SIGKILL if it does not follow."""
+        self.ask_to_end()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(STOP_TIMEOUT)
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
+
+
+def stop_all(processes: Iterable[NodeProcess]) -> None:
+    """End processes side by side."""
+    together = list(processes)
+    for process in together:
+        process.ask_to_end()
+    for process in together:
+        process.stop()
 
 
 def _end_with_parent(parent: int) -> Callable[[], None] | None:

@@ -1,0 +1,158 @@
+"""The last step before a recommendation: the best candidates again, on fresh draws.
+
+A search picks winners, and the luck that made a trial a winner does not repeat. The candidates are
+therefore cut again, in fresh contexts from the distribution and, with fresh noise, in the context
+that is believed the worst. What is seen there joins the trial's record, and `rank` decides anew
+among those that held.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from bo_tuner.backends import Backend
+from bo_tuner.recommendation import Candidate, rank
+from bo_tuner.seeds import Stream, generator, noise_seed
+from bo_tuner.special import Array
+from bo_tuner.study import Constraint, Study
+from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY
+from bo_tuner.trials import Cut, CutState, Stage, Trial
+from bo_tuner.tuning import CutObserver, run_cut
+
+DRAWN_CUTS = 10
+WORST_CUTS = 10
+MOST_CHECKED = 6
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The answer of a run.
+
+    Attributes
+    ----------
+    candidate
+        The recommended trial with its checks, or the least violating one.
+    feasible
+        Whether it is believed feasible and held in the checks.
+    checked
+        Numbers of the trials that were checked, in that order.
+    """
+
+    candidate: Candidate
+    feasible: bool
+    checked: tuple[int, ...]
+
+
+def recommend(
+    study: Study,
+    backend: Backend,
+    trials: Sequence[Trial],
+    *,
+    reject_outliers: bool = True,
+    observe: CutObserver = lambda cut, parameters: None,
+    advance: Callable[[], None] = lambda: None,
+) -> Recommendation | None:
+    """Check the best candidates on fresh draws and recommend one.
+
+    Each check joins the record and the ranking is made anew, until its first has been checked and
+    held.
+
+    Parameters
+    ----------
+    study, trials, reject_outliers
+        As in `rank`.
+    backend
+        Runs the cuts; open.
+    observe
+        Called after each cut.
+    advance
+        Called after each candidate.
+
+    Returns
+    -------
+    Recommendation or None
+        None if no trial is complete.
+    """
+    latest = {trial.number: trial for trial in trials}
+    held: set[int] = set()
+    checked: list[int] = []
+    while True:
+        ranked = rank(study, list(latest.values()), reject_outliers=reject_outliers)
+        if not ranked:
+            return None
+        open_ones = [
+            candidate
+            for candidate in ranked
+            if candidate.believed_feasible
+            and (candidate.trial.number in held or candidate.trial.number not in checked)
+        ]
+        if not open_ones:
+            break
+        best = open_ones[0]
+        if best.trial.number in held:
+            return Recommendation(best, True, tuple(checked))
+        if len(checked) == MOST_CHECKED:
+            break
+        trial, holds = _check(study, backend, best.trial, observe)
+        latest[trial.number] = trial
+        checked.append(trial.number)
+        if holds:
+            held.add(trial.number)
+        advance()
+    for candidate in ranked:
+        if candidate.trial.number in held:
+            return Recommendation(candidate, True, tuple(checked))
+    least = min(ranked, key=lambda c: c.violation)
+    return Recommendation(least, False, tuple(checked))
+
+
+def _check(
+    study: Study, backend: Backend, trial: Trial, observe: CutObserver
+) -> tuple[Trial, bool]:
+    """Cut a trial again; returns it with the new cuts, and whether all constraints held."""
+    cuts: list[Cut] = []
+
+    def run(stage: Stage, context: Mapping[str, float]) -> bool:
+        index = len(trial.cuts) + len(cuts)
+        seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
+        outcome = run_cut(study, backend, trial.parameters, context, seed)
+        cut = Cut(trial.number, index, stage, context, seed, outcome)
+        cuts.append(cut)
+        observe(cut, trial.parameters)
+        return outcome.state is CutState.COMPLETE
+
+    contexts = study.context_space()
+    drawn = contexts.draw_stratified(
+        DRAWN_CUTS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
+    )
+    plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
+    if trial.worst_case is not None:
+        plan += [(Stage.CHECK_WORST, dict(trial.worst_case.context))] * WORST_CUTS
+    whole = all(run(stage, context) for stage, context in plan)
+    extended = replace(trial, cuts=trial.cuts + tuple(cuts))
+    holds = whole and all(_chance_holds(extended, c) for c in study.chance_constraints)
+    constraint = study.worst_case_constraint
+    if not whole or constraint is None or trial.worst_case is None:
+        return extended, holds
+    values = _values(cuts, Stage.CHECK_WORST, constraint.metric)
+    mean, noise = float(values.mean()), float(values.std(ddof=1))
+    # Refuted is what violates by more than the error of the estimate, mean + z noise.
+    z = float(ndtri(SINGLE_CUT_PROBABILITY))
+    error = noise * float(np.sqrt((1.0 + 0.5 * z**2) / len(values)))
+    holds = holds and mean + z * noise - error <= constraint.upper
+    holds = holds and _values(cuts, Stage.CHECK_DRAWN, constraint.metric).max() <= constraint.upper
+    worst = trial.worst_case
+    checked = replace(worst, value=mean, observed=max(worst.observed, float(values.max())))
+    return replace(extended, worst_case=checked), bool(holds)
+
+
+def _values(cuts: Sequence[Cut], stage: Stage, metric: str) -> Array:
+    return np.array([cut.outcome.metrics[metric] for cut in cuts if cut.stage is stage])
+
+
+def _chance_holds(trial: Trial, constraint: Constraint) -> bool:
+    values = np.array(trial.observations(constraint.metric))
+    allowed = 1.0 - (constraint.probability or 1.0)
+    return float(np.mean(values > constraint.upper)) <= allowed
