@@ -78,6 +78,10 @@ class SurrogateConstraint:
         z = float(ndtri(probability))
         return cls(model, limit - z * model.noise_variance**0.5)
 
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Mean and variance of the constrained latent response, each of shape (m,)."""
+        return self.model.predict(x)
+
     def log_probability(self, x: Array) -> Array:
         """Return the log probability that the constraint holds.
 
@@ -89,7 +93,7 @@ class SurrogateConstraint:
         -------
         ndarray, shape (m,)
         """
-        mean, variance = self.model.predict(x)
+        mean, variance = self.predict(x)
         # Rounding can leave no variance at all; then the answer is yes or no, but still finite.
         sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
         with np.errstate(over="ignore"):  # log Φ stops an infinite argument

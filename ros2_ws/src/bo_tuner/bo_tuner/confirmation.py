@@ -17,7 +17,7 @@ from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.special import Array
 from bo_tuner.study import Constraint, Study
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY
+from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, ModelOptions
 from bo_tuner.trials import Cut, CutState, Stage, Trial
 from bo_tuner.tuning import CutObserver, run_cut
 
@@ -50,7 +50,7 @@ def recommend(
     backend: Backend,
     trials: Sequence[Trial],
     *,
-    reject_outliers: bool = True,
+    options: ModelOptions = ModelOptions(),
     observe: CutObserver = lambda cut, parameters: None,
     advance: Callable[[], None] = lambda: None,
 ) -> Recommendation | None:
@@ -61,7 +61,7 @@ def recommend(
 
     Parameters
     ----------
-    study, trials, reject_outliers
+    study, trials, options
         As in `rank`.
     backend
         Runs the cuts; open.
@@ -79,7 +79,7 @@ def recommend(
     held: set[int] = set()
     checked: list[int] = []
     while True:
-        ranked = rank(study, list(latest.values()), reject_outliers=reject_outliers)
+        ranked = rank(study, list(latest.values()), options)
         if not ranked:
             return None
         open_ones = [

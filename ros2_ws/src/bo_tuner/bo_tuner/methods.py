@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from bo_tuner.stage_one import BayesianOptimization, RandomSearch, StageOne
 from bo_tuner.stage_two import POSTERIOR
 from bo_tuner.study import Study
+from bo_tuner.surrogates import ModelOptions
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,8 @@ class Method:
         Evaluate parametrizations in the nominal context only, by one cut each.
     random
         Draw parametrizations at random instead of by the surrogates.
-    reject_outliers
-        Use the outlier scheme.
+    models
+        Which models stand for the responses.
     worst_case
         Estimate of the worst case: ``posterior`` or ``observed``.
     neighbour_starts
@@ -30,7 +31,7 @@ class Method:
     title: str
     nominal: bool = False
     random: bool = False
-    reject_outliers: bool = True
+    models: ModelOptions = ModelOptions()
     worst_case: str = POSTERIOR
     neighbour_starts: int = 2
 
@@ -38,12 +39,18 @@ class Method:
         """Make the stage one of a run."""
         if self.random:
             return RandomSearch(study)
-        return BayesianOptimization(study, reject_outliers=self.reject_outliers)
+        return BayesianOptimization(study, self.models)
 
 
 METHODS = {
     "I": Method("Bayesian optimization on the nominal model", nominal=True),
     "II": Method("random sampling in stage one", random=True),
-    "III": Method("Bayesian optimization without outlier detection", reject_outliers=False),
+    "III": Method(
+        "Bayesian optimization without outlier detection", models=ModelOptions(reject_outliers=False)
+    ),
     "IV": Method("Bayesian optimization with outlier detection"),
+    "V": Method(
+        "as IV, with one joint model of parametrization and context",
+        models=ModelOptions(joint=True),
+    ),
 }

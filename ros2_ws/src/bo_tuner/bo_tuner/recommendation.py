@@ -14,7 +14,7 @@ from bo_tuner.seeds import Stream, generator
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.surrogates import Surrogates
+from bo_tuner.surrogates import ModelOptions, Surrogates
 from bo_tuner.trials import Trial, TrialState
 
 BELIEVED_FEASIBLE = 0.5
@@ -64,7 +64,9 @@ class Candidate:
 
 
 def rank(
-    study: Study, trials: Sequence[Trial], *, reject_outliers: bool = True
+    study: Study,
+    trials: Sequence[Trial],
+    options: ModelOptions = ModelOptions(),
 ) -> list[Candidate]:
     """Rank the complete trials, outliers of the objective excepted, the recommended one first.
 
@@ -76,8 +78,8 @@ def rank(
         The study.
     trials
         All trials so far.
-    reject_outliers
-        As in stage one.
+    options
+        As in `Surrogates.fit`.
 
     Returns
     -------
@@ -86,7 +88,7 @@ def rank(
     """
     space = study.search_space()
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    models = Surrogates.fit(study, trials, rng=rng, reject_outliers=reject_outliers)
+    models = Surrogates.fit(study, trials, rng=rng, options=options)
     # The model of the objective was not told the outliers, so it cannot judge them.
     complete = [
         t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
@@ -125,7 +127,9 @@ def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array
     """
     tuned = {name: trial.parameters[name] for name in space.names}
     x = space.to_cube(tuned)
-    scales = np.min([h.length_scales for h in models.hyperparameters.values()], axis=0)
+    # A joint model has the contexts behind the parameters.
+    d = space.dimension
+    scales = np.min([h.length_scales[:d] for h in models.hyperparameters.values()], axis=0)
     points = [
         space.to_cube({name: neighbour[name] for name in space.names})
         for neighbour in space.integer_neighbours(tuned)
@@ -147,7 +151,7 @@ def _excess(models: Surrogates, x: Array) -> Array:
     if not models.constraints:
         return np.full(len(x), -np.inf)
     excess = [
-        (c.model.predict(x)[0] - c.limit) / max(abs(c.limit), np.finfo(float).tiny)
+        (c.predict(x)[0] - c.limit) / max(abs(c.limit), np.finfo(float).tiny)
         for c in models.constraints
     ]
     largest: Array = np.max(excess, axis=0)

@@ -13,7 +13,7 @@ from bo_tuner.seeds import Stream, generator
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.surrogates import Surrogates, WarmStarts
+from bo_tuner.surrogates import ModelOptions, Surrogates, WarmStarts
 from bo_tuner.trials import Trial, Value
 
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
@@ -57,7 +57,15 @@ class Proposal:
 
 
 class StageOne(Protocol):
-    """Proposes parametrizations from the trials that it is told."""
+    """Proposes parametrizations from the trials that it is told.
+
+    Attributes
+    ----------
+    hyperparameters
+        Of its surrogates by name; empty as long as it has none.
+    """
+
+    hyperparameters: WarmStarts
 
     def ask(self) -> Proposal:
         """Propose the next trial's parametrization."""
@@ -73,6 +81,7 @@ class _Designed:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
+        self.hyperparameters: WarmStarts = {}
         self._design = self.space.latin_hypercube(
             study.budget.initial_trials, generator(study.seed, Stream.INITIAL_DESIGN)
         )
@@ -112,14 +121,13 @@ class BayesianOptimization(_Designed):
     ----------
     study
         The study.
-    reject_outliers
-        Whether outliers of the objective are kept out of its model and their region is avoided.
+    options
+        Which models stand for the responses.
     """
 
-    def __init__(self, study: Study, *, reject_outliers: bool = True) -> None:
+    def __init__(self, study: Study, options: ModelOptions = ModelOptions()) -> None:
         super().__init__(study)
-        self._reject_outliers = reject_outliers
-        self._warm: WarmStarts = {}
+        self._options = options
 
     def ask(self) -> Proposal:
         """Propose the next trial's parametrization.
@@ -137,11 +145,11 @@ class BayesianOptimization(_Designed):
                 self.study,
                 self.trials,
                 rng=rng,
-                start=self._warm,
-                reject_outliers=self._reject_outliers,
+                start=self.hyperparameters,
+                options=self._options,
             )
             warnings = surrogates.warnings
-            self._warm = self._warm | surrogates.hyperparameters
+            self.hyperparameters = self.hyperparameters | surrogates.hyperparameters
             cube, origin = self._search(surrogates, rng)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cube = None

@@ -108,10 +108,10 @@ class WorstCaseSearch:
             nearest: Array = squared.min(axis=1)
             return nearest
 
-        position, value = self._maximise(acquisition, rng)
+        context, value = self._maximise(acquisition, rng)
         if not np.isfinite(value):
-            position, _ = self._maximise(distance, rng)
-        return self._to_context(position)
+            context, _ = self._maximise(distance, rng)
+        return context
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all that was told."""
@@ -120,9 +120,8 @@ class WorstCaseSearch:
         if self._estimate == OBSERVED or self._space.dimension == 0:
             return WorstCase(observed, self._space.to_dict(self._contexts[top]), observed)
         model = self._fit(rng)
-        position, value = self._maximise(lambda x: model.predict(x)[0], rng)
-        noise = float(np.sqrt(model.noise_variance))
-        return WorstCase(value, self._to_context(position), observed, noise)
+        context, value = self._maximise(model.predict_mean, rng)
+        return WorstCase(value, context, observed, model.noise_variance**0.5)
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
         x = self._space.to_cube(np.array(self._contexts))
@@ -130,24 +129,54 @@ class WorstCaseSearch:
 
     def _maximise(
         self, function: Callable[[Array], Array], rng: np.random.Generator
-    ) -> tuple[Array, float]:
-        d = self._space.dimension
-        axes = [[0.0, 1.0]] * min(d, MOST_CORNER_DIMENSIONS)
-        corners = np.full((2 ** len(axes), d), 0.5)
-        corners[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
+    ) -> tuple[dict[str, float], float]:
         tried = self._space.to_cube(np.array(self._contexts))
-        found = maximise(
-            function,
-            d,
-            rng,
-            repair=lambda x: self._space.to_cube(self._space.to_contexts(x)),
-            initial=np.vstack([tried, corners]),
-            settings=SEARCH_EFFORT,
-        )
-        return found.position, found.value
+        return maximise_over_contexts(self._space, function, rng, tried)
 
-    def _to_context(self, position: Array) -> dict[str, float]:
-        return self._space.to_dict(self._space.to_contexts(position[None])[0])
+
+def maximise_over_contexts(
+    space: ContextSpace,
+    function: Callable[[Array], Array],
+    rng: np.random.Generator,
+    initial: Array,
+) -> tuple[dict[str, float], float]:
+    """Maximise a function of the context by a small swarm.
+
+    Parameters
+    ----------
+    space
+        The contexts.
+    function
+        Maps contexts (m, e) of the unit cube to values (m,).
+    rng
+        Moves the swarm.
+    initial
+        Contexts (k, e) of the unit cube to start from, besides the corners.
+
+    Returns
+    -------
+    context
+        The best one.
+    value
+        The function there.
+    """
+    found = maximise(
+        function,
+        space.dimension,
+        rng,
+        repair=lambda x: space.to_cube(space.to_contexts(x)),
+        initial=np.vstack([initial, corners(space)]),
+        settings=SEARCH_EFFORT,
+    )
+    return space.to_dict(space.to_contexts(found.position[None])[0]), found.value
+
+
+def corners(space: ContextSpace) -> Array:
+    """Corners (m, e) of the unit cube; beyond `MOST_CORNER_DIMENSIONS`, of the leading ones."""
+    axes = [[0.0, 1.0]] * min(space.dimension, MOST_CORNER_DIMENSIONS)
+    points = np.full((2 ** len(axes), space.dimension), 0.5)
+    points[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
+    return points
 
 
 def worst_contexts_nearby(

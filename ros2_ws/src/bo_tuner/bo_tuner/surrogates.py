@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bo_tuner.acquisition import SurrogateConstraint
+from bo_tuner.context_space import ContextSpace
+from bo_tuner.joint import JointConstraint, candidate_contexts
 from bo_tuner.special import Array
 from bo_tuner.study import Study
 from bo_tuner.study_parts import MINIMIZE
@@ -21,11 +23,11 @@ from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogate.neighbours import NeighbourClassifier
 from bo_tuner.surrogate.student_t import fit_without_outliers
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import CutState, Trial, TrialState
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
-SINGLE_CUT_PROBABILITY = 0.92
+SINGLE_CUT_PROBABILITY = 0.85
 """With this probability a cut in the worst context shall stay within the limit (Eq. 3f).
 
 On the machine a single cut does the damage, so its noise counts, although the worst case itself
@@ -36,6 +38,23 @@ is an expectation over it. The paper's maximum of observations has the noise in 
 # length scales: they come from complete trials only, and a flat response would stretch them.
 CLASSIFIER_SCALE = 0.25
 WarmStarts = dict[str, Hyperparameters]
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Which models stand for the responses.
+
+    Attributes
+    ----------
+    reject_outliers
+        Whether outliers of the objective are kept out of all models, and their region is avoided.
+    joint
+        Model the worst case by one process over parametrization and context (Algorithm V) instead
+        of by the estimates of the trials.
+    """
+
+    reject_outliers: bool = True
+    joint: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +93,7 @@ class Surrogates:
         *,
         rng: np.random.Generator,
         start: WarmStarts | None = None,
-        reject_outliers: bool = True,
+        options: ModelOptions = ModelOptions(),
     ) -> Self:
         """Fit to all trials.
 
@@ -88,8 +107,8 @@ class Surrogates:
             Source of further starts of the hyperparameter searches.
         start
             Hyperparameters of an earlier fit.
-        reject_outliers
-            Whether outliers of the objective are kept out of its model.
+        options
+            Which models to fit.
         """
         space = study.search_space()
         minimum = space.minimum_length_scales()
@@ -110,7 +129,7 @@ class Surrogates:
         if complete:
             metric = study.objective.metric
             x, y, number = _observations(complete, cube, metric)
-            if reject_outliers:
+            if options.reject_outliers:
                 # On the metric's own scale, where off-the-charts values stand out the most.
                 sign = 1.0 if study.objective.direction == MINIMIZE else -1.0
                 models[OUTLIERS], mask = fit_without_outliers(
@@ -130,7 +149,22 @@ class Surrogates:
                     )
                 )
             worst = study.worst_case_constraint
-            if worst is not None:
+            if worst is not None and options.joint:
+                contexts = study.context_space()
+                x, y = joint_observations(kept, cube, contexts, worst.metric)
+                model = GaussianProcess.fit(
+                    x,
+                    y,
+                    rng=rng,
+                    minimum_length_scales=np.append(minimum, np.zeros(contexts.dimension)),
+                    start=warm.get(worst.name),
+                )
+                models[worst.name] = model
+                margin = float(ndtri(SINGLE_CUT_PROBABILITY)) * model.noise_variance**0.5
+                constraints.append(
+                    JointConstraint(model, worst.upper - margin, candidate_contexts(contexts))
+                )
+            elif worst is not None:
                 x = np.array([cube[t.number] for t in kept])
                 model = fit_model(worst.name, x, _single_cut_worst_cases(kept))
                 constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
@@ -138,7 +172,7 @@ class Surrogates:
         failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
         scales = np.full(space.dimension, CLASSIFIER_SCALE)
         classifiers = [NeighbourClassifier(x_all, failed, scales)]
-        if reject_outliers and complete:
+        if options.reject_outliers and complete:
             flagged = np.array([t.number in outliers for t in complete], dtype=bool)
             x_complete = np.array([cube[t.number] for t in complete])
             classifiers.append(NeighbourClassifier(x_complete, flagged, scales))
@@ -157,6 +191,20 @@ class Surrogates:
         for constraint in self.constraints:
             total += constraint.log_probability(x)
         return total
+
+
+def joint_observations(
+    trials: Sequence[Trial], cube: dict[int, Array], contexts: ContextSpace, metric: str
+) -> tuple[Array, Array]:
+    """Joint points (N, d + e) and values (N,) of all whole cuts."""
+    rows, values = [], []
+    for trial in trials:
+        for cut in trial.cuts:
+            if cut.outcome.state is CutState.COMPLETE:
+                context = [[cut.context[name] for name in contexts.names]]
+                rows.append(np.append(cube[trial.number], contexts.to_cube(context)[0]))
+                values.append(cut.outcome.metrics[metric])
+    return np.array(rows), np.array(values)
 
 
 def _single_cut_worst_cases(trials: Sequence[Trial]) -> Array:

@@ -6,12 +6,14 @@ import numpy as np
 
 from bo_tuner.backends import Backend
 from bo_tuner.errors import RunError
+from bo_tuner.joint import JointSearch
 from bo_tuner.methods import Method
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.stage_one import Proposal
 from bo_tuner.special import Array
 from bo_tuner.stage_two import OBSERVED, WorstCaseSearch, worst_contexts_nearby
 from bo_tuner.study import Constraint, Study
+from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, joint_observations
 from bo_tuner.trials import (
     Cut,
     CutOutcome,
@@ -143,7 +145,9 @@ class Tuning:
         drawn = self._contexts.draw_stratified(self._study.budget.drawn_contexts, rng)
         return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]
 
-    def _search(self, constraint: Constraint, parameters: Mapping[str, Value]) -> WorstCaseSearch:
+    def _search(
+        self, constraint: Constraint, parameters: Mapping[str, Value]
+    ) -> WorstCaseSearch | JointSearch:
         if self._method.nominal:
             return WorstCaseSearch(self._contexts, constraint.upper, 0, OBSERVED)
         space = self._study.search_space()
@@ -151,6 +155,21 @@ class Tuning:
         def to_cube(values: Mapping[str, Value]) -> Array:
             return space.to_cube({name: values[name] for name in space.names})
 
+        if self._method.models.joint:
+            kept = [t for t in self.trials if t.state is TrialState.COMPLETE]
+            x, y = joint_observations(
+                kept, {t.number: to_cube(t.parameters) for t in kept}, self._contexts, constraint.metric
+            )
+            return JointSearch(
+                self._contexts,
+                constraint.upper,
+                SINGLE_CUT_PROBABILITY,
+                self._study.budget.search_cuts,
+                to_cube(parameters),
+                x.reshape(-1, space.dimension + self._contexts.dimension),
+                y,
+                self._stage_one.hyperparameters.get(constraint.name),
+            )
         known = [(t.parameters, t.worst_case) for t in self.trials if t.worst_case is not None]
         return WorstCaseSearch(
             self._contexts,

@@ -203,6 +203,12 @@ class GaussianProcess:
         variance = self._prior_variance - _squared_norms(self._inverse_factor, cross)
         return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
 
+    def predict_mean(self, x: ArrayLike) -> Array:
+        """Predict the posterior mean alone, shape (m,), at a fraction of the cost of `predict`."""
+        cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
+        mean: Array = self.standardisation.shift + self.standardisation.scale * (cross @ self.alpha)
+        return mean
+
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Predict by the noise-free model through the posterior means at the data.
 
