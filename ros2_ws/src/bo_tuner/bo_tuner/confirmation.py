@@ -23,7 +23,6 @@ from bo_tuner.tuning import CutObserver, run_cut
 
 DRAWN_CUTS = 10
 WORST_CUTS = 10
-MOST_CHECKED = 6
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,9 @@ def recommend(
     study: Study,
     backend: Backend,
     trials: Sequence[Trial],
-    *,
     options: ModelOptions = ModelOptions(),
+    *,
+    most_checked: int = 6,
     observe: CutObserver = lambda cut, parameters: None,
     advance: Callable[[], None] = lambda: None,
 ) -> Recommendation | None:
@@ -65,6 +65,8 @@ def recommend(
         As in `rank`.
     backend
         Runs the cuts; open.
+    most_checked
+        Most candidates to check; with 0 the first in rank is recommended as it is.
     observe
         Called after each cut.
     advance
@@ -91,9 +93,9 @@ def recommend(
         if not open_ones:
             break
         best = open_ones[0]
-        if best.trial.number in held:
+        if best.trial.number in held or most_checked == 0:
             return Recommendation(best, True, tuple(checked))
-        if len(checked) == MOST_CHECKED:
+        if len(checked) == most_checked:
             break
         trial, holds = _check(study, backend, best.trial, observe)
         latest[trial.number] = trial

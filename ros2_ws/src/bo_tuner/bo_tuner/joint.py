@@ -10,6 +10,7 @@ Notation: d tuned parameters, e context variables; a joint point is (x, c), both
 from collections.abc import Callable, Mapping
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from scipy.special import ndtri
@@ -125,11 +126,11 @@ class JointSearch:
         if self._asked >= self._cuts:
             return True
         model = self._fit(rng)
-        margin = float(ndtri(self._probability)) * model.noise_variance**0.5
+        margin = float(ndtri(self._probability)) * sqrt(model.noise_variance)
         context, _ = self._maximise(lambda c: self._upper(model, c), rng)
         mean, variance = model.predict(self._joint(self._to_cube(context)))
-        distance = self._limit - margin - float(mean[0])
-        return abs(distance) > DECIDED * float(variance[0]) ** 0.5
+        distance = abs(self._limit - margin - float(mean[0]))
+        return distance > DECIDED * sqrt(float(variance[0]))
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
         """Give the context with the largest upper bound."""
@@ -142,7 +143,7 @@ class JointSearch:
         model = self._fit(rng)
         observed = max(self._observed)
         context, value = self._maximise(lambda c: model.predict_mean(self._joint(c)), rng)
-        return WorstCase(value, context, observed, model.noise_variance**0.5)
+        return WorstCase(value, context, observed, sqrt(model.noise_variance))
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
         if self._model is None and self._hyperparameters is None:

@@ -26,6 +26,8 @@ class Method:
         Estimate of the worst case: ``posterior`` or ``observed``.
     neighbour_starts
         Most contexts, the worst of neighbouring trials, with which a worst-case search starts.
+    most_checked
+        Most candidates to check on fresh draws before one is recommended.
     """
 
     title: str
@@ -34,6 +36,7 @@ class Method:
     models: ModelOptions = ModelOptions()
     worst_case: str = POSTERIOR
     neighbour_starts: int = 2
+    most_checked: int = 6
 
     def stage_one(self, study: Study) -> StageOne:
         """Make the stage one of a run."""
@@ -43,7 +46,7 @@ class Method:
 
 
 METHODS = {
-    "I": Method("Bayesian optimization on the nominal model", nominal=True),
+    "I": Method("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
     "II": Method("random sampling in stage one", random=True),
     "III": Method(
         "Bayesian optimization without outlier detection", models=ModelOptions(reject_outliers=False)

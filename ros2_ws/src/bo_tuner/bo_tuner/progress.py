@@ -5,7 +5,7 @@ from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from bo_tuner.recommendation import Candidate
 from bo_tuner.study import Study
@@ -29,11 +29,17 @@ class RunProgress:
         self._console = console
         self._progress = Progress(
             TextColumn("[bold]{task.description}"),
-            BarColumn(),
+            BarColumn(bar_width=12),
             MofNCompleteColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}", markup=False),
+            # Takes what the line has left, and is cut off there.
+            TextColumn(
+                "{task.fields[note]}",
+                markup=False,
+                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+            ),
             console=console,
+            expand=True,
             # A log file gets the lines of the trials instead.
             disable=not console.is_terminal,
         )
@@ -74,9 +80,10 @@ class RunProgress:
         metric = self._study.metrics[self._study.objective.metric]
         if not best.believed_feasible:
             return f"no feasible point yet (least violating: trial {best.trial.number})"
+        value = f"{best.objective:.4g} {metric.unit}".rstrip()
         return (
-            f"incumbent: trial {best.trial.number}, {metric.name} {best.objective:.4g} "
-            f"{metric.unit}, P(feasible) {best.feasibility:.2f}"
+            f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
+            f"P(feasible) {best.feasibility:.2f}"
         )
 
 

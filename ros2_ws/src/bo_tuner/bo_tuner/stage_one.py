@@ -209,8 +209,8 @@ class BayesianOptimization(_Designed):
 def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
     """Point (d,) of the cube that is farthest from all points `tried` (n, d), among random ones."""
     candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
-    if len(tried) == 0:
-        return candidates[0]
-    squared = ((candidates[:, None, :] - tried[None, :, :]) ** 2).sum(axis=2)
-    farthest: Array = candidates[int(squared.min(axis=1).argmax())]
+    farthest: Array = candidates[0]
+    if len(tried) > 0:
+        squared = ((candidates[:, None, :] - tried[None, :, :]) ** 2).sum(axis=2)
+        farthest = candidates[int(squared.min(axis=1).argmax())]
     return farthest

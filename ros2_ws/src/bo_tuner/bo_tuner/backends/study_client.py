@@ -1,0 +1,278 @@
+"""A client of a study's nodes: parameters and trigger by services, results by topics."""
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import Trigger
+
+from bo_tuner.backends.collect import STATUS_OK
+from bo_tuner.errors import BackendError
+from bo_tuner.study import Study
+
+NODE_NAME = "bo_tuner"
+RESULT_QOS = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.RELIABLE)
+CALL_TIMEOUT = 5.0
+ANSWER_TIMEOUT = 1.0
+SPIN_PERIOD = 0.1
+
+
+class LostError(Exception):
+    """A node died, or is not there."""
+
+
+class SilentError(LostError):
+    """A node does not answer in time."""
+
+
+class RefusedError(Exception):
+    """A node refused its parameters."""
+
+
+class StudyClient:
+    """The tuner's ROS node, with a connection to each node of the study.
+
+    Parameters
+    ----------
+    study
+        The study.
+    domain
+        The ROS domain.
+    ros_arguments
+        ``--ros-args`` of the tuner's node.
+    watch
+        Called at least every `SPIN_PERIOD` seconds while waiting; raises what shall end the wait.
+
+    Raises
+    ------
+    BackendError
+        If ROS does not take the arguments.
+    """
+
+    def __init__(
+        self, study: Study, domain: int, ros_arguments: list[str], watch: Callable[[], None]
+    ) -> None:
+        self._study = study
+        self._watch = watch
+        self._known: dict[str, dict[str, object]] = {}
+        self._said: dict[str, dict[str, dict[str, object]]] = {}
+        self._context = Context()
+        try:
+            rclpy.init(
+                args=ros_arguments,
+                context=self._context,
+                domain_id=domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            self._node = Node(NODE_NAME, context=self._context)
+        except (RuntimeError, ValueError) as error:
+            self._context.try_shutdown()
+            # rcl adds where in its own sources it found the mistake.
+            raise BackendError(f"cannot use --ros-args: {str(error).split(', at /')[0]}") from error
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._connect()
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    @property
+    def full_name(self) -> str:
+        """Name of the tuner's node, with its namespace."""
+        return self._node.get_fully_qualified_name()
+
+    def is_alone(self) -> bool:
+        """Whether no other node has this one's name."""
+        me = (self._node.get_name(), self._node.get_namespace())
+        return self._node.get_node_names_and_namespaces().count(me) <= 1
+
+    def absent(self) -> list[str]:
+        """Return the study's keys of the nodes that are not discovered, or not in full."""
+        return [
+            key
+            for key in self._study.nodes
+            if not self._setters[key].service_is_ready()
+            or self._node.count_publishers(self._result_topic(key)) == 0
+            or (key == self._study.trigger.node and not self._trigger.service_is_ready())
+        ]
+
+    def spin_for(self, period: float) -> None:
+        """Take what comes within `period` seconds."""
+        deadline = time.monotonic() + period
+        while time.monotonic() < deadline:
+            self._spin()
+
+    def wait_for_nodes(self, timeout: float) -> None:
+        """Wait until every node is discovered and answers.
+
+        Raises
+        ------
+        LostError
+            If one does not within `timeout` seconds.
+        """
+        deadline = time.monotonic() + timeout
+        while absent := self.absent():
+            if time.monotonic() > deadline:
+                name = self._study.nodes[absent[0]].node
+                domain = self._context.get_domain_id()
+                raise LostError(f"{name}: no such node in ROS domain {domain} after {timeout:g} s")
+            self._spin()
+        for key in self._study.nodes:
+            # A node that was killed looks discovered until its lease ends.
+            while True:
+                try:
+                    self.expect_answer(key, ANSWER_TIMEOUT)
+                    break
+                except SilentError:
+                    if time.monotonic() > deadline:
+                        raise
+
+    def wait_until_gone(self, timeout: float) -> None:
+        """Wait until no node of the study is discovered any more, at most `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while len(self.absent()) < len(self._study.nodes) and time.monotonic() < deadline:
+            self._spin()
+
+    def forget_parameters(self) -> None:
+        """Forget what the nodes were told, so that they are told again."""
+        self._known.clear()
+
+    def set(self, key: str, values: Mapping[str, object]) -> None:
+        """Set those parameters of a node that it was not told already, all of them or none.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them.
+        LostError
+            If it does not answer.
+        """
+        known = self._known.setdefault(key, {})
+        changes = {name: v for name, v in values.items() if known.get(name) != v}
+        if not changes:
+            return
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in changes.items()]
+        )
+        result = self._call(self._setters[key], request, key).result
+        if not result.successful:
+            raise RefusedError(f"{key} refused its parameters: {result.reason}")
+        known.update(changes)
+
+    def expect_answer(self, key: str, timeout: float = CALL_TIMEOUT) -> None:
+        """Ask a node to change no parameter.
+
+        Raises
+        ------
+        SilentError
+            If it does not answer within `timeout` seconds.
+        """
+        self._call(self._setters[key], SetParametersAtomically.Request(), key, timeout)
+
+    def run_cut(self) -> dict[str, dict[str, object]]:
+        """Start a cut and wait for its results.
+
+        Returns
+        -------
+        dict
+            By node key what the node said of the cut: of all nodes that give metrics, or fewer as
+            soon as one says that it failed.
+
+        Raises
+        ------
+        LostError
+            If the cut does not start, or a result does not come, within the trigger's timeout, or
+            a node that has not said anything of a failed cut does not answer.
+        """
+        self._said.clear()
+        trigger = self._study.trigger
+        deadline = time.monotonic() + trigger.timeout
+        cut = self._start_cut(deadline)
+        awaited = {trigger.node} | {metric.node for metric in self._study.metrics.values()}
+        while True:
+            said = self._said.get(cut, {})
+            if any(pairs["status"] != STATUS_OK for pairs in said.values()):
+                # A node may have failed the cut for want of another one.
+                for key in sorted(awaited - said.keys()):
+                    self.expect_answer(key)
+                return said
+            if awaited <= said.keys():
+                return said
+            if time.monotonic() > deadline:
+                silent = ", ".join(sorted(awaited - said.keys()))
+                raise SilentError(f"no cut result from {silent} within {trigger.timeout:g} s")
+            self._spin()
+
+    def _start_cut(self, deadline: float) -> str:
+        trigger = self._study.trigger
+        while True:
+            response = self._call(self._trigger, Trigger.Request(), trigger.node)
+            if response.success:
+                return str(response.message)
+            # Right after the start the nodes may not have found each other yet.
+            if time.monotonic() > deadline:
+                name = self._study.nodes[trigger.node].node
+                raise LostError(f"{name} does not start a cut: {response.message}")
+            self._spin()
+
+    def _connect(self) -> None:
+        self._setters: dict[str, Client] = {}
+        for key, spec in self._study.nodes.items():
+            self._setters[key] = self._node.create_client(
+                SetParametersAtomically, f"{spec.node}/set_parameters_atomically"
+            )
+            self._node.create_subscription(
+                DiagnosticArray, self._result_topic(key), partial(self._on_result, key), RESULT_QOS
+            )
+        trigger = self._study.trigger
+        self._trigger = self._node.create_client(
+            Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
+        )
+
+    def _result_topic(self, key: str) -> str:
+        spec = self._study.nodes[key]
+        return _of_node(spec.node, spec.result)
+
+    def _on_result(self, key: str, message: DiagnosticArray) -> None:
+        for status in message.status:
+            pairs: dict[str, object] = {item.key: item.value for item in status.values}
+            failed = status.level == DiagnosticStatus.ERROR
+            pairs.setdefault("status", "failed" if failed else STATUS_OK)
+            pairs.setdefault("reason", status.message)
+            # Results of foreign cuts are never looked at: nobody knows their identifier here.
+            self._said.setdefault(str(pairs.get("cut", "")), {})[key] = pairs
+
+    def _call(self, client: Client, request: Any, key: str, timeout: float = CALL_TIMEOUT) -> Any:
+        future = client.call_async(request)
+        deadline = time.monotonic() + timeout
+        while not future.done():
+            # A dead server looks ready until its lease ends, and the call would never return.
+            if time.monotonic() > deadline:
+                client.remove_pending_request(future)
+                name = self._study.nodes[key].node
+                raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
+            self._spin()
+        return future.result()
+
+    def _spin(self) -> None:
+        self._watch()
+        self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+
+
+def _of_node(node: str, name: str) -> str:
+    """Expand ``~/name`` for a node other than this one."""
+    return f"{node}/{name.removeprefix('~/')}" if name.startswith("~/") else name
