@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from bo_tuner.acquisition import SurrogateConstraint
 from bo_tuner.context_space import ContextSpace
 from bo_tuner.special import Array
-from bo_tuner.stage_two import corners, maximise_over_contexts
+from bo_tuner.stage_two import PRIORS, corners, maximise_over_contexts
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.trials import WorstCase
@@ -147,7 +147,7 @@ class JointSearch:
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
         if self._model is None and self._hyperparameters is None:
-            self._model = GaussianProcess.fit(self._x, self._y, rng=rng)
+            self._model = GaussianProcess.fit(self._x, self._y, rng=rng, priors=PRIORS)
         elif self._model is None and self._hyperparameters is not None:
             self._model = GaussianProcess.condition(self._hyperparameters, self._x, self._y)
         if self._model is None:

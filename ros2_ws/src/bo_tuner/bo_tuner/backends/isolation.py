@@ -16,6 +16,11 @@ FIRST_PORT = 7400
 PORTS_PER_DOMAIN = 250
 UNICAST_OFFSET = 10
 
+FAST_DDS = "rmw_fastrtps"
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST = "LOCALHOST"
+
 
 class DomainClaim:
     """A ROS domain that no other tuner of this machine takes while the claim is held.
@@ -59,17 +64,22 @@ class DomainClaim:
 
 
 def isolated_environment(domain: int) -> dict[str, str]:
-    """Environment variables for nodes that see this machine and `domain` only.
+    """Environment variables to set for nodes that see this machine and `domain` only.
 
-    Transport is UDP: shared memory leaves files behind when a process is killed. The discovery
-    profile makes a dead node known after 2 s instead of 20.
+    Our discovery profile for Fast DDS keeps to UDP on the loopback interface: shared memory leaves
+    files behind when a process is killed. It also makes a dead node known after 2 s instead of 20.
+    LOCALHOST must not be set along with it, since that brings shared memory back; it is for other
+    middlewares, and for a profile of the user's. A wider range of the user's stays as it is.
     """
-    return {
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_directory() / "fastdds_profile.xml"),
-    }
+    variables = {"ROS_DOMAIN_ID": str(domain)}
+    if os.environ.get(RANGE_VARIABLE, "") not in ("", LOCALHOST):
+        return variables
+    variables[RANGE_VARIABLE] = LOCALHOST
+    fast_dds = os.environ.get("RMW_IMPLEMENTATION", FAST_DDS).startswith(FAST_DDS)
+    if fast_dds and not os.environ.get(PROFILE_VARIABLE):
+        variables[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
+        variables[PROFILE_VARIABLE] = str(config_directory() / "fastdds_profile.xml")
+    return variables
 
 
 def _has_participant(domain: int) -> bool:

@@ -77,9 +77,8 @@ class RosBackend:
         # Without a domain in the environment, nodes that run already are in 0.
         self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
         if not self._attach:
-            isolation = isolated_environment(self._claim.domain)
             # The middleware reads the environment of the process, in this one too.
-            os.environ.update({k: v for k, v in isolation.items() if not os.environ.get(k)})
+            os.environ.update(isolated_environment(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
         client = StudyClient(self._study, self._claim.domain, self._ros_arguments, self._watch)
         self._client = client

@@ -1,0 +1,58 @@
+"""What the README says of parameters must be what the nodes declare."""
+
+import re
+from pathlib import Path
+
+import pytest
+from milling_plant import settings as plant
+from mpc_controller import settings as controller
+from mpc_controller.parameters import specifications
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def rows(node):
+    section = re.search(rf"<!-- parameters: {node} -->\n(.*?)<!-- end -->", README, re.DOTALL)
+    lines = section.group(1).splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def shown(value):
+    return str(list(value) if isinstance(value, tuple) else value)
+
+
+def permitted(spec):
+    if spec.choices:
+        return " or ".join(f"`{choice}`" for choice in spec.choices)
+    return "" if spec.lower is None else f"{spec.lower:g} … {spec.upper:g}"
+
+
+@pytest.mark.parametrize(
+    ("node", "table", "defaults"),
+    [
+        ("mpc_controller", controller.ControllerSettings, controller.default_settings()),
+        ("milling_plant", plant.PlantSettings, plant.default_settings()),
+    ],
+)
+def test_parameter_tables(node, table, defaults):
+    expected = [
+        [
+            f"`{spec.name}`",
+            shown(getattr(defaults, spec.name)),
+            permitted(spec),
+            spec.unit,
+            spec.text,
+        ]
+        for spec in specifications(table)
+    ]
+    assert rows(node) == expected
+
+
+def test_links_lead_somewhere():
+    root = Path(__file__).parents[1]
+    documents = [root / "README.md", root / "CONTRIBUTING.md", *root.glob("docs/*.md")]
+    for document in documents:
+        text = document.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)#]+)", text):
+            if not target.startswith("http"):
+                assert (document.parent / target).exists(), f"{document.name}: {target}"
