@@ -10,16 +10,16 @@ from math import isfinite, sqrt
 from typing import Protocol
 
 import numpy as np
-from mpc_controller.model import Array
-from mpc_controller.parameters import build
 from scipy.ndimage import maximum_filter1d
 
 from milling_plant.feed_axis import FeedAxis
 from milling_plant.settings import PlantSettings, default_settings
+from mpc_controller.model import Array
+from mpc_controller.parameters import build
 
 
 def reference_velocity(settings: PlantSettings) -> Array:
-    """Reference v_ref (N,) [m/s]: the levels, each held for ``samples_per_level`` samples."""
+    """Make v_ref (N,) [m/s] of the levels, each held for ``samples_per_level`` samples."""
     return np.repeat(np.array(settings.reference_levels), settings.samples_per_level)
 
 

@@ -3,7 +3,7 @@
 import sys
 from dataclasses import asdict, replace
 
-from diagnostic_msgs.msg import DiagnosticArray
+# Ahead of rclpy and all messages: this package switches their field checks on.
 from mpc_controller.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
@@ -15,8 +15,9 @@ from mpc_controller.ros.messages import (
     to_stamp,
     velocity_trajectory,
 )
-from mpc_controller.ros.parameters import NodeParameters
-from mpc_controller.ros.process import run
+
+# isort: split
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -25,6 +26,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from milling_plant.cut import Cut
 from milling_plant.settings import PlantSettings, default_settings
+from mpc_controller.ros.parameters import NodeParameters
+from mpc_controller.ros.process import run
 
 
 class PlantNode(Node):
@@ -43,6 +46,7 @@ class PlantNode(Node):
         self._settings = self._parameter_table.settings
         self._cut: Cut | None = None
         self._start = 0
+        self._next_start = 1  # a reference stamped zero would start with any measurement
         self._ignored = 0
         self._resent = 0
         self._trajectory: JointTrajectory | None = None
@@ -58,10 +62,12 @@ class PlantNode(Node):
         # Waiting is done by the wall: the simulated time stands still meanwhile.
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._watchdog = self.create_timer(
-            self._settings.resend_period, self._on_watchdog, clock=self._wall
+            _watchdog_period(self._settings), self._on_watchdog, clock=self._wall
         )
 
-    def _on_run_cut(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_run_cut(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         response.success = False
         if self._cut is not None:
             response.message = f"cut {cut_identifier(self._start)} is running; wait or abort it"
@@ -84,9 +90,9 @@ class PlantNode(Node):
 
     def _begin(self) -> None:
         self._settings = self._parameter_table.settings
-        self._watchdog.timer_period_ns = int(self._settings.resend_period * NANOSECONDS)
+        self._watchdog.timer_period_ns = int(_watchdog_period(self._settings) * NANOSECONDS)
         self._cut = Cut(self._settings)
-        self._start = max(self.get_clock().now().nanoseconds, self._start + 1)
+        self._start = max(self.get_clock().now().nanoseconds, self._next_start)
         self._ignored = 0
         self._resent = 0
         self._publish_reference(self._cut)
@@ -105,18 +111,18 @@ class PlantNode(Node):
         self._trajectory.header.stamp = to_stamp(self._start)
         self._reference.publish(self._trajectory)
 
-    def _time(self, cut: Cut) -> int:
-        """Simulated time of the present sample [ns]."""
-        return self._start + round(cut.sample * self._settings.sample_time * NANOSECONDS)
+    def _time(self, sample: int) -> int:
+        """Give the simulated time of a sample [ns]."""
+        return self._start + round(sample * self._settings.sample_time * NANOSECONDS)
 
     def _publish_measurement(self, cut: Cut) -> None:
         self._measurement.publish(
-            joint_velocity(self._settings.joint_name, self._time(cut), cut.measurement)
+            joint_velocity(self._settings.joint_name, self._time(cut.sample), cut.measurement)
         )
 
     def _on_command(self, message: JointState) -> None:
         cut = self._cut
-        if cut is None or from_stamp(message.header.stamp) != self._time(cut):
+        if cut is None or from_stamp(message.header.stamp) != self._time(cut.sample):
             self._ignored += 1
             return
         command = read_joint_velocity(message, self._settings.joint_name)
@@ -148,16 +154,23 @@ class PlantNode(Node):
 
     def _end(self, cut: Cut) -> None:
         self._cut = None
+        # Cuts are faster than real time, so their stamps may overlap. The controller still waits
+        # for the rest of a cut that failed and must not take a stamp of the next one for it.
+        self._next_start = self._time(cut.reference.size) if cut.failure else self._start + 1
         counts = {"ignored_messages": self._ignored, "resent_measurements": self._resent}
         self._result.publish(
             cut_result(
                 self.get_name(),
                 self._settings.joint_name,
                 self._start,
-                self._time(cut),
+                self._time(cut.sample),
                 cut.result() | counts,
             )
         )
+
+
+def _watchdog_period(settings: PlantSettings) -> float:
+    return min(settings.resend_period, settings.command_timeout)
 
 
 def main() -> None:

@@ -44,10 +44,16 @@ class PlantSettings:
     )
     joint_name: str = parameter("", "Name of the axis in joint_states")
     command_timeout: float = parameter(
-        "s", "A cut whose next command does not come within this wall time fails", lower=0.01, upper=600
+        "s",
+        "A cut whose next command does not come within this wall time fails",
+        lower=0.01,
+        upper=600,
     )
     resend_period: float = parameter(
-        "s", "A measurement without an answer is sent again after this wall time", lower=0.005, upper=60
+        "s",
+        "A measurement without an answer is sent again after this wall time",
+        lower=0.005,
+        upper=60,
     )
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 Array = NDArray[np.float64]
 
 DEAD_TIME_TOLERANCE = 1e-9
-"""A dead time this close to a multiple of the sample time, relative to it, counts as the multiple."""
+"""A dead time this close to a multiple of the sample time, relative to it, counts as one."""
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,7 @@ It knows topics only, so that a drive with the same topics can stand in for the 
 import sys
 from dataclasses import asdict
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
-
-from mpc_controller.controller import MpcController
-from mpc_controller.errors import ControllerError
+# Ahead of rclpy and all messages: this package switches their field checks on.
 from mpc_controller.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
@@ -22,6 +16,15 @@ from mpc_controller.ros.messages import (
     read_joint_velocity,
     read_velocity_trajectory,
 )
+
+# isort: split
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from mpc_controller.controller import MpcController
+from mpc_controller.errors import ControllerError
 from mpc_controller.ros.parameters import NodeParameters
 from mpc_controller.ros.process import run
 from mpc_controller.settings import ControllerSettings, default_settings
@@ -61,7 +64,7 @@ class ControllerNode(Node):
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         start = from_stamp(message.header.stamp)
-        if self._running and start != 0 and start == self._start:
+        if start != 0 and start == self._start:
             return
         settings = self._parameter_table.settings
         self._settings = settings
@@ -91,19 +94,25 @@ class ControllerNode(Node):
         return round((time - self._start) / (self._settings.sample_time * NANOSECONDS))
 
     def _on_measurement(self, message: JointState) -> None:
+        settings = self._settings if self._running else self._parameter_table.settings
+        velocity = read_joint_velocity(message, settings.joint_name)
+        if velocity is None:
+            self._ignored += 1
+            return
         if not self._running:
             self._early = message
             return
-        velocity = read_joint_velocity(message, self._settings.joint_name)
         controller = self._controller
         k = self._sample(message)
-        if velocity is None or not 0 <= k < controller.reference_length:
+        if not 0 <= k < controller.reference_length:
             self._ignored += 1
             self._early = message
             return
         if k < controller.samples_done:
             if k == controller.samples_done - 1 and self._last_command is not None:
                 self._command.publish(self._last_command)
+            else:
+                self._early = message
             return
         while controller.samples_done < k:
             controller.step(float("nan"))
@@ -112,9 +121,7 @@ class ControllerNode(Node):
         self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
         self._command.publish(self._last_command)
         if self._estimate.get_subscription_count() > 0:
-            self._estimate.publish(
-                joint_velocity(self._settings.joint_name, time, step.estimate)
-            )
+            self._estimate.publish(joint_velocity(self._settings.joint_name, time, step.estimate))
         if controller.samples_done == controller.reference_length:
             self._publish_result(controller.cut_result() | {"ignored_messages": self._ignored})
 

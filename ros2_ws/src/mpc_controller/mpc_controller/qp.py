@@ -44,7 +44,7 @@ class CondensedProgram:
 def prediction_matrices(
     model: DiscreteModel, control_horizon: int, prediction_horizon: int
 ) -> tuple[Array, Array]:
-    """Phi (H_p, n) and Theta (H_p, H_u): the outputs v_{k+1}, ..., v_{k+H_p} are Phi x + Theta U."""
+    """Phi (H_p, n) and Theta (H_p, H_u): v_{k+1}, ..., v_{k+H_p} are Phi x + Theta U."""
     steps = np.arange(prediction_horizon)
     Phi = np.zeros((prediction_horizon, model.A.shape[0]))
     impulse = np.zeros(prediction_horizon)

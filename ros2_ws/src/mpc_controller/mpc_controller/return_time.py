@@ -34,7 +34,7 @@ def iteration_operations(control_horizon: int) -> int:
 
 
 def quantiles(return_times: Sequence[float]) -> dict[str, float]:
-    """Quantiles of the return times of a cut [s], keyed ``return_time_p50`` and so on, and the maximum.
+    """Quantiles [s] of a cut's return times, keyed ``return_time_p50`` and so on, and the maximum.
 
     A quantile is the smallest observed time that at least its share of the steps does not exceed.
     """

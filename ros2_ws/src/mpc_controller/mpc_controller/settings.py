@@ -30,9 +30,14 @@ class ControllerSettings:
     dead_time: float = parameter("s", "Nominal dead time t_d", lower=0, upper=10)
     sample_time: float = parameter("s", "Sample time T_s", lower=1e-5, upper=10)
     measurement_variance: float = parameter(
-        "(m/s)^2", "Variance R_KF that the filter assumes for the measurement", lower=1e-12, upper=1e6
+        "(m/s)^2",
+        "Variance R_KF that the filter assumes for the measurement",
+        lower=1e-12,
+        upper=1e6,
     )
-    input_lower: float = parameter("m/s", "Lower limit of the commanded velocity", lower=-1e6, upper=1e6)
+    input_lower: float = parameter(
+        "m/s", "Lower limit of the commanded velocity", lower=-1e6, upper=1e6
+    )
     input_upper: float = parameter(
         "m/s", "Upper limit of the commanded velocity, above the lower", lower=-1e6, upper=1e6
     )

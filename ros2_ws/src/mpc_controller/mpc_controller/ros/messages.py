@@ -46,9 +46,7 @@ def cut_identifier(start: int) -> str:
 
 def joint_velocity(joint: str, time: int, velocity: float) -> JointState:
     """Message with the velocity [m/s] of one joint at `time` [ns]."""
-    return JointState(
-        header=Header(stamp=to_stamp(time)), name=[joint], velocity=[float(velocity)]
-    )
+    return JointState(header=Header(stamp=to_stamp(time)), name=[joint], velocity=[float(velocity)])
 
 
 def read_joint_velocity(message: JointState, joint: str) -> float | None:

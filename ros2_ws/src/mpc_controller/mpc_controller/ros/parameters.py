@@ -4,12 +4,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Generic, TypeVar
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -19,6 +15,17 @@ from mpc_controller.parameters import Specification, build, specifications
 T = TypeVar("T")
 
 ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
+
+
+class Refusal(ParameterNotDeclaredException):
+    """Why a change is refused.
+
+    Of all exceptions rclpy's parameter services answer only this kind, with its text as the
+    reason; any other kills the node and leaves the client without an answer.
+    """
+
+    def __init__(self, reason: str) -> None:
+        Exception.__init__(self, reason)
 
 
 def descriptor(spec: Specification) -> ParameterDescriptor:
@@ -72,6 +79,7 @@ class NodeParameters(Generic[T]):
         defaults: Mapping[str, object],
         on_change: Callable[[T], None] = lambda settings: None,
     ) -> None:
+        self._node = node
         self._table = table
         self._specs = {spec.name: spec for spec in specifications(table)}
         self._on_change = on_change
@@ -85,33 +93,28 @@ class NodeParameters(Generic[T]):
             node.undeclare_parameter(name)
         for name, value in asdict(self.settings).items():  # type: ignore[call-overload]
             value = list(value) if isinstance(value, tuple) else value
-            node.declare_parameter(
-                name, value, descriptor(self._specs[name]), ignore_override=True
-            )
-        node.add_pre_set_parameters_callback(self._cast)
-        node.add_on_set_parameters_callback(self._judge)
+            node.declare_parameter(name, value, descriptor(self._specs[name]), ignore_override=True)
+        # Judged ahead of rclpy, whose own reasons name neither the parameter nor its value.
+        node.add_pre_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _cast(self, changes: list[Parameter]) -> list[Parameter]:
-        return [
-            Parameter(p.name, Parameter.Type.DOUBLE, float(p.value))
-            if p.type_ is Parameter.Type.INTEGER and self._kind(p.name) is float
-            else p
-            for p in changes
-        ]
-
-    def _kind(self, name: str) -> type | None:
-        return self._specs[name].kind if name in self._specs else None
-
-    def _judge(self, changes: list[Parameter]) -> SetParametersResult:
-        # An exception here would kill the node without an answer to the client.
+    def _judge(self, changes: list[Parameter]) -> list[Parameter]:
         try:
+            changes = [self._cast(p) for p in changes]
             self._candidate(changes)
         except SettingsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            raise Refusal(str(error)) from None
         except Exception as error:
-            return SetParametersResult(successful=False, reason=f"cannot be judged: {error!r}")
-        return SetParametersResult(successful=True)
+            raise Refusal(f"cannot be judged: {error!r}") from error
+        return changes
+
+    def _cast(self, p: Parameter) -> Parameter:
+        kind = self._specs[p.name].kind if p.name in self._specs else None
+        if kind is float and p.type_ is Parameter.Type.INTEGER:
+            return Parameter(p.name, Parameter.Type.DOUBLE, float(p.value))
+        if kind is tuple and p.type_ is Parameter.Type.INTEGER_ARRAY:
+            return Parameter(p.name, Parameter.Type.DOUBLE_ARRAY, [float(x) for x in p.value])
+        return p
 
     def _apply(self, changes: list[Parameter]) -> None:
         self.settings = self._candidate(changes)
@@ -120,8 +123,8 @@ class NodeParameters(Generic[T]):
     def _candidate(self, changes: list[Parameter]) -> T:
         current: dict[str, object] = asdict(self.settings)  # type: ignore[call-overload]
         for p in changes:
-            if p.name not in self._specs:
-                continue
+            if p.name not in self._specs and self._node.has_parameter(p.name):
+                continue  # one of rclpy's own
             if p.type_ is Parameter.Type.NOT_SET:
                 raise SettingsError(f"{p.name}: cannot be deleted")
             current[p.name] = _plain(p)

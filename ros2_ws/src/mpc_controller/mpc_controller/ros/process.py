@@ -17,7 +17,7 @@ try:
     # Experimental in Jazzy but 1.5 to 7 times faster; only its spin_once is dependable.
     from rclpy.experimental import EventsExecutor
 except ImportError:
-    EventsExecutor = None
+    EventsExecutor = None  # type: ignore[assignment]
 
 EXIT_USAGE = 2
 SPIN_PERIOD = 0.1
@@ -47,11 +47,11 @@ def run(make_node: Callable[[], Node]) -> int:
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
-    except (SettingsError, InvalidParameterValueException) as error:
+    except SettingsError as error:
         return _refuse(str(error))
-    except RuntimeError as error:
-        # rclpy wraps what rcl says of bad arguments or parameter files, several lines of it.
-        return _refuse(str(error).splitlines()[0])
+    except (RuntimeError, ValueError, InvalidParameterValueException) as error:
+        # What rclpy makes of bad arguments, parameter files or values, at times in several lines.
+        return _refuse(f"cannot start the node: {str(error).splitlines()[0]}")
     executor = make_executor()
     executor.add_node(node)
     try:

@@ -1,0 +1,41 @@
+"""Fixtures of all tests: settings by difference from the shipped ones, and repeatable examples."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# The test folders are no packages (tests/mpc_controller must not shadow mpc_controller), so the
+# independent implementations that several test modules compare with are put on the path.
+sys.path.append(str(Path(__file__).parent / "references"))
+
+settings.register_profile(
+    "repeatable",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    max_examples=25,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session")
+def controller_settings() -> Callable:
+    """Make controller settings: the defaults with some values changed."""
+    from mpc_controller.parameters import build
+    from mpc_controller.settings import ControllerSettings, default_settings
+
+    return lambda **changes: build(ControllerSettings, asdict(default_settings()) | changes)
+
+
+@pytest.fixture(scope="session")
+def plant_settings() -> Callable:
+    """Make plant settings: the defaults with some values changed."""
+    from milling_plant.settings import PlantSettings, default_settings
+    from mpc_controller.parameters import build
+
+    return lambda **changes: build(PlantSettings, asdict(default_settings()) | changes)
