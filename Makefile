@@ -20,7 +20,8 @@ ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 # Nodes of the checks talk to each other only, and leave no shared memory behind.
-CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST FASTDDS_BUILTIN_TRANSPORTS=UDPv4 \
+CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDPv4 \
+	FASTRTPS_DEFAULT_PROFILES_FILE='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml' \
 	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
 
 .PHONY: help setup tune test lint types format check colcon clean
