@@ -78,6 +78,7 @@ def test_sum_of_logarithms_equals_the_product_of_equation_five():
             SurrogateConstraint.on_observation(times, 1.8, 0.96),
         ),
         (crashes, outliers),
+        avoid=1.0,
     )
     np.testing.assert_allclose(np.exp(acquisition(query)), expected, rtol=1e-7, atol=1e-250)
 
@@ -94,9 +95,19 @@ def test_crashed_points_are_excluded():
     x = queries(6)
     crashes = NeighbourClassifier(x, np.ones(6, dtype=bool), THETA.length_scales)
     for objective in (None, model()):
-        acquisition = LogAcquisition(objective, None, (), (crashes,))
+        acquisition = LogAcquisition(objective, None, (), (crashes,), avoid=1.0)
         assert (acquisition(x) == -np.inf).all()
         assert np.isfinite(acquisition(np.random.default_rng(3).random((20, 2)))).all()
+
+
+@pytest.mark.parametrize("avoid", [0.3, 0.5, 0.9])
+def test_points_near_crashes_are_left_out(avoid):
+    x = queries()
+    crashes = NeighbourClassifier(x, x[:, 0] > 0.6, THETA.length_scales)
+    query = np.random.default_rng(5).random((200, 2))
+    excluded = LogAcquisition(None, None, (), (crashes,), avoid=avoid)(query) == -np.inf
+    assert 0 < excluded.sum() < 200
+    np.testing.assert_array_equal(excluded, crashes.probability(query) > avoid)
 
 
 def test_without_a_feasible_point_feasibility_is_sought():

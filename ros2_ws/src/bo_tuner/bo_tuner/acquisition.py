@@ -115,6 +115,10 @@ class LogAcquisition:
     constraints : tuple of SurrogateConstraint
     classifiers : tuple of NeighbourClassifier
         Estimates of p_out and p_fail.
+    avoid : float
+        Points of which a classifier is surer than this are left out. The product of Eq. 5 alone
+        does not keep a search away from crashes: there the objective stays unknown, while the
+        reinterpolated improvement elsewhere falls without bound.
     reinterpolate : bool
         Whether the improvement is the one under the reinterpolation model. If not, it is the one
         under the noisy model, which stays uncertain around its data, the evaluated points
@@ -125,6 +129,7 @@ class LogAcquisition:
     best: float | None
     constraints: tuple[SurrogateConstraint, ...] = ()
     classifiers: tuple[NeighbourClassifier, ...] = ()
+    avoid: float = 0.5
     reinterpolate: bool = True
 
     def __call__(self, x: Array) -> Array:
@@ -138,8 +143,8 @@ class LogAcquisition:
         Returns
         -------
         ndarray, shape (m,)
-            -inf exactly at points of which the objective was observed, and at outliers and
-            crashes.
+            -inf at points of which the objective was observed, and at and near outliers and
+            crashes, see `avoid`.
         """
         total = np.zeros(len(x))
         if self.objective is not None:
@@ -152,8 +157,10 @@ class LogAcquisition:
             total[evaluated] = -np.inf
         for constraint in self.constraints:
             total += constraint.log_probability(x)
+        avoided = np.log1p(-self.avoid) if self.avoid < 1.0 else -np.inf
         for classifier in self.classifiers:
-            total += classifier.log_complement(x)
+            log_complement = classifier.log_complement(x)
+            total += np.where(log_complement < avoided, -np.inf, log_complement)
         return total
 
 

@@ -19,7 +19,8 @@ SCHEMA = """
 CREATE TABLE provenance (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE trial (
     number INTEGER PRIMARY KEY, parameters TEXT NOT NULL, origin TEXT NOT NULL,
-    state TEXT NOT NULL, reason TEXT NOT NULL, worst_case TEXT, warnings TEXT NOT NULL
+    state TEXT NOT NULL, reason TEXT NOT NULL, worst_case TEXT, warnings TEXT NOT NULL,
+    hyperparameters TEXT NOT NULL
 );
 CREATE TABLE cut (
     trial INTEGER NOT NULL, position INTEGER NOT NULL, stage TEXT NOT NULL,
@@ -106,6 +107,7 @@ class Journal:
             trial.reason,
             json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
             json.dumps(trial.warnings),
+            json.dumps(dict(trial.hyperparameters)),
         )
         self._insert("trial", row)
 
@@ -121,8 +123,8 @@ class Journal:
             if cut.stage is not Stage.VALIDATION:
                 cuts.setdefault(cut.trial, []).append(cut)
         rows = self._db.execute(
-            "SELECT number, parameters, origin, state, reason, worst_case, warnings "
-            "FROM trial ORDER BY number"
+            "SELECT number, parameters, origin, state, reason, worst_case, warnings, "
+            "hyperparameters FROM trial ORDER BY number"
         )
         return [
             Trial(
@@ -134,8 +136,9 @@ class Journal:
                 cuts=tuple(cuts.get(number, ())),
                 worst_case=WorstCase(**json.loads(worst)) if worst else None,
                 warnings=tuple(json.loads(warnings)),
+                hyperparameters={k: tuple(v) for k, v in json.loads(hyperparameters).items()},
             )
-            for number, parameters, origin, state, reason, worst, warnings in rows
+            for number, parameters, origin, state, reason, worst, warnings, hyperparameters in rows
         ]
 
     def export_csv(self, directory: Path) -> None:

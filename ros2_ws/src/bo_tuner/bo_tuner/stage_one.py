@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +13,8 @@ from bo_tuner.seeds import Stream, generator
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.surrogates import ModelOptions, Surrogates, WarmStarts
+from bo_tuner.surrogate.hyperpriors import Hyperparameters
+from bo_tuner.surrogates import ModelOptions, Surrogates
 from bo_tuner.trials import Trial, Value
 
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
@@ -49,23 +50,21 @@ class Proposal:
         ``space-filling``.
     warnings
         Numerical trouble on the way.
+    hyperparameters
+        As in `Trial`.
     """
 
     parameters: dict[str, Value]
     origin: str
     warnings: tuple[str, ...] = ()
+    hyperparameters: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 class StageOne(Protocol):
     """Proposes parametrizations from the trials that it is told.
 
-    Attributes
-    ----------
-    hyperparameters
-        Of its surrogates by name; empty as long as it has none.
+    What it proposes depends on the study and these trials alone, so that a run can be resumed.
     """
-
-    hyperparameters: WarmStarts
 
     def ask(self) -> Proposal:
         """Propose the next trial's parametrization."""
@@ -81,7 +80,6 @@ class _Designed:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
-        self.hyperparameters: WarmStarts = {}
         self._design = self.space.latin_hypercube(
             study.budget.initial_trials, generator(study.seed, Stream.INITIAL_DESIGN)
         )
@@ -140,26 +138,30 @@ class BayesianOptimization(_Designed):
             return proposal
         rng = self.rng()
         warnings: tuple[str, ...] = ()
+        latest = next((t.hyperparameters for t in reversed(self.trials) if t.hyperparameters), {})
+        warm = dict(latest)
+        cube = None
         try:
             surrogates = Surrogates.fit(
                 self.study,
                 self.trials,
                 rng=rng,
-                start=self.hyperparameters,
+                start={n: Hyperparameters.from_log(np.array(p)) for n, p in latest.items()},
                 options=self._options,
             )
             warnings = surrogates.warnings
-            self.hyperparameters = self.hyperparameters | surrogates.hyperparameters
+            warm |= {
+                name: tuple(h.to_log().tolist()) for name, h in surrogates.hyperparameters.items()
+            }
             cube, origin = self._search(surrogates, rng)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            cube = None
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
         if cube is not None:
             parameters = self.space.to_parameters(cube)
             if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
-                return Proposal(parameters, origin, warnings)
+                return Proposal(parameters, origin, warnings, warm)
         cube = space_filling(self.space, self._tried(), rng)
-        return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings)
+        return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings, warm)
 
     def _search(
         self, surrogates: Surrogates, rng: np.random.Generator
@@ -177,6 +179,10 @@ class BayesianOptimization(_Designed):
             starts = points[order] + rng.normal(0.0, 0.05, (len(order), self.space.dimension))
         acquisition = LogAcquisition(model, best, surrogates.constraints, surrogates.classifiers)
         found = self._maximise(acquisition, starts, rng)
+        if not np.isfinite(found.value):
+            # Nothing is left that is not near a crash; Eq. 5 as it stands says where least.
+            acquisition = dataclasses.replace(acquisition, avoid=1.0)
+            found = self._maximise(acquisition, starts, rng)
         origin = ACQUISITION
         if model is not None and best is not None:
             negligible = np.log(NEGLIGIBLE * model.standardisation.scale)

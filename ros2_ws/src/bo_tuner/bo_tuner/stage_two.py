@@ -201,6 +201,8 @@ def worst_contexts_nearby(
     count
         Most contexts to return; half as many neighbours again are asked for them.
     """
+    if space.dimension == 0:
+        return []
     chosen: list[Mapping[str, float]] = []
     nearest = np.argsort(((tried - point) ** 2).sum(axis=1), kind="stable")
     for index in nearest[: count + (count + 1) // 2]:

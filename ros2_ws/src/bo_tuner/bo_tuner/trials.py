@@ -128,6 +128,9 @@ class Trial:
         Worst case of the constrained metric, if the study has such a constraint.
     warnings
         Numerical trouble on the way to the proposal.
+    hyperparameters
+        Logarithms of the hyperparameters of the surrogates behind the proposal, by name, from
+        which the next ones start.
     """
 
     number: int
@@ -138,6 +141,7 @@ class Trial:
     cuts: tuple[Cut, ...] = ()
     worst_case: WorstCase | None = None
     warnings: tuple[str, ...] = ()
+    hyperparameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def observations(self, metric: str) -> list[float]:
         """Values of `metric` in the cuts that estimate its distribution, not in the search."""

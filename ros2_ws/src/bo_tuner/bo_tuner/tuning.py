@@ -13,6 +13,7 @@ from bo_tuner.stage_one import Proposal
 from bo_tuner.special import Array
 from bo_tuner.stage_two import OBSERVED, WorstCaseSearch, worst_contexts_nearby
 from bo_tuner.study import Constraint, Study
+from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, joint_observations
 from bo_tuner.trials import (
     Cut,
@@ -106,6 +107,7 @@ class Tuning:
                 cuts=tuple(cuts),
                 worst_case=worst_case,
                 warnings=proposal.warnings,
+                hyperparameters=proposal.hyperparameters,
             )
 
         def run(stage: Stage, context: Mapping[str, float]) -> CutOutcome:
@@ -123,7 +125,7 @@ class Tuning:
         constraint = self._study.worst_case_constraint
         if constraint is None:
             return finish(TrialState.COMPLETE, "", None)
-        search = self._search(constraint, proposal.parameters)
+        search = self._search(constraint, proposal)
         for cut in cuts:
             search.tell(cut.context, cut.outcome.metrics[constraint.metric])
 
@@ -146,7 +148,7 @@ class Tuning:
         return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]
 
     def _search(
-        self, constraint: Constraint, parameters: Mapping[str, Value]
+        self, constraint: Constraint, proposal: Proposal
     ) -> WorstCaseSearch | JointSearch:
         if self._method.nominal:
             return WorstCaseSearch(self._contexts, constraint.upper, 0, OBSERVED)
@@ -157,18 +159,18 @@ class Tuning:
 
         if self._method.models.joint:
             kept = [t for t in self.trials if t.state is TrialState.COMPLETE]
-            x, y = joint_observations(
-                kept, {t.number: to_cube(t.parameters) for t in kept}, self._contexts, constraint.metric
-            )
+            points = {t.number: to_cube(t.parameters) for t in kept}
+            x, y = joint_observations(kept, points, self._contexts, constraint.metric)
+            phi = proposal.hyperparameters.get(constraint.name)
             return JointSearch(
                 self._contexts,
                 constraint.upper,
                 SINGLE_CUT_PROBABILITY,
                 self._study.budget.search_cuts,
-                to_cube(parameters),
+                to_cube(proposal.parameters),
                 x.reshape(-1, space.dimension + self._contexts.dimension),
                 y,
-                self._stage_one.hyperparameters.get(constraint.name),
+                None if phi is None else Hyperparameters.from_log(np.array(phi)),
             )
         known = [(t.parameters, t.worst_case) for t in self.trials if t.worst_case is not None]
         return WorstCaseSearch(
@@ -177,7 +179,7 @@ class Tuning:
             self._study.budget.search_cuts,
             self._method.worst_case,
             worst_contexts_nearby(
-                to_cube(parameters),
+                to_cube(proposal.parameters),
                 np.array([to_cube(p) for p, _ in known]).reshape(-1, space.dimension),
                 [worst for _, worst in known],
                 self._contexts,

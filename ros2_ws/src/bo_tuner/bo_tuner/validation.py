@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.backends import Backend
+from bo_tuner.errors import RunError
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, CutState, Stage, Value
-from bo_tuner.tuning import CutObserver, run_cut
+from bo_tuner.tuning import LOST_IN_A_ROW, CutObserver, run_cut
 
 
 @dataclass(frozen=True)
@@ -86,11 +87,17 @@ def validate(
         Called after each cut.
     advance
         Called after each draw, for progress.
+
+    Raises
+    ------
+    RunError
+        If three cuts in a row were lost with their nodes.
     """
     contexts = study.context_space()
     rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
     drawn = contexts.draw(study.budget.validation_draws, rng)
     cuts: list[list[Cut]] = [[] for _ in parametrizations]
+    lost = 0
     for k, row in enumerate(drawn):
         seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
         context = contexts.to_dict(row)
@@ -99,6 +106,9 @@ def validate(
             cut = Cut(number, k, Stage.VALIDATION, context, seed, outcome)
             cuts[number].append(cut)
             observe(cut, parameters)
+            lost = lost + 1 if outcome.state is CutState.LOST else 0
+            if lost >= LOST_IN_A_ROW:
+                raise RunError(f"{lost} cuts in a row were lost with their nodes: {outcome.reason}")
         advance()
     return [_judge(study, p, c) for p, c in zip(parametrizations, cuts, strict=True)]
 

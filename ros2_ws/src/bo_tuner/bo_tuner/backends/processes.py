@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bo_tuner.errors import BackendError
 
-STOP_TIMEOUT = 5.0
+STOP_TIMEOUT = 3.0
 """Time [s] that a node has to end after SIGTERM before it is killed."""
 
 PR_SET_PDEATHSIG = 1
@@ -87,6 +87,11 @@ class NodeProcess:
                 )
         except OSError as error:
             raise BackendError(f"{command[0]}: cannot be started: {error.strerror}") from error
+
+    @property
+    def pid(self) -> int:
+        """Identifier of the process."""
+        return self._process.pid
 
     @property
     def exit_reason(self) -> str | None:

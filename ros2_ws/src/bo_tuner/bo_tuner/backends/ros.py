@@ -39,6 +39,11 @@ class RosBackend:
         for the nodes that it starts.
     interrupted
         Asked while waiting; raises what shall end the wait.
+
+    Attributes
+    ----------
+    processes
+        The started nodes by their key in the study.
     """
 
     name = "ros"
@@ -60,7 +65,7 @@ class RosBackend:
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
         self._client: StudyClient | None = None
-        self._processes: dict[str, NodeProcess] = {}
+        self.processes: dict[str, NodeProcess] = {}
 
     def open(self) -> None:
         """Start the nodes, unless attached, and wait until they are discovered.
@@ -113,8 +118,8 @@ class RosBackend:
 
     def close(self) -> None:
         """End the started nodes and leave ROS."""
-        stop_all(self._processes.values())
-        self._processes.clear()
+        stop_all(self.processes.values())
+        self.processes.clear()
         if self._client is not None:
             self._client.close()
             self._client = None
@@ -124,7 +129,7 @@ class RosBackend:
 
     def _watch(self) -> None:
         self._interrupted()
-        for process in self._processes.values():
+        for process in self.processes.values():
             if process.exit_reason is not None:
                 raise LostError(process.exit_reason)
 
@@ -140,7 +145,7 @@ class RosBackend:
                 raise StudyError(
                     "no package and executable; add them, or use --attach", ("nodes", key)
                 )
-            self._processes[key] = NodeProcess(
+            self.processes[key] = NodeProcess(
                 spec.package,
                 spec.executable,
                 ["--ros-args", "-r", f"__ns:={self._namespace}"],
@@ -175,9 +180,9 @@ class RosBackend:
     def _recover(self, client: StudyClient) -> str:
         """Get the nodes back; returns what to add to the reason if that failed."""
         client.forget_parameters()
-        processes = list(self._processes.values())
+        processes = list(self.processes.values())
         # Stopped ones are no longer watched.
-        self._processes.clear()
+        self.processes.clear()
         stop_all(processes)
         try:
             if not self._attach:
