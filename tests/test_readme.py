@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+
 from milling_plant import settings as plant
 from mpc_controller import settings as controller
 from mpc_controller.parameters import specifications

@@ -34,9 +34,7 @@ def flattering(make_trial):
 def worst_at_two(trials):
     from dataclasses import replace
 
-    return [
-        replace(t, worst_case=replace(t.worst_case, context={"load": 2.0})) for t in trials
-    ]
+    return [replace(t, worst_case=replace(t.worst_case, context={"load": 2.0})) for t in trials]
 
 
 def test_flattered_candidates_are_refuted(study, make_trial, function_backend):

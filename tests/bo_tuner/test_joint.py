@@ -40,7 +40,9 @@ class TestCandidateContexts:
         assert candidate_contexts(space).shape[1] == 9
 
     def test_discrete_values_are_possible_ones(self):
-        space = ContextSpace({"load": Discrete(values=(0.0, 1.0, 4.0), probabilities=(0.5, 0.3, 0.2))})
+        space = ContextSpace(
+            {"load": Discrete(values=(0.0, 1.0, 4.0), probabilities=(0.5, 0.3, 0.2))}
+        )
         assert set(candidate_contexts(space)[:, 0]) <= {0.0, 0.25, 1.0}
 
 

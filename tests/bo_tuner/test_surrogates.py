@@ -116,8 +116,6 @@ def test_the_joint_model_uses_every_cut(study, make_trial):
 def test_warm_start_gives_the_same_models(study, make_trial):
     trials = sloped(make_trial)
     first = fit(study, trials)
-    again = Surrogates.fit(
-        study, trials, rng=np.random.default_rng(1), start=first.hyperparameters
-    )
+    again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.hyperparameters)
     x = np.array([[0.33]])
     assert again.objective.predict(x)[0] == pytest.approx(first.objective.predict(x)[0], abs=1e-3)

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bo_tuner.distributions import Distribution
 from bo_tuner.errors import ParameterError
+from bo_tuner.latin_hypercube import latin_hypercube
 
 FloatArray = NDArray[np.float64]
 
@@ -55,11 +56,7 @@ class ContextSpace:
         ndarray, shape (n, d)
             Contexts in their own units.
         """
-        uniform = rng.random((count, self.dimension))
-        contexts = np.empty_like(uniform)
-        for column, item in enumerate(self.distributions):
-            contexts[:, column] = item.ppf(uniform[:, column])
-        return contexts
+        return self._at_quantiles(rng.random((count, self.dimension)))
 
     def draw_stratified(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw contexts that together cover their distribution evenly.
@@ -80,12 +77,7 @@ class ContextSpace:
         ndarray, shape (n, d)
             Contexts in their own units.
         """
-        strata = rng.permuted(np.tile(np.arange(count), (self.dimension, 1)), axis=1).T
-        uniform = (strata + rng.random((count, self.dimension))) / count
-        contexts = np.empty_like(uniform)
-        for column, item in enumerate(self.distributions):
-            contexts[:, column] = item.ppf(uniform[:, column])
-        return contexts
+        return self._at_quantiles(latin_hypercube(count, self.dimension, rng))
 
     def to_contexts(self, cube: ArrayLike) -> FloatArray:
         """Map points of the unit cube to contexts, linearly between the bounds.
@@ -143,6 +135,13 @@ class ContextSpace:
         """
         row = self._rows(np.asarray(context, dtype=np.float64)[None], "context")[0]
         return dict(zip(self.names, row.tolist(), strict=True))
+
+    def _at_quantiles(self, probability: FloatArray) -> FloatArray:
+        """Return the contexts (n, d) below which each variable stays with these probabilities."""
+        contexts = np.empty_like(probability)
+        for column, item in enumerate(self.distributions):
+            contexts[:, column] = item.ppf(probability[:, column])
+        return contexts
 
     def _rows(self, values: ArrayLike, name: str) -> FloatArray:
         rows = np.asarray(values, dtype=np.float64)

@@ -8,7 +8,6 @@ Notation: d tuned parameters, e context variables; a joint point is (x, c), both
 """
 
 from collections.abc import Callable, Mapping
-
 from dataclasses import dataclass
 from math import sqrt
 
@@ -17,6 +16,7 @@ from scipy.special import ndtri
 
 from bo_tuner.acquisition import SurrogateConstraint
 from bo_tuner.context_space import ContextSpace
+from bo_tuner.latin_hypercube import latin_hypercube
 from bo_tuner.special import Array
 from bo_tuner.stage_two import PRIORS, corners, maximise_over_contexts
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
@@ -35,9 +35,7 @@ def candidate_contexts(space: ContextSpace) -> Array:
 
     The others are a Latin hypercube, the same in every call.
     """
-    rng = np.random.default_rng(0)
-    strata = rng.permuted(np.tile(np.arange(CANDIDATES), (space.dimension, 1)), axis=1).T
-    inside = (strata + 0.5) / CANDIDATES
+    inside = latin_hypercube(CANDIDATES, space.dimension, np.random.default_rng(0))
     return space.to_cube(space.to_contexts(np.vstack([corners(space), inside])))
 
 

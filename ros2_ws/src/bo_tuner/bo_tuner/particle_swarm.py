@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.latin_hypercube import latin_hypercube
+
 Array = NDArray[np.float64]
 Objective = Callable[[Array], Array]
 Repair = Callable[[Array], Array]
@@ -176,6 +178,5 @@ def _start(dimension: int, rng: np.random.Generator, initial: Array | None, coun
     if given.ndim != 2 or given.shape[1] != dimension:
         raise ValueError(f"initial: expected shape (k, {dimension}), found {given.shape}")
     rest = max(count - len(given), 0)
-    strata = rng.permuted(np.tile(np.arange(rest), (dimension, 1)), axis=1).T
-    hypercube = (strata + rng.uniform(size=(rest, dimension))) / max(rest, 1)
+    hypercube = latin_hypercube(rest, dimension, rng)
     return np.concatenate([np.clip(given, 0.0, 1.0), hypercube])

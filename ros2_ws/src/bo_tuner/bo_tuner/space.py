@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bo_tuner.errors import ParameterError
+from bo_tuner.latin_hypercube import latin_hypercube
 from bo_tuner.parameter import Number, Parameter
 from bo_tuner.parametrization import Parametrization
 
@@ -185,9 +186,7 @@ class SearchSpace:
         """
         if count < 1:
             raise ParameterError(f"count: expected at least 1 point, found {count}")
-        # Not scipy's qmc: its keyword for the generator changed its name between releases.
-        strata = rng.permuted(np.tile(np.arange(count), (self.dimension, 1)), axis=1).T
-        uniform = (strata + rng.random((count, self.dimension))) / count
+        uniform = latin_hypercube(count, self.dimension, rng)
         values = self._low + uniform * (self._high - self._low)
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
