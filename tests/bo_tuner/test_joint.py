@@ -1,4 +1,4 @@
-"""Algorithm V: the joint model of parametrization and context, on functions with a known worst case."""
+"""Algorithm V: the joint model, on functions of which the worst case is known."""
 
 import numpy as np
 import pytest

@@ -17,7 +17,7 @@ from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.special import Array
 from bo_tuner.study import Constraint, Study
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, ModelOptions
+from bo_tuner.surrogates import DEFAULT_MODELS, SINGLE_CUT_PROBABILITY, ModelOptions
 from bo_tuner.trials import Cut, CutState, Stage, Trial
 from bo_tuner.tuning import CutObserver, run_cut
 
@@ -48,7 +48,7 @@ def recommend(
     study: Study,
     backend: Backend,
     trials: Sequence[Trial],
-    options: ModelOptions = ModelOptions(),
+    options: ModelOptions = DEFAULT_MODELS,
     *,
     most_checked: int = 6,
     observe: CutObserver = lambda cut, parameters: None,

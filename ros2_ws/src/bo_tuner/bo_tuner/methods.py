@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from bo_tuner.stage_one import BayesianOptimization, RandomSearch, StageOne
 from bo_tuner.stage_two import POSTERIOR
 from bo_tuner.study import Study
-from bo_tuner.surrogates import ModelOptions
+from bo_tuner.surrogates import DEFAULT_MODELS, ModelOptions
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Method:
     title: str
     nominal: bool = False
     random: bool = False
-    models: ModelOptions = ModelOptions()
+    models: ModelOptions = DEFAULT_MODELS
     worst_case: str = POSTERIOR
     neighbour_starts: int = 2
     most_checked: int = 6
@@ -49,7 +49,8 @@ METHODS = {
     "I": Method("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
     "II": Method("random sampling in stage one", random=True),
     "III": Method(
-        "Bayesian optimization without outlier detection", models=ModelOptions(reject_outliers=False)
+        "Bayesian optimization without outlier detection",
+        models=ModelOptions(reject_outliers=False),
     ),
     "IV": Method("Bayesian optimization with outlier detection"),
     "V": Method(

@@ -14,7 +14,7 @@ from bo_tuner.seeds import Stream, generator
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.surrogates import ModelOptions, Surrogates
+from bo_tuner.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.trials import Trial, TrialState
 
 BELIEVED_FEASIBLE = 0.5
@@ -66,7 +66,7 @@ class Candidate:
 def rank(
     study: Study,
     trials: Sequence[Trial],
-    options: ModelOptions = ModelOptions(),
+    options: ModelOptions = DEFAULT_MODELS,
 ) -> list[Candidate]:
     """Rank the complete trials, outliers of the objective excepted, the recommended one first.
 

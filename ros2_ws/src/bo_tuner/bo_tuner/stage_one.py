@@ -14,7 +14,7 @@ from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
-from bo_tuner.surrogates import ModelOptions, Surrogates
+from bo_tuner.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.trials import Trial, Value
 
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
@@ -123,7 +123,7 @@ class BayesianOptimization(_Designed):
         Which models stand for the responses.
     """
 
-    def __init__(self, study: Study, options: ModelOptions = ModelOptions()) -> None:
+    def __init__(self, study: Study, options: ModelOptions = DEFAULT_MODELS) -> None:
         super().__init__(study)
         self._options = options
 
@@ -163,9 +163,7 @@ class BayesianOptimization(_Designed):
         cube = space_filling(self.space, self._tried(), rng)
         return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings, warm)
 
-    def _search(
-        self, surrogates: Surrogates, rng: np.random.Generator
-    ) -> tuple[Array | None, str]:
+    def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> tuple[Array | None, str]:
         model = surrogates.objective
         best = None
         starts = np.empty((0, self.space.dimension))

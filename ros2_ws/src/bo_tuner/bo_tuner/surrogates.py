@@ -57,6 +57,9 @@ class ModelOptions:
     joint: bool = False
 
 
+DEFAULT_MODELS = ModelOptions()
+
+
 @dataclass(frozen=True, eq=False)
 class Surrogates:
     """Models of the cost and the constraints over the unit cube; build them by `fit`.
@@ -93,7 +96,7 @@ class Surrogates:
         *,
         rng: np.random.Generator,
         start: WarmStarts | None = None,
-        options: ModelOptions = ModelOptions(),
+        options: ModelOptions = DEFAULT_MODELS,
     ) -> Self:
         """Fit to all trials.
 
@@ -208,7 +211,9 @@ def joint_observations(
 
 
 def _single_cut_worst_cases(trials: Sequence[Trial]) -> Array:
-    """What a single cut in the worst context reaches, by `SINGLE_CUT_PROBABILITY`, per trial (n,).
+    """Return what a cut in the worst context of each trial reaches, shape (n,).
+
+    It stays below with `SINGLE_CUT_PROBABILITY`.
 
     The noise is taken as equal everywhere: the few cuts of one trial say little of it.
     """
