@@ -1,0 +1,302 @@
+"""Cost of a cut over that of its parts, and memory of the nodes.
+
+All figures are ratios of times taken side by side, since a time alone says more of the machine than
+of the program. Median and range are over the repetitions.
+"""
+
+import argparse
+import contextlib
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+# One thread each, as the tuner gives to its nodes; read when numpy is imported.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+
+import numpy as np
+import osqp
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.signals import SignalHandlerOptions
+from scipy import sparse
+from sensor_msgs.msg import JointState
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros import RosBackend
+from bo_tuner.study_file import load_study
+from bo_tuner.trials import CutState
+from bo_tuner.tuning import run_cut
+from mpc_controller.controller import MpcController
+from mpc_controller.kalman_filter import kalman_filter
+from mpc_controller.model import delay_augmented, feed_axis
+from mpc_controller.mpc import SOLVER_SETTINGS, Mpc
+from mpc_controller.qp import condense
+from mpc_controller.ros.messages import LOOP_QOS, from_stamp, joint_velocity, set_joint_velocity
+from mpc_controller.ros.process import make_executor
+
+SAMPLES = 270
+CONTEXT = {"stiffness_factor": 1.0, "damping_factor": 1.0}
+STUDY = load_study("benchmark")
+PARAMETERS = STUDY.search_space().defaults
+REPLY_TIMEOUT = 10.0
+
+
+def seconds(work: Callable[[], Any]) -> float:
+    """Wall time of a call [s]."""
+    begin = time.perf_counter()
+    work()
+    return time.perf_counter() - begin
+
+
+def cut(backend: Any, seed: int = 1) -> None:
+    """Run one cut of the hand-tuned parametrization; a failed one ends the benchmark."""
+    outcome = run_cut(STUDY, backend, PARAMETERS, CONTEXT, seed)
+    if outcome.state is not CutState.COMPLETE:
+        raise SystemExit(f"error: a cut failed: {outcome.reason}")
+
+
+class BareSteps:
+    """The OSQP solves and filterpy steps of one cut, from a recording of it, and nothing else."""
+
+    def __init__(self) -> None:
+        self._linear_terms: list[np.ndarray] = []
+        self._loop: list[tuple[float, float]] = []
+        self._record()
+        s = self._settings
+        A, B = feed_axis(s.gain, s.damping_ratio, s.natural_frequency)
+        model = delay_augmented(A, B, s.sample_time, s.dead_time)
+        self._program = condense(model, s.control_horizon, s.prediction_horizon, s.lambda_mpc)
+        self._filter = lambda: kalman_filter(
+            model, s.measurement_variance, s.lambda_kf, model.equilibrium(0.5, s.gain)
+        )
+
+    def _record(self) -> None:
+        solve, step = Mpc.solve, MpcController.step
+
+        def recording_solve(mpc: Mpc, x: Any, last_input: float, preview: Any) -> Any:
+            self._linear_terms.append(mpc._linear @ np.concatenate((x, (last_input,), preview)))
+            return solve(mpc, x, last_input, preview)
+
+        def recording_step(controller: MpcController, measurement: float) -> Any:
+            result = step(controller, measurement)
+            self._loop.append((measurement, result.command))
+            self._settings = controller.settings
+            return result
+
+        Mpc.solve, MpcController.step = recording_solve, recording_step  # type: ignore[method-assign]
+        try:
+            with opened(InProcessBackend(STUDY)) as backend:
+                cut(backend)
+        finally:
+            Mpc.solve, MpcController.step = solve, step  # type: ignore[method-assign]
+        if len(self._loop) != SAMPLES:
+            raise SystemExit(f"error: the cut has {len(self._loop)} samples, not {SAMPLES}")
+
+    def time(self) -> float:
+        """Wall time of all solves and filter steps [s]; setting them up does not count."""
+        horizon = self._program.P.shape[0]
+        solver = osqp.OSQP()
+        solver.setup(
+            P=sparse.eye(horizon, format="csc"),
+            q=np.zeros(horizon),
+            A=sparse.csc_matrix(self._program.inputs),
+            l=np.full(horizon, self._settings.input_lower),
+            u=np.full(horizon, self._settings.input_upper),
+            **SOLVER_SETTINGS,
+        )
+        kf = self._filter()
+
+        def steps() -> None:
+            for q, (measurement, command) in zip(self._linear_terms, self._loop, strict=True):
+                kf.update(measurement)
+                solver.update(q=q)
+                solver.solve(raise_error=False)
+                kf.predict(command)
+
+        return seconds(steps)
+
+
+@contextmanager
+def opened(backend: Any) -> Iterator[Any]:
+    """Open a backend and close it whatever happens."""
+    try:
+        backend.open()
+        yield backend
+    finally:
+        backend.close()
+
+
+class Echo:
+    """A process that sends each message back; ``--echo`` runs it."""
+
+    def __init__(self) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node("ping", context=self._context)
+        self._ping = self._node.create_publisher(JointState, "ping", LOOP_QOS)
+        self._node.create_subscription(JointState, "pong", self._on_answer, LOOP_QOS)
+        self._executor = make_executor_in(self._context)
+        self._executor.add_node(self._node)
+        self._answered = -1
+        self._process = subprocess.Popen([sys.executable, __file__, "--echo"])
+        deadline = time.monotonic() + REPLY_TIMEOUT
+        while not (self._ping.get_subscription_count() and self._node.count_publishers("pong")):
+            if time.monotonic() > deadline:
+                raise SystemExit("error: the echo process does not come up")
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _on_answer(self, message: JointState) -> None:
+        self._answered = from_stamp(message.header.stamp)
+
+    def round_trips(self) -> None:
+        """As many round trips as a cut has samples, one after the other."""
+        message = joint_velocity("x_axis", 0, 0.5)
+        for number in range(SAMPLES):
+            set_joint_velocity(message, number, 0.5)
+            self._ping.publish(message)
+            deadline = time.monotonic() + REPLY_TIMEOUT
+            while self._answered != number:
+                self._executor.spin_once(timeout_sec=0.1)
+                if time.monotonic() > deadline:
+                    raise SystemExit(f"error: round trip {number} has no answer")
+        self._answered = -1
+
+    def close(self) -> None:
+        """End both."""
+        self._process.terminate()
+        self._process.wait()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+
+def make_executor_in(context: Any) -> Any:
+    """Make the nodes' executor in another context than the default one."""
+    return type(make_executor())(context=context)
+
+
+def echo() -> None:
+    """Answer pings until terminated."""
+    rclpy.init()
+    node = rclpy.create_node("pong")
+    pong = node.create_publisher(JointState, "pong", LOOP_QOS)
+    node.create_subscription(JointState, "ping", pong.publish, LOOP_QOS)
+    executor = make_executor()
+    executor.add_node(node)
+    with contextlib.suppress(ExternalShutdownException):
+        while True:
+            executor.spin_once(timeout_sec=0.1)
+
+
+def resident_memory(pid: int) -> int:
+    """Resident memory of a process [kB]."""
+    text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    return int(text.partition("VmRSS:")[2].split()[0])
+
+
+def describe(ratios: list[float], target: float | None = None) -> str:
+    """Median and range, and whether a target is met."""
+    text = f"{statistics.median(ratios):6.3f}  ({min(ratios):.3f} to {max(ratios):.3f})"
+    if target is None:
+        return text
+    verdict = "met" if statistics.median(ratios) <= target else "MISSED"
+    return f"{text}  target at most {target:g}: {verdict}"
+
+
+def report_machine() -> None:
+    """Print what the figures hold for."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout.strip()
+    cpu = next(
+        (
+            line.partition(":")[2].strip()
+            for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+            if line.startswith("model name")
+        ),
+        platform.processor(),
+    )
+    print(f"{cpu}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(f"Python {platform.python_version()}, osqp {osqp.__version__}, commit {commit}")
+
+
+def run(repetitions: int, memory_cuts: int) -> None:
+    """Measure and print."""
+    report_machine()
+    bare = BareSteps()
+    with (
+        tempfile.TemporaryDirectory() as log,
+        opened(InProcessBackend(STUDY)) as inprocess,
+        opened(RosBackend(STUDY, Path(log))) as ros,
+    ):
+        # After the backend, which has put domain and discovery into the environment.
+        pings = Echo()
+        try:
+            for warm_up in (lambda: cut(inprocess), bare.time, lambda: cut(ros), pings.round_trips):
+                warm_up()
+            numerics, transport, laps, shares = [], [], [], []
+            for repetition in range(repetitions):
+                in_process = seconds(lambda r=repetition: cut(inprocess, r))
+                numerics.append(in_process / bare.time())
+                over_ros = seconds(lambda r=repetition: cut(ros, r))
+                lap = seconds(pings.round_trips)
+                transport.append(over_ros / (1.5 * lap + in_process))
+                laps.append(lap / in_process)
+                shares.append(over_ros / in_process)
+        finally:
+            pings.close()
+        print(f"\n{repetitions} repetitions: median (range)")
+        for what, ratios, target in (
+            ("cut in process / its bare solves and filter steps", numerics, 3.0),
+            (f"cut over ROS / (1.5 x {SAMPLES} round trips + in process)", transport, 1.0),
+            (f"{SAMPLES} round trips / cut in process", laps, None),
+            ("cut over ROS / cut in process", shares, None),
+        ):
+            print(f"{what:52s} {describe(ratios, target)}")
+        report_memory(ros, memory_cuts)
+
+
+def report_memory(ros: RosBackend, cuts: int) -> None:
+    """Run cuts and compare the nodes' memory in the first and in the last quarter of them."""
+    pids = {key: process.pid for key, process in ros.processes.items()}
+    used: dict[str, list[int]] = {key: [] for key in pids}
+    for number in range(cuts):
+        cut(ros, number)
+        for key, pid in pids.items():
+            used[key].append(resident_memory(pid))
+    quarter = cuts // 4
+    if quarter == 0:
+        return
+    print(f"\nresident memory over {cuts} cuts, last quarter / first quarter")
+    for key, sizes in used.items():
+        first, last = (statistics.median(part) for part in (sizes[:quarter], sizes[-quarter:]))
+        print(f"{key:12s}{last / first:6.3f}  ({first / 1024:.1f} MB to {last / 1024:.1f} MB)")
+
+
+def main() -> None:
+    """Read the options and run."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repetitions", type=int, default=30, help="default: %(default)s")
+    parser.add_argument("--memory-cuts", type=int, default=1000, help="default: %(default)s")
+    parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.echo:
+        echo()
+    else:
+        run(arguments.repetitions, arguments.memory_cuts)
+
+
+if __name__ == "__main__":
+    main()

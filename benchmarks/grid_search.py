@@ -1,0 +1,405 @@
+"""Find the true optimum of the studies by dense search.
+
+A point is judged by the truth of `truth.py`. With two tuned parameters the grid is complete
+(all integers, steps of 0.05). With more it is coarse, and the best points are refined by a pattern
+search over integer steps and halving steps of the doubles. That a controller is too slow or fails
+does not show in the vectorised loop, so that the best points also make cuts on the objects.
+
+First every point of the grid is screened by the corners of the context box, where most infeasible
+ones show, and by few drawn contexts. What keeps the limit there and costs at most a quarter more
+than the best is judged in full.
+
+An optimum is narrow if a parametrization one integer step away exceeds the overshoot limit, or
+costs more, by over a fifth. The best one that is not narrow is given too.
+
+On two cores: about two minutes for `benchmark` and seven for `full`.
+"""
+
+import argparse
+import itertools
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import RESULTS, provenance, table, write_result
+from threadpoolctl import threadpool_limits
+from truth import SEED, Effort, Judgement, Truth
+
+from bo_tuner.parameter import Parameter
+from bo_tuner.study import Study
+from bo_tuner.study_file import load_study
+from bo_tuner.trials import Value
+from mpc_controller.errors import ControllerError
+
+TOLERABLE = 0.2
+FINE_STEP = 0.05
+COARSE_STEPS = 12
+"""Intervals of a double's range on the coarse grid."""
+
+DENSE_UP_TO = 6
+GROWTH = 1.22
+"""On the coarse grid integers come all up to `DENSE_UP_TO`, then about by this factor."""
+
+SCREENED_OUT = 1.25
+"""A point with a rough E above the best times this is not judged in full."""
+
+STARTS = 24
+"""So many points are refined."""
+
+REPORTED = 10
+
+Point = tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Score:
+    """A point's place in the search: `cost` is infinite where it is infeasible."""
+
+    cost: float
+    worst: float
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the point meets the overshoot limit."""
+        return bool(np.isfinite(self.cost))
+
+
+class GridSearch:
+    """Scores of points of one study, each computed once.
+
+    Parameters
+    ----------
+    study
+        The study.
+    pool
+        Processes that were given the study by `_start_worker`.
+    """
+
+    def __init__(self, study: Study, pool: ProcessPoolExecutor) -> None:
+        self.study = study
+        self._pool = pool
+        self._space = study.search_space()
+        self._known: dict[Point, Score] = {}
+        self._narrow: dict[Point, bool] = {}
+
+    @property
+    def size(self) -> int:
+        """Number of points scored so far."""
+        return len(self._known)
+
+    def scores(self, points: Iterable[Point]) -> list[Score]:
+        """Score points."""
+        points = list(points)
+        new = list(dict.fromkeys(p for p in points if p not in self._known))
+        found = self._pool.map(_score, new, chunksize=max(1, min(16, len(new) // 8)))
+        self._known |= zip(new, found, strict=True)
+        return [self._known[p] for p in points]
+
+    def screen(self, points: Sequence[Point]) -> list[Point]:
+        """Points that are worth a full judgement."""
+        rough = list(self._pool.map(_rough, points, chunksize=16))
+        limit = self.study.constraints["overshoot"].upper
+        E = [cost if worst <= limit else np.inf for cost, worst in rough]
+        most = SCREENED_OUT * min(E)
+        return [p for p, cost in zip(points, E, strict=True) if np.isfinite(cost) and cost <= most]
+
+    def by_cost(self) -> list[Point]:
+        """Feasible points scored so far, the best first."""
+        feasible = [p for p, score in self._known.items() if score.feasible]
+        return sorted(feasible, key=lambda p: self._known[p].cost)
+
+    def cost(self, points: Sequence[Point]) -> list[float]:
+        """E of feasible points, infinity of others."""
+        return [score.cost for score in self.scores(points)]
+
+    def cost_if_not_narrow(self, points: Sequence[Point]) -> list[float]:
+        """E of points that are feasible and not narrow, infinity of others."""
+        return [
+            score.cost if score.feasible and not self.narrow(point) else np.inf
+            for point, score in zip(points, self.scores(points), strict=True)
+        ]
+
+    def narrow(self, point: Point) -> bool:
+        """Whether an integer neighbour of a feasible point is much worse."""
+        if point not in self._narrow:
+            names = self._space.names
+            steps = self._space.integer_neighbours(dict(zip(names, point, strict=True)))
+            around = [tuple(step[name] for name in names) for step in steps]
+            found = self._pool.map(_judge_short, around)
+            limit = self.study.constraints["overshoot"].upper
+            E = self._known[point].cost
+            self._narrow[point] = any(
+                not (worst <= (1 + TOLERABLE) * limit and cost <= (1 + TOLERABLE) * E)
+                for cost, worst in found
+            )
+        return self._narrow[point]
+
+    def refine(
+        self, start: Point, cost: Callable[[Sequence[Point]], list[float]], step: float
+    ) -> None:
+        """Walk from a point to better neighbours, steps of doubles halving down to 0.05."""
+        best, (best_cost,) = start, cost([start])
+        while step >= FINE_STEP / 2:
+            around = self._steps(best, step)
+            costs = cost(around)
+            if min(costs, default=np.inf) < best_cost:
+                best_cost = min(costs)
+                best = around[costs.index(best_cost)]
+            else:
+                step /= 2
+
+    def _steps(self, point: Point, step: float) -> list[Point]:
+        tuned = [self.study.parameters[name] for name in self._space.names]
+        moves = []
+        for column, parameter in enumerate(tuned):
+            size = 1 if parameter.is_integer else step
+            for sign in (-1, 1):
+                moved = list(point)
+                moved[column] = _in_bounds(parameter, point[column] + sign * size)
+                moves.append(tuple(moved))
+        integers = [i for i, parameter in enumerate(tuned) if parameter.is_integer]
+        for sign in (-1, 1):
+            # Along the diagonal too: with ordered horizons a single step may be barred.
+            moved = list(point)
+            for column in integers:
+                moved[column] = _in_bounds(tuned[column], point[column] + sign)
+            moves.append(tuple(moved))
+        return [p for p in dict.fromkeys(moves) if p != point and _ordered(self.study, p)]
+
+
+def coarse_axis(parameter: Parameter, complete: bool) -> list[Value]:
+    """Grid values of a tuned parameter."""
+    low, high = parameter.bounds or (0.0, 0.0)
+    if parameter.is_integer:
+        values = list(range(int(low), int(high) + 1))
+        if complete:
+            return list(values)
+        chosen = [v for v in values if v <= DENSE_UP_TO or v in (values[0], values[-1])]
+        last = float(max(DENSE_UP_TO, values[0]))
+        for v in values:
+            if v > DENSE_UP_TO and v >= GROWTH * last:
+                chosen.append(v)
+                last = v
+        return sorted(set(chosen))
+    steps = round((high - low) / FINE_STEP) if complete else COARSE_STEPS
+    return [round(float(v), 6) for v in np.linspace(low, high, steps + 1)]
+
+
+def search(study: Study, jobs: int, starts: int) -> dict[str, Any]:
+    """Search a study; returns its entry of the result file."""
+    begin = time.monotonic()
+    names = study.search_space().names
+    tuned = [study.parameters[name] for name in names]
+    complete = len(tuned) <= 2
+    axes = [coarse_axis(parameter, complete) for parameter in tuned]
+    grid = [point for point in itertools.product(*axes) if _ordered(study, point)]
+    with ProcessPoolExecutor(jobs, initializer=_start_worker, initargs=(study,)) as pool:
+        work = GridSearch(study, pool)
+        work.scores(work.screen(grid))
+        if not work.by_cost():
+            raise SystemExit(f"error: no point of {study.name}'s grid is feasible")
+        if not complete:
+            first = max((a[1] - a[0]) / 2 for a in axes if isinstance(a[0], float))
+            for start in _spread(work.by_cost(), starts):
+                work.refine(start, work.cost, first)
+        best = _confirmed(work.by_cost(), pool)
+        broad = (point for point in work.by_cost() if not work.narrow(point))
+        broad_starts = list(itertools.islice(broad, 1 if complete else 4))
+        if not complete:
+            for start in broad_starts:
+                work.refine(start, work.cost_if_not_narrow, first)
+            broad_starts = [p for p in work.by_cost() if work.narrow(p) is False]
+        best_broad = _confirmed(broad_starts, pool, 1)
+        default = tuple(study.search_space().defaults[name] for name in names)
+        (default_entry,) = pool.map(_judge_fully, [default])
+        for entry in best:
+            entry["narrow"] = work.narrow(tuple(entry["point"]))
+    return {
+        "names": list(names),
+        "grid": dict(zip(names, axes, strict=True)),
+        "points": len(grid),
+        "points_judged": work.size,
+        "optimum": best[0],
+        "best_not_narrow": best_broad[0] if best_broad else None,
+        "next_best": best[1:],
+        "default": default_entry,
+        "seconds": round(time.monotonic() - begin, 1),
+    }
+
+
+def _confirmed(
+    points: Sequence[Point], pool: ProcessPoolExecutor, count: int = REPORTED
+) -> list[dict[str, Any]]:
+    """Judge points in order until `count` of them also meet the chance constraints."""
+    found: list[dict[str, Any]] = []
+    for begin in range(0, len(points), count):
+        if len(found) >= count or begin >= 20 * count:
+            break
+        for entry in pool.map(_judge_fully, points[begin : begin + count]):
+            if entry["feasible"]:
+                found.append(entry)
+    return found[:count]
+
+
+def _spread(points: Sequence[Point], count: int) -> list[Point]:
+    """Take the best points, at most two with the same integers."""
+    taken: dict[tuple[int, ...], int] = {}
+    chosen = []
+    for point in points:
+        key = tuple(v for v in point if isinstance(v, int))
+        taken[key] = taken.get(key, 0) + 1
+        if taken[key] <= 2:
+            chosen.append(point)
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _in_bounds(parameter: Parameter, value: Value) -> Value:
+    low, high = parameter.bounds or (value, value)
+    if parameter.is_integer:
+        return int(min(max(value, low), high))
+    return round(float(min(max(value, low), high)), 6)
+
+
+def _ordered(study: Study, point: Point) -> bool:
+    values = dict(zip(study.search_space().names, point, strict=True))
+    return all(
+        values[small] <= values[large]
+        for small, large in study.order
+        if small in values and large in values
+    )
+
+
+_worker: dict[str, Truth] = {}
+
+
+def _start_worker(study: Study) -> None:
+    threadpool_limits(1)
+    _worker["truth"] = Truth(study)
+
+
+def _complete(point: Point) -> dict[str, Value]:
+    space = _worker["truth"].study.search_space()
+    # Through the cube and back, which adds what is tied and fixed, without its rounding errors.
+    tuned = dict(zip(space.names, point, strict=True))
+    return dict(space.to_parameters(space.to_cube(tuned))) | tuned
+
+
+def _score(point: Point) -> Score:
+    """Score a point: E only if no context of the grid violates the limit, corners first."""
+    truth, parameters = _worker["truth"], _complete(point)
+    try:
+        corner = truth.corner_overshoot(parameters)
+        if not corner <= truth.limit:
+            return Score(np.inf, corner)
+        worst = float(truth.grid_overshoot(parameters).max())
+        if not worst <= truth.limit:
+            return Score(np.inf, worst)
+        return Score(float(np.mean(truth.drawn(parameters)[0])), worst)
+    except ControllerError:
+        return Score(np.inf, np.inf)
+
+
+def _rough(point: Point) -> tuple[float, float]:
+    truth, parameters = _worker["truth"], _complete(point)
+    try:
+        return truth.rough(parameters)
+    except ControllerError:
+        return np.inf, np.inf
+
+
+def _judge_short(point: Point) -> tuple[float, float]:
+    truth, parameters = _worker["truth"], _complete(point)
+    try:
+        return float(np.mean(truth.drawn(parameters)[0])), truth.corner_overshoot(parameters)
+    except ControllerError:
+        return np.inf, np.inf
+
+
+def _judge_fully(point: Point) -> dict[str, Any]:
+    truth, parameters = _worker["truth"], _complete(point)
+    judgement: Judgement = truth.judge(parameters)
+    chances, shares = truth.meets_chances(parameters)
+    return {
+        "point": list(point),
+        "parameters": parameters,
+        "feasible": judgement.worst <= truth.limit and chances,
+        "within_limits": shares,
+        **asdict(judgement),
+    }
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--study",
+        action="append",
+        metavar="NAME|FILE",
+        help="study to search; may be repeated (default: benchmark and full)",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument(
+        "--starts", type=int, default=STARTS, help="points to refine (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=RESULTS / "grid_search.json",
+        help="result file; entries of other studies in it stay (default: %(default)s)",
+    )
+    arguments = parser.parse_args()
+    about = provenance() | {"effort": asdict(Effort()), "truth_seed": SEED}
+    entries = read_entries(arguments.output)
+    for name in arguments.study or ["benchmark", "full"]:
+        study = load_study(name)
+        entry = search(study, arguments.jobs, arguments.starts)
+        entries[study.name] = entry | {"provenance": about}
+        write_result(arguments.output, entries)
+        judged, seconds = entry["points_judged"], entry["seconds"]
+        print(f"\n{study.name}: {entry['points']} points, {judged} judged, in {seconds} s")
+        rows = [("optimum", entry["optimum"]), ("not narrow", entry["best_not_narrow"])]
+        rows += [("default", entry["default"])]
+        rows += [("next", other) for other in entry["next_best"]]
+        print(_table(study, rows))
+
+
+def read_entries(path: Path) -> dict[str, Any]:
+    """Entries of a result file by study; none if it does not exist."""
+    if not path.exists():
+        return {}
+    entries: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return entries
+
+
+def _table(study: Study, rows: Sequence[tuple[str, dict[str, Any] | None]]) -> str:
+    names = study.search_space().names
+    header = ["", *names, "E", "+-", "worst", "precise", "feasible", "narrow"]
+    lines = []
+    for label, entry in rows:
+        if entry is not None:
+            lines.append(
+                [
+                    label,
+                    *entry["point"],
+                    entry["E"],
+                    entry["standard_error"],
+                    entry["worst"],
+                    entry["worst_precise"],
+                    entry["feasible"],
+                    entry.get("narrow", ""),
+                ]
+            )
+    return table(header, lines)
+
+
+if __name__ == "__main__":
+    main()

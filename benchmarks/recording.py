@@ -1,0 +1,99 @@
+"""What recording costs: time of a cut with and without it, in turns on the same nodes.
+
+A round is a trial without a recording and one with it, in changing order; both have the same
+parameters, contexts and seeds. Counted is all that a trial takes over ROS, the wait for its last
+messages and the hand-over to the writer included.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from common import RESULTS, provenance, table, write_result
+
+from bo_tuner.backends.ros import RosBackend
+from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.recording.run import RunRecording
+from bo_tuner.study import Study
+from bo_tuner.study_file import load_study
+from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState
+
+
+def run_trial(study: Study, backend: RosBackend, number: int, cuts: int, folder: Path | None):
+    """Run a trial; returns its wall time per cut [s], and what the recording says of itself."""
+    parameters = study.search_space().defaults
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    options = RecordOptions(Policy.ALL if folder else Policy.NONE)
+    with RunRecording(folder or Path(), study, options, backend.listen, print) as recording:
+        record: list[Cut] = []
+        start = time.perf_counter()
+        for index in range(cuts):
+            seed = 1 + index
+            outcome = backend.run_cut(study.assignments(parameters, nominal, seed))
+            if outcome.state is not CutState.COMPLETE:
+                raise SystemExit(f"error: {outcome.reason}")
+            record.append(Cut(number, index, Stage.DRAWN, nominal, seed, outcome))
+            recording.cut(record[-1], parameters)
+        trial = Trial(number, parameters, "benchmark", TrialState.COMPLETE, cuts=tuple(record))
+        recording.trial(trial, best=False)
+        elapsed = time.perf_counter() - start
+    return elapsed / cuts, recording.summary
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--rounds", type=int, default=20, help="(default: %(default)s)")
+    parser.add_argument("--cuts", type=int, default=12, help="of a trial (default: %(default)s)")
+    parser.add_argument("--result", type=Path, default=RESULTS / "recording.json")
+    arguments = parser.parse_args()
+    study = load_study("benchmark")
+    plain: list[float] = []
+    recorded: list[float] = []
+    missing = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "log").mkdir()
+        backend = RosBackend(study, folder / "log")
+        try:
+            backend.open()
+            run_trial(study, backend, 0, arguments.cuts, None)
+            for k in range(arguments.rounds):
+                for with_bag in (False, True) if k % 2 else (True, False):
+                    run = folder if with_bag else None
+                    time_per_cut, said = run_trial(study, backend, k, arguments.cuts, run)
+                    (recorded if with_bag else plain).append(time_per_cut)
+                    if with_bag:
+                        missing += said["dropped_messages"] + said["lost_messages"]
+        finally:
+            backend.close()
+    ratios = [a / b for a, b in zip(recorded, plain, strict=True)]
+    quartiles = statistics.quantiles(ratios, n=4)
+    result = {
+        "provenance": provenance(),
+        "cuts_per_trial": arguments.cuts,
+        "seconds_per_cut_plain": plain,
+        "seconds_per_cut_recorded": recorded,
+        "ratio_median": statistics.median(ratios),
+        "ratio_quartiles": [quartiles[0], quartiles[2]],
+        "ratio_of_sums": sum(recorded) / sum(plain),
+        "missing_messages": missing,
+    }
+    write_result(arguments.result, result)
+    rows = [
+        ("without", statistics.median(plain), min(plain), max(plain)),
+        ("with", statistics.median(recorded), min(recorded), max(recorded)),
+    ]
+    print(table(("recording", "median s/cut", "min", "max"), rows))
+    print(
+        f"ratio: median {result['ratio_median']:.3f}, quartiles {quartiles[0]:.3f} to "
+        f"{quartiles[2]:.3f}, of the sums {result['ratio_of_sums']:.3f}; "
+        f"{missing} messages missing"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""Time of a whole suggestion, side by side with BoTorch and Optuna on the same data.
+
+The data are trials of the four-parameter study: half of them a Latin hypercube, half around a good
+point, as a run leaves them; each with five replicates of objective and return time and one worst
+overshoot. All three are asked for the next parametrization in one process with one thread, in
+turn, several times; the ratios of each turn are what counts, not the seconds. The time is that of
+the processor, which other load on the machine disturbs less than the clock's.
+
+Ours
+    `BayesianOptimization.ask`: surrogates of objective, return time and worst case on all data,
+    the Student-t process that finds outliers, classifiers, acquisition by particle swarm. It
+    starts from the hyperparameters of the trial before, as in a run. Also without those.
+BoTorch
+    Two `SingleTaskGP` (objective, worst case) on the means of the replicates, fitted by
+    `fit_gpytorch_mll`; `qLogNoisyExpectedImprovement` with one constraint, by `optimize_acqf` with
+    10 restarts and 512 raw samples. It neither models the return time, nor rounds integers, nor
+    searches outliers: all that would add to its time.
+Optuna
+    `GPSampler` with one constraint, on the means too; it has suggested once before, so that it
+    starts from its earlier kernels.
+
+Needs requirements/benchmarks.txt, in an environment of its own:
+
+  python -m venv /tmp/compare && /tmp/compare/bin/pip install -r requirements/runtime.txt \
+      -r requirements/benchmarks.txt ros2_ws/src/mpc_controller ros2_ws/src/milling_plant \
+      ros2_ws/src/bo_tuner
+"""
+
+import argparse
+import os
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+# Before the libraries that read them.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import botorch
+import numpy as np
+import optuna
+import torch
+from botorch.acquisition.logei import qLogNoisyExpectedImprovement
+from botorch.acquisition.objective import GenericMCObjective
+from botorch.fit import fit_gpytorch_mll
+from botorch.models import ModelListGP, SingleTaskGP
+from botorch.optim import optimize_acqf
+from botorch.sampling.normal import SobolQMCNormalSampler
+from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
+from gpytorch.mlls import SumMarginalLogLikelihood
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.stage_one import BayesianOptimization
+from bo_tuner.study import Study
+from bo_tuner.study_file import load_study
+from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.tuning import run_cut
+
+SEED = 20_201_116
+REPLICATES = 5
+GOOD_POINT = {"control_horizon": 8, "prediction_horizon": 8, "lambda_mpc": -0.8, "lambda_kf": -1.0}
+SPREAD = 0.12
+"""Standard deviation in the unit cube around the good point."""
+
+WORST_CONTEXT = {"stiffness_factor": 1.3, "damping_factor": 0.7}
+
+CONTENDERS = ("ours", "ours without warm start", "BoTorch", "Optuna")
+
+
+def make_trials(study: Study, count: int) -> list[Trial]:
+    """Evaluate `count` parametrizations; what failed is left out, for all have the same data."""
+    rng = np.random.default_rng(SEED)
+    space, contexts = study.search_space(), study.context_space()
+    design = space.latin_hypercube(count, rng)
+    around = space.to_cube(GOOD_POINT) + rng.normal(0.0, SPREAD, (count, space.dimension))
+    points = np.where((np.arange(count) % 2 == 0)[:, None], design, space.repair(around))
+    backend = InProcessBackend(study)
+    backend.open()
+    trials: list[Trial] = []
+    for point in points:
+        parameters = space.to_parameters(point)
+        rows = [contexts.to_dict(row) for row in contexts.draw_stratified(REPLICATES, rng)]
+        cuts = []
+        for index, context in enumerate([*rows, WORST_CONTEXT]):
+            seed = int(rng.integers(2**31))
+            outcome = run_cut(study, backend, parameters, context, seed)
+            stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
+            cuts.append(Cut(len(trials), index, stage, context, seed, outcome))
+        if any(cut.outcome.state is not CutState.COMPLETE for cut in cuts):
+            continue
+        worst = cuts[-1].outcome.metrics["overshoot"]
+        trials.append(
+            Trial(
+                number=len(trials),
+                parameters=parameters,
+                origin="initial",
+                state=TrialState.COMPLETE,
+                cuts=tuple(cuts),
+                worst_case=WorstCase(worst, WORST_CONTEXT, worst, 0.01),
+            )
+        )
+    return trials
+
+
+class Problem:
+    """The same trials in the form that each contender takes, ready to be asked."""
+
+    def __init__(self, study: Study, trials: list[Trial], seed: int) -> None:
+        self._space = study.search_space()
+        self._limit = study.constraints["overshoot"].upper
+        self._study = study.replace(seed=seed)
+        self._seed = seed
+        names = self._space.names
+        self._trials = trials
+        self._tuned = [{n: t.parameters[n] for n in names} for t in trials]
+        metric = study.objective.metric
+        means = [np.mean(t.observations(metric)) for t in trials]
+        self._cost = np.log(np.array(means))
+        self._excess = np.array(
+            [t.worst_case.value - self._limit for t in trials if t.worst_case is not None]
+        )
+
+    def ours(self, warm: bool) -> Callable[[], object]:
+        """Make ready our stage one; with `warm` it has proposed one trial before."""
+        stage_one = BayesianOptimization(self._study)
+        for trial in self._trials[:-1]:
+            stage_one.tell(trial)
+        if warm:
+            stage_one.ask()
+        stage_one.tell(self._trials[-1])
+        return lambda: stage_one.ask().parameters
+
+    def botorch(self) -> Callable[[], object]:
+        """Make ready BoTorch's data."""
+        X = torch.tensor(np.array([self._space.to_cube(t) for t in self._tuned]))
+        Y = torch.tensor(np.column_stack([-self._cost, self._excess]))
+        torch.manual_seed(self._seed)
+
+        def suggest() -> object:
+            model = ModelListGP(SingleTaskGP(X, Y[:, :1]), SingleTaskGP(X, Y[:, 1:]))
+            fit_gpytorch_mll(SumMarginalLogLikelihood(model.likelihood, model))
+            acquisition = qLogNoisyExpectedImprovement(
+                model=model,
+                X_baseline=X,
+                sampler=SobolQMCNormalSampler(torch.Size([128]), seed=self._seed),
+                objective=GenericMCObjective(lambda samples, X=None: samples[..., 0]),
+                constraints=[lambda samples: samples[..., 1]],
+                prune_baseline=True,
+            )
+            bounds = torch.stack([torch.zeros(X.shape[1]), torch.ones(X.shape[1])]).double()
+            return optimize_acqf(acquisition, bounds, q=1, num_restarts=10, raw_samples=512)
+
+        return suggest
+
+    def optuna(self) -> Callable[[], object]:
+        """Make ready an Optuna study that has suggested one trial before."""
+        distributions: dict[str, optuna.distributions.BaseDistribution] = {}
+        for name in self._space.names:
+            parameter = self._study.parameters[name]
+            low, high = parameter.bounds or (0, 0)
+            distributions[name] = (
+                optuna.distributions.IntDistribution(int(low), int(high), log=True)
+                if parameter.is_integer
+                else optuna.distributions.FloatDistribution(low, high)
+            )
+        study = optuna.create_study(
+            sampler=optuna.samplers.GPSampler(seed=self._seed, n_startup_trials=1)
+        )
+        rows = [
+            optuna.trial.create_trial(
+                params=tuned,
+                distributions=distributions,
+                value=float(cost),
+                constraints={"overshoot": float(excess)},
+            )
+            for tuned, cost, excess in zip(self._tuned, self._cost, self._excess, strict=True)
+        ]
+        study.add_trials(rows[:-1])
+        pending = study.ask(distributions)
+        study.tell(pending, state=optuna.trial.TrialState.FAIL)
+        study.add_trial(rows[-1])
+        return lambda: study.ask(distributions).params
+
+    def ready(self, contender: str) -> Callable[[], object]:
+        """Make a contender ready to suggest."""
+        if contender == "BoTorch":
+            return self.botorch()
+        if contender == "Optuna":
+            return self.optuna()
+        return self.ours(warm=contender == "ours")
+
+
+def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict[str, list[float]]:
+    """Processor seconds of each contender's suggestion, `repeats` times in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in CONTENDERS}
+    rng = np.random.default_rng((SEED, count))
+    for repeat in range(-1, repeats):
+        chosen = rng.permutation(len(trials))[:count]
+        problem = Problem(study, [trials[i] for i in chosen], seed=repeat + 2)
+        # In another order every time, lest one always follows the same other.
+        for index in range(len(CONTENDERS)):
+            contender = CONTENDERS[(index + repeat) % len(CONTENDERS)]
+            suggest = problem.ready(contender)
+            begin = time.process_time()
+            suggest()
+            if repeat >= 0:  # The first turn only warms up imports and caches.
+                seconds[contender].append(time.process_time() - begin)
+    return seconds
+
+
+def summarise(seconds: dict[str, list[float]]) -> dict[str, dict[str, float]]:
+    """Median seconds, and ratios to ours of the same turn: median and range."""
+    ours = np.array(seconds["ours"])
+    summary = {}
+    for contender, values in seconds.items():
+        ratios = np.array(values) / ours
+        summary[contender] = {
+            "median_seconds": float(np.median(values)),
+            "median_ratio": float(np.median(ratios)),
+            "lowest_ratio": float(ratios.min()),
+            "highest_ratio": float(ratios.max()),
+        }
+    return summary
+
+
+def main() -> None:
+    """Run the command."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--counts", type=int, nargs="+", default=[50, 150, 300])
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--output", type=Path, default=RESULTS / "suggestion_time.json")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.set_default_dtype(torch.float64)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    warnings.simplefilter("ignore")
+    about = provenance((*OTHER_PACKAGES, "torch", "botorch", "gpytorch", "optuna"))
+    largest = max(arguments.counts)
+    study = load_study("full").replace(trials=largest + 1, initial_trials=1)
+    # A few more than needed: those that fail are left out.
+    trials = make_trials(study, largest + largest // 5 + 10)
+    result: dict[str, object] = {}
+    rows = []
+    for count in arguments.counts:
+        seconds = measure(study, trials, count, arguments.repeats)
+        summary = summarise(seconds)
+        result[str(count)] = {"seconds": seconds, "summary": summary}
+        for contender, numbers in summary.items():
+            spread = f"{numbers['lowest_ratio']:.2f}..{numbers['highest_ratio']:.2f}"
+            rows.append(
+                [count, contender, numbers["median_seconds"], numbers["median_ratio"], spread]
+            )
+    write_result(arguments.output, {"counts": result, "provenance": about | {"seed": SEED}})
+    print(f"BoTorch {botorch.__version__}, Optuna {optuna.__version__}, one thread")
+    print(table(["trials", "contender", "median [s]", "median ratio", "range"], rows))
+
+
+if __name__ == "__main__":
+    main()
