@@ -7,7 +7,6 @@ of the program. Median and range are over the repetitions.
 import argparse
 import contextlib
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -24,6 +23,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import numpy as np
 import osqp
 import rclpy
+from common import RESULTS, provenance, table, write_result
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from scipy import sparse
@@ -202,39 +202,19 @@ def resident_memory(pid: int) -> int:
     return int(text.partition("VmRSS:")[2].split()[0])
 
 
-def describe(ratios: list[float], target: float | None = None) -> str:
-    """Median and range, and whether a target is met."""
-    text = f"{statistics.median(ratios):6.3f}  ({min(ratios):.3f} to {max(ratios):.3f})"
-    if target is None:
-        return text
-    verdict = "met" if statistics.median(ratios) <= target else "MISSED"
-    return f"{text}  target at most {target:g}: {verdict}"
-
-
-def report_machine() -> None:
-    """Print what the figures hold for."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"],
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    ).stdout.strip()
-    cpu = next(
-        (
-            line.partition(":")[2].strip()
-            for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-            if line.startswith("model name")
-        ),
-        platform.processor(),
-    )
-    print(f"{cpu}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
-    print(f"Python {platform.python_version()}, osqp {osqp.__version__}, commit {commit}")
+def spread(ratios: list[float], target: float | None = None) -> dict[str, float | None]:
+    """Median and range of ratios, with the target that the median is to keep."""
+    return {
+        "median": statistics.median(ratios),
+        "lowest": min(ratios),
+        "highest": max(ratios),
+        "target": target,
+    }
 
 
 def run(repetitions: int, memory_cuts: int) -> None:
-    """Measure and print."""
-    report_machine()
+    """Measure, write the result file and print."""
+    about = provenance()
     bare = BareSteps()
     with (
         tempfile.TemporaryDirectory() as log,
@@ -257,19 +237,23 @@ def run(repetitions: int, memory_cuts: int) -> None:
                 shares.append(over_ros / in_process)
         finally:
             pings.close()
-        print(f"\n{repetitions} repetitions: median (range)")
-        for what, ratios, target in (
-            ("cut in process / its bare solves and filter steps", numerics, 3.0),
-            (f"cut over ROS / (1.5 x {SAMPLES} round trips + in process)", transport, 1.0),
-            (f"{SAMPLES} round trips / cut in process", laps, None),
-            ("cut over ROS / cut in process", shares, None),
-        ):
-            print(f"{what:52s} {describe(ratios, target)}")
-        report_memory(ros, memory_cuts)
+        ratios = {
+            "cut in process / its bare solves and filter steps": spread(numerics, 3.0),
+            f"cut over ROS / (1.5 × {SAMPLES} round trips + cut in process)": spread(
+                transport, 1.0
+            ),
+            f"{SAMPLES} round trips / cut in process": spread(laps),
+            "cut over ROS / cut in process": spread(shares),
+        } | memory_growth(ros, memory_cuts)
+    write_result(RESULTS / "closed_loop.json", {"provenance": about, "ratios": ratios})
+    rows = [
+        [what, r["median"], r["lowest"], r["highest"], r["target"]] for what, r in ratios.items()
+    ]
+    print(table(["ratio", "median", "lowest", "highest", "at most"], rows))
 
 
-def report_memory(ros: RosBackend, cuts: int) -> None:
-    """Run cuts and compare the nodes' memory in the first and in the last quarter of them."""
+def memory_growth(ros: RosBackend, cuts: int) -> dict[str, dict[str, float | None]]:
+    """Run cuts and compare each node's memory in the last quarter of them with the first."""
     pids = {key: process.pid for key, process in ros.processes.items()}
     used: dict[str, list[int]] = {key: [] for key in pids}
     for number in range(cuts):
@@ -278,11 +262,13 @@ def report_memory(ros: RosBackend, cuts: int) -> None:
             used[key].append(resident_memory(pid))
     quarter = cuts // 4
     if quarter == 0:
-        return
-    print(f"\nresident memory over {cuts} cuts, last quarter / first quarter")
-    for key, sizes in used.items():
-        first, last = (statistics.median(part) for part in (sizes[:quarter], sizes[-quarter:]))
-        print(f"{key:12s}{last / first:6.3f}  ({first / 1024:.1f} MB to {last / 1024:.1f} MB)")
+        return {}
+    return {
+        f"memory of {key}, last quarter of {cuts} cuts / first": spread(
+            [size / statistics.median(sizes[:quarter]) for size in sizes[-quarter:]], 1.02
+        )
+        for key, sizes in used.items()
+    }
 
 
 def main() -> None:
