@@ -1,0 +1,172 @@
+"""What goes wrong on ROS nodes, and what the tuner makes of it."""
+
+import os
+import signal
+
+import pytest
+
+from bo_tuner.trials import CutState, TrialState
+
+pytestmark = pytest.mark.ros
+
+
+class TestBadInput:
+    @pytest.mark.parametrize("domain", ["abc", "-1", "233"])
+    def test_a_domain_that_is_none(self, tune, domain):
+        line = tune(ROS_DOMAIN_ID=domain).refusal()
+        assert line == f"ROS_DOMAIN_ID is '{domain}'; expected a number from 0 to 232"
+
+    def test_nodes_that_do_not_run(self, tune):
+        command = tune("--attach", ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+        assert command.refusal() == (
+            f"axis: no such node in ROS domain {os.environ['ROS_DOMAIN_ID']} after 5 s; "
+            "start it, or leave out --attach"
+        )
+
+    def test_no_executable(self, tune, drive_study):
+        study = drive_study()
+        study["nodes"]["axis"]["executable"] = "axis_motor"
+        assert tune(study=study).refusal() == (
+            "drive: no executable axis_motor; install the package or source its workspace"
+        )
+
+    def test_an_executable_that_cannot_run(self, tune, tmp_path):
+        (tmp_path / "prefix/lib/drive/axis_drive").write_text("#!/no/such/interpreter\n")
+        assert "axis_drive: cannot be started: No such file" in tune().refusal()
+
+    def test_a_node_that_exits_at_once(self, tune, tmp_path):
+        line = tune(DRIVE="exit").refusal()
+        assert line.startswith("axis_drive ended with exit code 1; see ")
+        assert "no such bus" in (tmp_path / line.split("; see ")[1]).read_text()
+
+    def test_constants_that_are_refused(self, tune, drive_study):
+        study = drive_study()
+        study["nodes"]["axis"]["parameters"] = {"limit": -1.0}
+        assert tune(study=study).refusal() == (
+            "nodes.axis.parameters: axis refused its parameters: limit: -1.0 is negative"
+        )
+
+    def test_ros_arguments_of_no_use(self, tune):
+        command = tune("--ros-args", "--no-such-option")
+        assert command.finish() == 2
+        assert "error: cannot use --ros-args: " in command.err
+
+
+class TestSecondTuner:
+    @pytest.fixture
+    def busy(self, tune):
+        """A tuner at work in the domain of the test."""
+        command = tune("--trials", "1000", ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+        command.wait_for_trial(0)
+        return command
+
+    def test_is_refused(self, tune, busy, tmp_path):
+        domain = os.environ["ROS_DOMAIN_ID"]
+        elsewhere = tmp_path / "elsewhere"
+        elsewhere.mkdir()
+        # Of another user or machine, which shares no lock with us.
+        foreign = {"TMPDIR": str(elsewhere)}
+        for arguments, environment, complaint in [
+            (["--attach"], {}, f"another tuner works in ROS domain {domain}, namespace /; "),
+            ([], {}, f"another tuner works in ROS domain {domain}, namespace /; "),
+            (["--attach"], foreign, "another tuner is at work as /bo_tuner; "),
+            ([], foreign, f"axis: runs already in ROS domain {domain}; use --attach, or "),
+        ]:
+            second = tune(*arguments, folder=elsewhere, ROS_DOMAIN_ID=domain, **environment)
+            assert second.refusal().startswith(complaint)
+        # The first one is not disturbed.
+        done = len(busy.err.splitlines())
+        busy.wait_for(lambda: len(busy.err.splitlines()) > done + 2, "more trials")
+        assert "FAILED" not in busy.err
+        busy.popen.send_signal(signal.SIGINT)
+        assert busy.finish() == 130
+
+
+class TestCuts:
+    def test_results_that_are_none(self, tune):
+        """Trials 0 to 3 of two cuts each; a failed cut is the last of its trial."""
+        command = tune("--trials", "7", DRIVE="1:nan 2:inf 3:garbage 4:missing 6:failed 7:foreign")
+        assert command.finish() == 0, command.err
+        trials = command.trials()
+        assert [trial.reason for trial in trials] == [
+            "axis: metric peak is nan",
+            "axis: metric peak is inf",
+            "axis: metric peak is garbage",
+            "axis: metric peak is missing",
+            "axis: stalled at 3 mm",
+            "",
+            "",
+        ]
+        for trial in trials:
+            cut = trial.cuts[-1]
+            if trial.state is TrialState.FAILED:
+                assert cut.outcome.state is CutState.FAILED
+                assert cut.outcome.metrics == {}
+        # Foreign results, published before the true one, had no effect.
+        cut = trials[5].cuts[0]
+        expected = (trials[5].parameters["gain"] - 0.3) ** 2 + cut.context["load"]
+        assert cut.outcome.metrics == {"error": expected, "peak": 0.2}
+
+    def test_parameters_that_are_refused(self, tune, drive_study):
+        study = drive_study()
+        study["nodes"]["axis"]["parameters"] = {"limit": 0.5}
+        command = tune(study=study)
+        assert command.finish() in (0, 3), command.err
+        for trial in command.trials():
+            gain = trial.parameters["gain"]
+            refused = f"axis refused its parameters: gain: {gain} is too much"
+            assert trial.reason == (refused if gain > 0.5 else "")
+        assert {trial.state for trial in command.trials()} == set(TrialState)
+
+    def test_a_node_that_dies_is_replaced(self, tune):
+        command = tune(DRIVE="3:die")
+        assert command.finish() == 0, command.err
+        reasons = [trial.reason for trial in command.trials()]
+        assert reasons == ["", "axis_drive was ended by SIGKILL", "", ""]
+        assert command.trials()[1].cuts[-1].outcome.state is CutState.LOST
+
+    def test_a_node_that_stays_silent_is_replaced(self, tune, drive_study):
+        study = drive_study(trigger={"timeout": 1.0})
+        command = tune(study=study, DRIVE="2:mute")
+        assert command.finish() == 0, command.err
+        silent = "no cut result from axis within 1 s"
+        assert [trial.reason for trial in command.trials()] == [silent, "", "", ""]
+
+    def test_three_in_a_row_end_the_run(self, tune):
+        command = tune(DRIVE="all:die")
+        assert command.finish() == 1
+        *lines, last = command.err.splitlines()
+        assert sum(line.startswith("trial ") for line in lines) == 3
+        assert last.startswith("error: 3 trials in a row were lost with their nodes: axis_drive")
+        assert "the record stays in" in last
+        assert len(command.trials()) == 3
+        assert (command.run_folder / "trials.csv").read_text().count("\n") == 4
+
+
+class TestEnd:
+    @pytest.mark.parametrize("cut", [3, 9], ids=["tuning", "validation"])
+    def test_an_interruption(self, tune, tmp_path, cut):
+        """Ctrl-C in a terminal goes to the whole process group."""
+        command = tune(DRIVE=f"{cut}:mute")
+        counter = tmp_path / "cuts"
+        command.wait_for(lambda: counter.exists() and counter.read_text() == str(cut), "the cut")
+        os.killpg(command.popen.pid, signal.SIGINT)
+        assert command.finish() == 130
+        assert len(command.trials()) == (cut - 1) // 2
+        assert (command.run_folder / "cuts.csv").read_text().count("\n") == cut
+
+    def test_at_the_start(self, tune):
+        command = tune()
+        command.wait_for(command.nodes, "the node")
+        command.popen.send_signal(signal.SIGTERM)
+        assert command.finish() == 143
+
+    def test_a_killed_tuner_takes_its_nodes_along(self, tune):
+        command = tune("--trials", "1000")
+        command.wait_for_trial(0)
+        assert len(command.nodes()) == 1
+        assert command.shared_memory() == []
+        command.popen.kill()
+        command.popen.wait()
+        command.wait_for_nodes_to_end(5.0)
+        assert len(command.trials()) >= 1

@@ -1,0 +1,168 @@
+"""The shipped study on the shipped nodes: record, result, repetition and recovery."""
+
+import csv
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.methods import METHODS
+from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.trials import CutState, TrialState
+from bo_tuner.tuning import Tuning
+
+pytestmark = pytest.mark.ros
+
+NAMESPACE = "/x_axis"
+NODES = ("milling_plant", "mpc_controller")
+
+
+def small_study(trials, **plant_parameters):
+    """The benchmark with all trials in the initial design, which no measured time can change."""
+    study = study_to_mapping(
+        load_study("benchmark").replace(
+            trials=trials,
+            initial_trials=trials,
+            drawn_contexts=2,
+            search_cuts=2,
+            validation_draws=2,
+        )
+    )
+    study["nodes"]["plant"]["parameters"] = plant_parameters
+    return json.loads(json.dumps(study))
+
+
+@pytest.fixture(scope="module")
+def finished(start_tune):
+    """A whole run in a namespace, on nodes from where pip has put them."""
+    command = start_tune(
+        "--ros-args", "-r", f"__ns:={NAMESPACE}", study=small_study(3), AMENT_PREFIX_PATH=""
+    )
+    code = command.finish()
+    assert code in (0, 3), command.err
+    return command, code
+
+
+class TestRun:
+    def test_the_exit_code_tells_whether_the_result_is_feasible(self, finished):
+        command, code = finished
+        summary = json.loads((command.run_folder / "summary.json").read_text())
+        assert summary["feasible"] is (code == 0)
+
+    def test_the_record_is_whole(self, finished):
+        command, _ = finished
+        trials = command.trials()
+        assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 3
+        with (command.run_folder / "cuts.csv").open(newline="") as file:
+            cuts = list(csv.DictReader(file))
+        in_trials = sum(len(trial.cuts) for trial in trials)
+        validated = [cut for cut in cuts if cut["stage"] == "validation"]
+        assert len(validated) == 4
+        assert len(cuts) >= in_trials + 4
+        for cut in cuts:
+            # The nodes ran what the tuner asked for, and say so.
+            for name in ("control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf"):
+                assert float(cut[f"details.controller.{name}"]) == float(cut[f"parameters.{name}"])
+            for name in ("stiffness_factor", "damping_factor"):
+                assert float(cut[f"details.plant.{name}"]) == float(cut[f"context.{name}"])
+            assert cut["details.plant.seed"] == cut["seed"]
+            assert cut["details.controller.return_time_source"] == "measured"
+            assert cut["details.plant.cut"] == cut["details.controller.cut"]
+
+    def test_bit_for_bit_as_in_this_process(self, finished):
+        command, _ = finished
+        study = study_from_mapping(small_study(3))
+        backend = InProcessBackend(study)
+        backend.open()
+        expected = list(Tuning(study, backend, METHODS["IV"]))
+        for there, here in zip(command.trials(), expected, strict=True):
+            assert there.parameters == here.parameters
+            assert there.worst_case == here.worst_case
+            # The candidates that were checked at the end have more cuts.
+            assert len(there.cuts) >= len(here.cuts)
+            for cut, other in zip(there.cuts, here.cuts, strict=False):
+                assert (cut.context, cut.seed, cut.stage) == (
+                    other.context,
+                    other.seed,
+                    other.stage,
+                )
+                for metric in ("tracking_error", "overshoot"):
+                    assert cut.outcome.metrics[metric] == other.outcome.metrics[metric]
+
+    @pytest.mark.parametrize("namespace", ["", "/w1/inner"])
+    def test_the_controller_loads_the_result_as_it_is(
+        self, finished, start_node, make_peer, namespace
+    ):
+        command, _ = finished
+        summary = json.loads((command.run_folder / "summary.json").read_text())
+        arguments = ["--params-file", str(command.run_folder / "best.yaml")]
+        arguments += ["-r", f"__ns:={namespace}"] if namespace else []
+        start_node("mpc_controller", *arguments)
+        expected = summary["tuned"]["parameters"]
+        found = make_peer(namespace).get_parameters("mpc_controller", expected)
+        assert dict(zip(expected, found, strict=True)) == expected
+
+
+class TestRecovery:
+    def test_killed_nodes_are_replaced(self, tune):
+        """Each in turn; the trial at hand is lost, with the reason, and the run goes on."""
+        command = tune(study=small_study(6), AMENT_PREFIX_PATH="")
+        for number, name in ((0, "mpc_controller"), (2, "milling_plant")):
+            command.wait_for_trial(number)
+            (pid,) = command.nodes(name)
+            os.kill(pid, signal.SIGKILL)
+        assert command.finish() in (0, 3), command.err
+        trials = command.trials()
+        lost = {trial.number: trial.reason for trial in trials if trial.reason}
+        assert list(lost.values()) == [f"{name} was ended by SIGKILL" for name in NODES[::-1]]
+        assert len(trials) == 6
+        assert all(trials[k].cuts[-1].outcome.state is CutState.LOST for k in lost)
+
+    def test_a_frozen_controller_is_replaced(self, tune):
+        """The plant misses its command and fails the cut, but it is the controller that is lost."""
+        command = tune(study=small_study(4, command_timeout=0.5), AMENT_PREFIX_PATH="")
+        command.wait_for_trial(0)
+        (pid,) = command.nodes("mpc_controller")
+        os.kill(pid, signal.SIGSTOP)
+        assert command.finish() in (0, 3), command.err
+        reasons = [trial.reason for trial in command.trials() if trial.reason]
+        (reason,) = reasons
+        assert reason.startswith("mpc_controller does not answer ")
+
+    @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+    def test_a_signal_to_the_whole_group(self, tune, signum, code):
+        command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
+        command.wait_for_trial(1)
+        assert command.shared_memory() == []
+        os.killpg(command.popen.pid, signum)
+        assert command.finish() == code
+        assert len(command.trials()) >= 2
+        assert (command.run_folder / "trials.csv").exists()
+
+    def test_a_killed_tuner_takes_both_nodes_along(self, tune):
+        command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
+        command.wait_for_trial(0)
+        assert len(command.nodes()) == 2
+        command.popen.kill()
+        command.popen.wait()
+        command.wait_for_nodes_to_end(5.0)
+
+
+def test_attached_to_nodes_that_run(tune, start_node):
+    for node in NODES:
+        start_node(node)
+    environment = {key: os.environ[key] for key in os.environ if key.startswith(("ROS_", "FAST"))}
+    command = tune("--attach", study=small_study(2), **environment)
+    assert command.finish() in (0, 3), command.err
+    assert [trial.state for trial in command.trials()] == [TrialState.COMPLETE] * 2
+    # They are not ours to end.
+    assert command.nodes() == []
+
+
+def test_the_executables_of_this_environment_are_found():
+    for node in NODES:
+        assert (Path(sys.prefix) / "lib" / node / node).exists()
