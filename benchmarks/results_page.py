@@ -18,8 +18,8 @@ INTRODUCTION = """\
 # Results
 
 Written by `python benchmarks/results_page.py` from the files in `benchmarks/results/`; each section
-names the command that measured it, its commit, seeds and machine. "Truly feasible" means: the mean
-overshoot over 20 noise draws is within the limit in each of 7 × 7 contexts, and the return time keeps
+names the command that measured it, its commit, seeds and machine. "Truly feasible": the mean
+overshoot over 20 noise draws keeps the limit in each of 7 × 7 contexts, and the return time keeps
 its limit. E[C] is over 600 drawn contexts. Truth is computed by a vectorised closed loop that the
 tests hold to the product's own cut.
 """
@@ -115,7 +115,7 @@ def suggestion_section(result: Result) -> str:
             "## Time of a suggestion, as a ratio to ours",
             origin(result),
             "All surrogates, the outlier step and the acquisition search on the same data, one "
-            "thread, in turn in one process; `benchmarks/suggestion_time.py` says how each is set up.",
+            "thread, in turn in one process; `benchmarks/suggestion_time.py` tells the set-up.",
             table(["trials", "optimizer", "median ratio", "range"], rows),
         ]
     )

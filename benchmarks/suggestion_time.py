@@ -31,6 +31,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 # Before the libraries that read them.
@@ -125,9 +126,14 @@ class Problem:
         stage_one = BayesianOptimization(self._study)
         for trial in self._trials[:-1]:
             stage_one.tell(trial)
+        last = self._trials[-1]
         if warm:
-            stage_one.ask()
-        stage_one.tell(self._trials[-1])
+            # A run's warm start travels with the trial that was proposed.
+            earlier = stage_one.ask().hyperparameters
+            if not earlier:
+                raise RuntimeError("the proposal before has no hyperparameters to start from")
+            last = replace(last, hyperparameters=earlier)
+        stage_one.tell(last)
         return lambda: stage_one.ask().parameters
 
     def botorch(self) -> Callable[[], object]:

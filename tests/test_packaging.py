@@ -19,7 +19,7 @@ EXECUTABLES = {
     "milling_plant": "milling_plant",
     "bo_tuner": "tune",
 }
-# Import name -> rosdep key and name for pip; osqp has no key.
+# Import name -> rosdep key and name for pip; None where there is no key.
 PIP_PACKAGES = {
     "filterpy": ("python3-filterpy-pip", "filterpy"),
     "matplotlib": ("python3-matplotlib", "matplotlib"),
@@ -29,6 +29,7 @@ PIP_PACKAGES = {
     "rosbags": ("python3-rosbags-pip", "rosbags"),
     "scipy": ("python3-scipy", "scipy"),
     "sklearn": ("python3-sklearn", "scikit-learn"),
+    "threadpoolctl": (None, "threadpoolctl"),
     "yaml": ("python3-yaml", "PyYAML"),
 }
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}

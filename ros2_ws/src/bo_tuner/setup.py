@@ -39,6 +39,7 @@ setup(
         "PyYAML>=6,<7",
         "rich>=13,<16",
         "rosbags>=0.10,<0.12",
+        "threadpoolctl>=3,<4",
     ],
     extras_require={"test": ["pytest"]},
     entry_points={"console_scripts": ["tune = bo_tuner.tune:main"]},

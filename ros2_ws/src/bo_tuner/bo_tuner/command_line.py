@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods import METHODS
+from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.session import EXIT_USAGE, Session
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study, shipped_studies
@@ -84,6 +85,22 @@ def make_parser() -> argparse.ArgumentParser:
         "--attach", action="store_true", help="use nodes that run already instead of starting them"
     )
     parser.add_argument(
+        "--record",
+        type=Policy,
+        choices=tuple(Policy),
+        metavar="{" + ",".join(Policy) + "}",
+        help="bags of trials to keep, on ROS: all, none, or notable ones, which were the best so "
+        "far, are the worst, or failed (default: notable)",
+    )
+    parser.add_argument(
+        "--record-limit",
+        type=_megabytes,
+        default=RecordOptions.limit,
+        metavar="MB",
+        help="size of all bags together; beyond it the oldest go, but never the best one's "
+        f"(default: {RecordOptions.limit // MEGABYTE})",
+    )
+    parser.add_argument(
         "--algorithm",
         choices=tuple(METHODS),
         default="IV",
@@ -112,6 +129,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     if arguments.attach and arguments.backend != "ros":
         parser.error("--attach needs --backend ros")
+    if arguments.record not in (None, Policy.NONE) and arguments.backend != "ros":
+        parser.error("--record needs --backend ros: without nodes there are no messages")
     try:
         # More threads than one only slow down the small matrices of the surrogates.
         with threadpool_limits(1):
@@ -123,11 +142,23 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 interruption,
                 attach=arguments.attach,
                 ros_arguments=ros_arguments,
+                record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
             )
             return session.run()
     except (StudyError, OutputError, BackendError) as error:
         sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
         return EXIT_USAGE
+
+
+def _megabytes(text: str) -> int:
+    """Read a size [MB] as bytes."""
+    try:
+        size = float(text)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < size < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: expected a positive number of megabytes")
+    return round(size * MEGABYTE)
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

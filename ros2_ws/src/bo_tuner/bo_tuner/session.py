@@ -17,6 +17,8 @@ from bo_tuner.journal import Journal
 from bo_tuner.methods import METHODS
 from bo_tuner.progress import RunProgress, comparison
 from bo_tuner.recommendation import Candidate, rank
+from bo_tuner.recording.retention import RecordOptions
+from bo_tuner.recording.run import RunRecording
 from bo_tuner.run_folder import RunFolder, provenance
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, Value
@@ -49,6 +51,8 @@ class Session:
         Use nodes that run already.
     ros_arguments
         ``--ros-args`` for the tuner's node and the ones that it starts.
+    record
+        What of the trials is recorded, on ROS; as in `RecordOptions` by default.
     """
 
     def __init__(
@@ -61,6 +65,7 @@ class Session:
         *,
         attach: bool = False,
         ros_arguments: list[str] | None = None,
+        record: RecordOptions | None = None,
     ) -> None:
         self._study = study
         self._algorithm = algorithm
@@ -70,6 +75,7 @@ class Session:
         self._interruption = interruption
         self._attach = attach
         self._ros_arguments = ros_arguments or []
+        self._record = record or RecordOptions()
         # Reasons and units are shown as they are: what stands in brackets is no markup.
         self._console = Console(stderr=True, markup=False, emoji=False, highlight=False)
 
@@ -131,13 +137,25 @@ class Session:
             journal.record_cut(cut, parameters)
             self._interruption.check()
 
-        tuning = Tuning(study, backend, self._method, observe=observe)
+        recording = self._recording(backend, folder)
+
+        def observe_and_record(cut: Cut, parameters: Mapping[str, Value]) -> None:
+            journal.record_cut(cut, parameters)
+            recording.cut(cut, parameters)
+            self._interruption.check()
+
+        tuning = Tuning(study, backend, self._method, observe=observe_and_record)
         with RunProgress(self._console, study) as progress:
             progress.begin("tuning", study.budget.trials)
-            for trial in tuning:
-                journal.record_trial(trial)
-                progress.trial(trial, self._best(tuning))
-                self._interruption.check()
+            with recording:
+                for trial in tuning:
+                    journal.record_trial(trial)
+                    leader = self._best(tuning)
+                    progress.trial(trial, leader)
+                    recording.trial(
+                        trial, leader is not None and leader.trial.number == trial.number
+                    )
+                    self._interruption.check()
             progress.begin("checking candidates", self._method.most_checked)
             best = recommend(
                 study,
@@ -159,14 +177,23 @@ class Session:
                 observe=observe,
                 advance=progress.advance,
             )
-        return self._report(folder, best, default, tuned)
+        return self._report(folder, best, default, tuned, recording.summary)
 
     def _best(self, tuning: Tuning) -> Candidate | None:
         ranked = rank(self._study, tuning.trials, self._method.models)
         return ranked[0] if ranked else None
 
+    def _recording(self, backend: Backend, folder: RunFolder) -> RunRecording:
+        listen = backend.listen if isinstance(backend, RosBackend) else None
+        return RunRecording(folder.path, self._study, self._record, listen, self._tell)
+
     def _report(
-        self, folder: RunFolder, best: Recommendation, default: Validation, tuned: Validation
+        self,
+        folder: RunFolder,
+        best: Recommendation,
+        default: Validation,
+        tuned: Validation,
+        recorded: Mapping[str, object],
     ) -> int:
         feasible = best.feasible and tuned.feasible
         candidate = best.candidate
@@ -180,6 +207,7 @@ class Session:
                 "predicted_feasibility": candidate.feasibility,
                 "default": dataclasses.asdict(default) | {"feasible": default.feasible},
                 "tuned": dataclasses.asdict(tuned) | {"feasible": tuned.feasible},
+                "recording": recorded,
             }
         )
         out = Console(markup=False, emoji=False, highlight=False)

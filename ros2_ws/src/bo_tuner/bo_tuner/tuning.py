@@ -9,8 +9,8 @@ from bo_tuner.errors import RunError
 from bo_tuner.joint import JointSearch
 from bo_tuner.methods import Method
 from bo_tuner.seeds import Stream, generator, noise_seed
-from bo_tuner.stage_one import Proposal
 from bo_tuner.special import Array
+from bo_tuner.stage_one import Proposal
 from bo_tuner.stage_two import OBSERVED, WorstCaseSearch, worst_contexts_nearby
 from bo_tuner.study import Constraint, Study
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
@@ -147,9 +147,7 @@ class Tuning:
         drawn = self._contexts.draw_stratified(self._study.budget.drawn_contexts, rng)
         return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]
 
-    def _search(
-        self, constraint: Constraint, proposal: Proposal
-    ) -> WorstCaseSearch | JointSearch:
+    def _search(self, constraint: Constraint, proposal: Proposal) -> WorstCaseSearch | JointSearch:
         if self._method.nominal:
             return WorstCaseSearch(self._contexts, constraint.upper, 0, OBSERVED)
         space = self._study.search_space()

@@ -12,6 +12,7 @@ from mpc_controller.ros.messages import (
     from_stamp,
     joint_velocity,
     read_joint_velocity,
+    set_joint_velocity,
     to_stamp,
     velocity_trajectory,
 )
@@ -49,6 +50,7 @@ class PlantNode(Node):
         self._next_start = 1  # a reference stamped zero would start with any measurement
         self._ignored = 0
         self._resent = 0
+        self._message: JointState | None = None
         self._trajectory: JointTrajectory | None = None
         self._trajectory_of: PlantSettings | None = None
         self._measurement = self.create_publisher(JointState, "joint_states", LOOP_QOS)
@@ -95,6 +97,7 @@ class PlantNode(Node):
         self._start = max(self.get_clock().now().nanoseconds, self._next_start)
         self._ignored = 0
         self._resent = 0
+        self._message = None
         self._publish_reference(self._cut)
         self._publish_measurement(self._cut)
         self._progress = self._wall.now().nanoseconds
@@ -116,9 +119,12 @@ class PlantNode(Node):
         return self._start + round(sample * self._settings.sample_time * NANOSECONDS)
 
     def _publish_measurement(self, cut: Cut) -> None:
-        self._measurement.publish(
-            joint_velocity(self._settings.joint_name, self._time(cut.sample), cut.measurement)
-        )
+        time = self._time(cut.sample)
+        if self._message is None:
+            self._message = joint_velocity(self._settings.joint_name, time, cut.measurement)
+        else:
+            set_joint_velocity(self._message, time, cut.measurement)
+        self._measurement.publish(self._message)
 
     def _on_command(self, message: JointState) -> None:
         cut = self._cut
@@ -154,9 +160,9 @@ class PlantNode(Node):
 
     def _end(self, cut: Cut) -> None:
         self._cut = None
-        # Cuts are faster than real time, so their stamps may overlap. The controller still waits
-        # for the rest of a cut that failed and must not take a stamp of the next one for it.
-        self._next_start = self._time(cut.reference.size) if cut.failure else self._start + 1
+        # Cuts are faster than real time, but their stamps must not overlap: the controller still
+        # waits for the rest of one that failed, and a recording holds one after the other.
+        self._next_start = self._time(cut.reference.size)
         counts = {"ignored_messages": self._ignored, "resent_measurements": self._resent}
         self._result.publish(
             cut_result(

@@ -15,6 +15,7 @@ from mpc_controller.ros.messages import (
     joint_velocity,
     read_joint_velocity,
     read_velocity_trajectory,
+    set_joint_velocity,
 )
 
 # isort: split
@@ -50,6 +51,7 @@ class ControllerNode(Node):
         self._running = False
         self._early: JointState | None = None
         self._last_command: JointState | None = None
+        self._last_estimate: JointState | None = None
         self._ignored = 0
         self._command = self.create_publisher(JointState, "~/command", LOOP_QOS)
         self._estimate = self.create_publisher(JointState, "~/estimated_state", LOOP_QOS)
@@ -69,9 +71,11 @@ class ControllerNode(Node):
         settings = self._parameter_table.settings
         self._settings = settings
         self._start = start or None
+        self._latest = start
         self._running = False
         self._ignored = 0
         self._last_command = None
+        self._last_estimate = None
         try:
             self._controller.start(
                 read_velocity_trajectory(message, settings.joint_name, settings.sample_time)
@@ -118,10 +122,18 @@ class ControllerNode(Node):
             controller.step(float("nan"))
         step = controller.step(velocity)
         time = from_stamp(message.header.stamp)
-        self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
+        self._latest = time
+        if self._last_command is None:
+            self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
+        else:
+            set_joint_velocity(self._last_command, time, step.command)
         self._command.publish(self._last_command)
         if self._estimate.get_subscription_count() > 0:
-            self._estimate.publish(joint_velocity(self._settings.joint_name, time, step.estimate))
+            if self._last_estimate is None:
+                self._last_estimate = joint_velocity(self._settings.joint_name, time, step.estimate)
+            else:
+                set_joint_velocity(self._last_estimate, time, step.estimate)
+            self._estimate.publish(self._last_estimate)
         if controller.samples_done == controller.reference_length:
             self._publish_result(controller.cut_result() | {"ignored_messages": self._ignored})
 
@@ -131,7 +143,7 @@ class ControllerNode(Node):
                 self.get_name(),
                 self._settings.joint_name,
                 self._start or 0,
-                self.get_clock().now().nanoseconds,
+                self._latest,
                 result,
             )
         )

@@ -9,6 +9,7 @@ from bo_tuner.backends.collect import outcome
 from bo_tuner.backends.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.processes import NodeProcess, stop_all
 from bo_tuner.backends.study_client import LostError, RefusedError, StudyClient
+from bo_tuner.backends.topic_listener import Sink, TopicListener
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study import Study
 from bo_tuner.trials import CutOutcome, CutState
@@ -19,7 +20,7 @@ HIGHEST_DOMAIN = 232
 LEASE = 3.0
 """Time [s] after which the discovery profile has forgotten a killed node for sure."""
 LOOK_AROUND = 1.0
-"""Time [s] to discover nodes that run already."""
+"""Time [s] to discover nodes, or another tuner, that run already."""
 
 
 class RosBackend:
@@ -93,6 +94,9 @@ class RosBackend:
                     self._refuse_running_nodes(client)
                 self._start_processes()
             client.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+            if self._attach:
+                # That the nodes are discovered does not mean that another tuner is, too.
+                client.spin_for(LOOK_AROUND)
             self._refuse_second_tuner(client)
             self._set_constants(client)
         except LostError as loss:
@@ -115,6 +119,19 @@ class RosBackend:
             return CutOutcome(CutState.FAILED, {}, str(refusal))
         except LostError as loss:
             return CutOutcome(CutState.LOST, {}, f"{loss}{self._recover(client)}")
+
+    def listen(self, sink: Sink) -> TopicListener:
+        """Hear all topics of the study's nodes; to be closed before the backend.
+
+        Parameters
+        ----------
+        sink
+            Where messages go.
+        """
+        if self._client is None:
+            raise BackendError("the backend is not open")
+        nodes = [spec.node for spec in self._study.nodes.values()]
+        return TopicListener(self._client.context, nodes, sink)
 
     def close(self) -> None:
         """End the started nodes and leave ROS."""

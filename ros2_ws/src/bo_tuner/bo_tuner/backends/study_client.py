@@ -91,6 +91,11 @@ class StudyClient:
         self._context.try_shutdown()
 
     @property
+    def context(self) -> Context:
+        """ROS context of the tuner's node."""
+        return self._context
+
+    @property
     def full_name(self) -> str:
         """Name of the tuner's node, with its namespace."""
         return self._node.get_fully_qualified_name()

@@ -1,0 +1,179 @@
+"""Which bags stay: what is worth keeping of a run, within a limit of size."""
+
+import contextlib
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import yaml
+
+from bo_tuner.study import Study
+from bo_tuner.trials import Trial, TrialState
+
+MEGABYTE = 1_000_000
+KEPT_AS = "kept_as"
+BADNESS = "badness"
+"""Keys of the custom data: why a bag is kept, and what the worst trial has most of."""
+
+
+class Policy(StrEnum):
+    """Which trials' bags are kept."""
+
+    ALL = "all"
+    NOTABLE = "notable"
+    NONE = "none"
+
+
+class Reason(StrEnum):
+    """What makes a trial notable."""
+
+    BEST = "best so far"
+    WORST = "worst"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What of a run is recorded.
+
+    Attributes
+    ----------
+    policy
+        Which bags are kept.
+    limit
+        Size of all bags together [byte].
+    """
+
+    policy: Policy = Policy.NOTABLE
+    limit: int = 1000 * MEGABYTE
+
+
+def badness(study: Study, trial: Trial) -> float:
+    """How bad a complete trial is: its worst case, or its mean objective if the study has none."""
+    if trial.worst_case is not None:
+        return trial.worst_case.value
+    values = trial.observations(study.objective.metric)
+    return sum(values) / len(values)
+
+
+def verdict(study: Study, trial: Trial) -> str:
+    """Tell in a few words whether what was seen of a trial keeps the constraints."""
+    if trial.state is TrialState.FAILED:
+        return "failed"
+    violated = []
+    for constraint in study.chance_constraints:
+        values = trial.observations(constraint.metric)
+        within = sum(value <= constraint.upper for value in values)
+        if within < (constraint.probability or 1.0) * len(values) - 1e-9:
+            violated.append(constraint.name)
+    worst = study.worst_case_constraint
+    if worst is not None and trial.worst_case is not None and trial.worst_case.value > worst.upper:
+        violated.append(worst.name)
+    return f"violates {', '.join(violated)}" if violated else "within limits"
+
+
+class Retention:
+    """Deletes the bags in a folder that shall not stay.
+
+    Parameters
+    ----------
+    folder
+        Holds the bags, also those of an earlier session of the run.
+    options
+        What shall stay.
+    """
+
+    def __init__(self, folder: Path, options: RecordOptions) -> None:
+        self._folder = folder
+        self._options = options
+        self._sizes: dict[str, int] = {}
+        self._reasons: dict[str, str] = {}
+        self._worst = float("-inf")
+        for path in sorted(folder.glob("*")):
+            if (path / "metadata.yaml").is_file():
+                data = custom_data(path)
+                self._sizes[path.name] = _size(path)
+                self._reasons[path.name] = data.get(KEPT_AS, "")
+                with contextlib.suppress(KeyError, ValueError):
+                    self._worst = max(self._worst, float(data[BADNESS]))
+
+    @property
+    def kept(self) -> list[str]:
+        """Names of the bags, oldest first."""
+        return sorted(self._sizes)
+
+    def reason(self, study: Study, trial: Trial, best: bool) -> Reason | None:
+        """Tell what makes a trial notable, if anything does.
+
+        Parameters
+        ----------
+        study
+            The study.
+        trial
+            The trial.
+        best
+            Whether no trial so far is better.
+        """
+        if trial.state is TrialState.FAILED:
+            return Reason.FAILED
+        if best:
+            return Reason.BEST
+        return Reason.WORST if badness(study, trial) > self._worst else None
+
+    def wants(self, reason: Reason | None) -> bool:
+        """Whether a trial's bag is to be kept at all."""
+        return reason is not None or self._options.policy is Policy.ALL
+
+    def keep(self, path: Path, reason: Reason | None, value: float | None) -> list[str]:
+        """Take a whole bag in, and delete what it displaces.
+
+        Parameters
+        ----------
+        path
+            The bag.
+        reason
+            What makes it notable.
+        value
+            The trial's badness; None if it failed.
+
+        Returns
+        -------
+        list of str
+            Names of the bags that went for want of room.
+        """
+        if value is not None and value > self._worst:
+            self._worst = value
+            if self._options.policy is Policy.NOTABLE:
+                for name in [n for n, r in self._reasons.items() if r == Reason.WORST]:
+                    self._delete(name)
+        self._sizes[path.name] = _size(path)
+        self._reasons[path.name] = reason or ""
+        best = [name for name in self.kept if self._reasons[name] == Reason.BEST][-1:]
+        displaced = []
+        for name in self.kept:
+            if sum(self._sizes.values()) <= self._options.limit:
+                break
+            if name not in best:
+                self._delete(name)
+                displaced.append(name)
+        return displaced
+
+    def _delete(self, name: str) -> None:
+        shutil.rmtree(self._folder / name, ignore_errors=True)
+        del self._sizes[name], self._reasons[name]
+
+
+def custom_data(bag: Path) -> Mapping[str, str]:
+    """Read the custom data of a bag; empty if its metadata cannot be read."""
+    try:
+        metadata = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+        data = metadata["rosbag2_bagfile_information"]["custom_data"]
+        return {str(key): str(value) for key, value in data.items()}
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError):
+        return {}
+
+
+def _size(bag: Path) -> int:
+    return sum(path.stat().st_size for path in bag.rglob("*") if path.is_file())

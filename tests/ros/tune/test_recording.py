@@ -1,0 +1,236 @@
+"""Bags of a run on the shipped nodes, opened by two readers that know nothing of each other."""
+
+import json
+from collections import Counter, defaultdict
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from bo_tuner.recording.recovery import partial_bags, recover
+from bo_tuner.recording.retention import custom_data
+from bo_tuner.study_file import load_study, study_to_mapping
+from bo_tuner.trials import TrialState
+from milling_plant.cut import MillingPlant, reference_velocity
+from mpc_controller.controller import MpcController
+
+pytestmark = pytest.mark.ros
+
+SAMPLES = 270
+PERIOD = 20_000_000
+LOOP = {
+    "/x_axis/joint_states": "measurement",
+    "/x_axis/mpc_controller/command": "command",
+    "/x_axis/mpc_controller/estimated_state": "estimate",
+}
+RESULTS = ("/x_axis/milling_plant/cut_result", "/x_axis/mpc_controller/cut_result")
+REFERENCE = "/x_axis/mpc_controller/joint_trajectory"
+
+
+def small_study(trials, **plant_parameters):
+    study = study_to_mapping(
+        load_study("benchmark").replace(
+            trials=trials,
+            initial_trials=trials,
+            drawn_contexts=2,
+            search_cuts=2,
+            validation_draws=2,
+        )
+    )
+    study["nodes"]["plant"]["parameters"] = plant_parameters
+    return json.loads(json.dumps(study))
+
+
+def with_rosbags(bag):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(bag) as reader:
+        for connection, time, data in reader.messages():
+            yield connection.topic, time, store.deserialize_cdr(data, connection.msgtype)
+
+
+def with_mcap(bag):
+    with (bag / f"{bag.name}.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            yield channel.topic, message.log_time, decoded
+
+
+READERS = pytest.mark.parametrize("read", [with_rosbags, with_mcap])
+
+
+class Tap:
+    """A controller in this process that keeps what goes in and out."""
+
+    def __init__(self, controller):
+        self.controller = controller
+
+    def start(self, reference):
+        self.kept = defaultdict(list)
+        self.controller.start(reference)
+
+    def step(self, measurement):
+        step = self.controller.step(measurement)
+        self.kept["measurement"].append(measurement)
+        self.kept["command"].append(step.command)
+        self.kept["estimate"].append(step.estimate)
+        return step
+
+
+def in_process(parameters, cut):
+    plant, tap = MillingPlant(), Tap(MpcController())
+    plant.set_parameters(cut["context"] | {"seed": cut["seed"]})
+    tap.controller.set_parameters(parameters)
+    plant.run_cut(tap)
+    return tap.kept
+
+
+@pytest.fixture(scope="module")
+def recorded(start_tune):
+    """A run that keeps all bags; its trials and their bags."""
+    command = start_tune(
+        "--record",
+        "all",
+        "--ros-args",
+        "-r",
+        "__ns:=/x_axis",
+        study=small_study(2),
+        AMENT_PREFIX_PATH="",
+    )
+    assert command.finish() in (0, 3), command.err
+    trials = command.trials()
+    return trials, [command.run_folder / "bags" / f"trial_{t.number:04d}" for t in trials]
+
+
+@READERS
+def test_every_message_of_every_cut_is_there(recorded, read):
+    trials, bags = recorded
+    for trial, bag in zip(trials, bags, strict=True):
+        cuts = json.loads(custom_data(bag)["cuts"])
+        assert custom_data(bag)["lost_messages"] == "0"
+        # A measurement whose answer is late is sent again.
+        times = defaultdict(set)
+        counts = Counter()
+        for topic, time, _ in read(bag):
+            times[topic].add(time)
+            counts[topic] += 1
+        expected = {cut["start"] + k * PERIOD for cut in cuts for k in range(SAMPLES)}
+        for topic in LOOP:
+            assert times[topic] == expected, topic
+        for topic in RESULTS:
+            assert counts[topic] == len(cuts)
+        assert times[REFERENCE] == {cut["start"] for cut in cuts}
+        assert counts["/parameter_events"] >= len(cuts)
+        assert "/rosout" not in counts
+        recorded_cuts = [cut for cut in trial.cuts if not cut.stage.startswith("check")]
+        assert [cut["seed"] for cut in cuts] == [cut.seed for cut in recorded_cuts]
+
+
+@READERS
+def test_values_are_those_of_the_cut_in_process_bit_for_bit(recorded, read):
+    _, bags = recorded
+    bag = bags[0]
+    data = custom_data(bag)
+    values = {topic: {} for topic in LOOP}
+    references = {}
+    for topic, time, message in read(bag):
+        if topic in LOOP:
+            values[topic][time] = message.velocity[0]
+        if topic == REFERENCE:
+            references[time] = [point.velocities[0] for point in message.points]
+    for cut in json.loads(data["cuts"]):
+        kept = in_process(json.loads(data["parameters"]), cut)
+        for topic, name in LOOP.items():
+            found = [values[topic][cut["start"] + k * PERIOD] for k in range(SAMPLES)]
+            assert found == kept[name], name
+        np.testing.assert_array_equal(
+            references[cut["start"]], reference_velocity(MillingPlant().settings)
+        )
+
+
+@READERS
+def test_time_is_simulated_time_and_only_moves_on(recorded, read):
+    _, bags = recorded
+    for bag in bags:
+        cuts = json.loads(custom_data(bag)["cuts"])
+        assert all(a["end"] <= b["start"] for a, b in pairwise(cuts))
+        latest = 0
+        for topic, time, message in read(bag):
+            assert time >= latest
+            latest = time
+            if topic != "/parameter_events":
+                stamp = message.header.stamp
+                assert time == stamp.sec * 1_000_000_000 + stamp.nanosec
+        assert latest == cuts[-1]["start"] + SAMPLES * PERIOD
+
+
+def test_the_metadata_tells_the_trial(recorded):
+    trials, bags = recorded
+    for trial, bag in zip(trials, bags, strict=True):
+        data = custom_data(bag)
+        assert json.loads(data["parameters"]) == dict(trial.parameters)
+        assert data["state"] == trial.state
+        assert data["study"] == "benchmark"
+        assert data["complete"] == "true"
+        for there, here in zip(json.loads(data["cuts"]), trial.cuts, strict=False):
+            assert there["context"] == dict(here.context)
+            assert there["metrics"] == dict(here.outcome.metrics)
+
+
+@READERS
+def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, read):
+    command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
+    bags = command.run_folder / "bags"
+    command.wait_for_trial(0)
+    command.wait_for(
+        lambda: any((p / "notes.json").exists() for p in partial_bags(bags)), "a bag in the making"
+    )
+    command.popen.kill()
+    command.popen.wait()
+    command.wait_for_nodes_to_end(5.0)
+    for partial in partial_bags(bags):
+        bag = recover(partial)
+        data = custom_data(bag)
+        assert data["complete"] == "false"
+        counts = Counter(topic for topic, _, _ in read(bag))
+        assert counts["/joint_states"] >= SAMPLES * len(json.loads(data["cuts"]))
+    assert partial_bags(bags) == []
+
+
+def test_a_failed_trial_is_kept(tune):
+    """Every trial fails: what the tuner sees of it is all there is."""
+    command = tune(study=small_study(2, velocity_limit=0.0), AMENT_PREFIX_PATH="")
+    assert command.finish() == 3, command.err
+    assert [trial.state for trial in command.trials()] == [TrialState.FAILED] * 2
+    for number in range(2):
+        data = custom_data(command.run_folder / "bags" / f"trial_{number:04d}")
+        assert data["kept_as"] == data["verdict"] == "failed"
+        assert "reason" in data
+
+
+def test_an_unwritable_folder_ends_the_recording_only(tune):
+    command = tune(study=small_study(3), AMENT_PREFIX_PATH="")
+    command.wait_for(lambda: (command.run_folder / "bags").is_dir(), "the folder of bags")
+    (command.run_folder / "bags").rename(command.run_folder / "moved")
+    (command.run_folder / "bags").write_text("not a folder")
+    assert command.finish() in (0, 3), command.err
+    assert command.err.count("recording stopped") == 1
+    assert len(command.trials()) == 3
+    summary = json.loads((command.run_folder / "summary.json").read_text())
+    assert "recording stopped" in summary["recording"]["warnings"][0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--record", "all", "--backend", "inprocess"), "--record needs --backend ros"),
+        (("--record", "some"), "--record: invalid"),
+        (("--record-limit", "-1"), "-1: expected a positive number of megabytes"),
+        (("--record-limit", "much"), "much: expected a positive number of megabytes"),
+    ],
+)
+def test_wrong_options(tune, arguments, complaint):
+    assert complaint in tune(*arguments).refusal()
