@@ -111,7 +111,7 @@ class TestProposals:
         assert failures <= 3 * 14 / 4
 
     def test_a_failure_is_not_repeated_next_door(self, study_of, optimize):
-        """The optimum fails, and with it all within 0.1."""
+        """The optimum fails, and with it all within 0.1: the border may be sounded, not the inside."""
         study = study_of({"x": double()}, trials=16)
 
         def response(number, parameters):
@@ -122,8 +122,9 @@ class TestProposals:
         failed = sorted(
             p.parameters["x"] for p in proposals if abs(p.parameters["x"] - OPTIMUM) < 0.1
         )
-        assert len(failed) <= 4
-        assert all(np.diff(failed) > 0.02)
+        assert len(failed) <= 5
+        inside = [x for x in failed if abs(x - OPTIMUM) < 0.08]
+        assert all(np.diff(inside) > 0.02)
 
     @pytest.mark.parametrize("dimension", [1, 12])
     def test_any_number_of_parameters(self, study_of, optimize, dimension):

@@ -175,7 +175,9 @@ class BayesianOptimization(_Designed):
             cost, _ = model.predict(points)
             order = np.lexsort((cost, log_feasible < BELIEVED_FEASIBLE))[:STARTS]
             starts = points[order] + rng.normal(0.0, 0.05, (len(order), self.space.dimension))
-        acquisition = LogAcquisition(model, best, surrogates.constraints, surrogates.classifiers)
+        # Without a single outlier or failure there is nothing to avoid.
+        classifiers = tuple(c for c in surrogates.classifiers if c.labels.any())
+        acquisition = LogAcquisition(model, best, surrogates.constraints, classifiers)
         found = self._maximise(acquisition, starts, rng)
         if not np.isfinite(found.value):
             # Nothing is left that is not near a crash; Eq. 5 as it stands says where least.

@@ -22,7 +22,7 @@ from bo_tuner.study_parts import MINIMIZE
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogate.neighbours import NeighbourClassifier
-from bo_tuner.surrogate.student_t import fit_without_outliers
+from bo_tuner.surrogate.student_t import find_outliers
 from bo_tuner.trials import CutState, Trial, TrialState
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
@@ -135,7 +135,7 @@ class Surrogates:
             if options.reject_outliers:
                 # On the metric's own scale, where off-the-charts values stand out the most.
                 sign = 1.0 if study.objective.direction == MINIMIZE else -1.0
-                models[OUTLIERS], mask = fit_without_outliers(
+                mask, models[OUTLIERS] = find_outliers(
                     x, sign * y, rng=rng, minimum_length_scales=minimum, start=warm.get(OUTLIERS)
                 )
                 outliers = frozenset(number[mask].tolist())

@@ -244,7 +244,7 @@ def _find_mode(
     return f, MAXIMUM_ITERATIONS, False
 
 
-def fit_without_outliers(
+def find_outliers(
     x: ArrayLike,
     y: ArrayLike,
     *,
@@ -252,15 +252,13 @@ def fit_without_outliers(
     priors: Hyperpriors | None = None,
     minimum_length_scales: ArrayLike | None = None,
     start: Hyperparameters | None = None,
-) -> tuple[GaussianProcess, NDArray[np.bool_]]:
-    """Fit a Gaussian process to all observations but the outliers (paper, Section 3).
+) -> tuple[NDArray[np.bool_], GaussianProcess]:
+    """Mark the outliers of all observations (paper, Section 3).
 
-    A reference is fitted to the bulk of the data, the Student-t process of all data with its
-    hyperparameters marks the outliers, and the Gaussian process is fitted to the rest. The bulk is
-    found anew from medians each time, so no earlier judgement keeps a point out for ever. Where
-    the rest is the bulk, as in most cases, the reference is the result, and the whole costs one
-    fit. The scheme breaks down when half of the parametrizations are outliers, and it takes varied
-    responses for outliers where half of them lie on a nearly constant plateau below.
+    A reference is fitted to the bulk of the data, and the Student-t process of all data with its
+    hyperparameters marks the outliers. The bulk is found anew from medians each time, so no
+    earlier judgement keeps a point out for ever. The scheme breaks down when half of the
+    parametrizations are outliers.
 
     Parameters
     ----------
@@ -269,10 +267,10 @@ def fit_without_outliers(
 
     Returns
     -------
-    model : GaussianProcess
-        Fitted to the observations that are no outliers.
     outliers : ndarray of bool, shape (N,)
         Mark of each observation; replicates of one point share it.
+    reference : GaussianProcess
+        Fitted to the bulk.
 
     Raises
     ------
@@ -281,22 +279,15 @@ def fit_without_outliers(
     """
     points, responses = checked_data(x, y)
     bulk = _bulk(points, responses)
-
-    def fit(chosen: NDArray[np.bool_], warm: Hyperparameters | None) -> GaussianProcess:
-        return GaussianProcess.fit(
-            points[chosen],
-            responses[chosen],
-            rng=rng,
-            priors=priors,
-            minimum_length_scales=minimum_length_scales,
-            start=warm,
-        )
-
-    reference = fit(bulk, start)
-    process = StudentTProcess.fit(points, responses, reference)
-    outliers = process.outliers()
-    model = reference if (outliers == ~bulk).all() else fit(~outliers, reference.hyperparameters)
-    return model, outliers
+    reference = GaussianProcess.fit(
+        points[bulk],
+        responses[bulk],
+        rng=rng,
+        priors=priors,
+        minimum_length_scales=minimum_length_scales,
+        start=start,
+    )
+    return StudentTProcess.fit(points, responses, reference).outliers(), reference
 
 
 def _bulk(x: Array, y: Array) -> NDArray[np.bool_]:
