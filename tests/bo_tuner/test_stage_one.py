@@ -111,7 +111,7 @@ class TestProposals:
         assert failures <= 3 * 14 / 4
 
     def test_a_failure_is_not_repeated_next_door(self, study_of, optimize):
-        """The optimum fails, and with it all within 0.1: the border may be sounded, not the inside."""
+        """The optimum fails, and all within 0.1: the border may be sounded, not the inside."""
         study = study_of({"x": double()}, trials=16)
 
         def response(number, parameters):
