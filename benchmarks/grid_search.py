@@ -6,8 +6,8 @@ search over integer steps and halving steps of the doubles. That a controller is
 does not show in the vectorised loop, so that the best points also make cuts on the objects.
 
 First every point of the grid is screened by the corners of the context box, where most infeasible
-ones show, and by few drawn contexts. What keeps the limit there and costs at most a quarter more
-than the best is judged in full.
+ones show, and by few drawn contexts. What keeps the limit there and costs little more than the best
+is judged in full.
 
 An optimum is narrow if a parametrization one integer step away exceeds the overshoot limit, or
 costs more, by over a fifth. The best one that is not narrow is given too.
@@ -45,10 +45,13 @@ DENSE_UP_TO = 6
 GROWTH = 1.22
 """On the coarse grid integers come all up to `DENSE_UP_TO`, then about by this factor."""
 
-SCREENED_OUT = 1.25
-"""A point with a rough E above the best times this is not judged in full."""
+SCREENED_OUT = 1.15
+"""A point of the grid with a rough E above the best times this is not judged in full."""
 
-STARTS = 24
+CLOSE = 1.005
+"""So is a step of the refinement, with regard to where it starts."""
+
+STARTS = 10
 """So many points are refined."""
 
 REPORTED = 10
@@ -85,6 +88,7 @@ class GridSearch:
         self._pool = pool
         self._space = study.search_space()
         self._known: dict[Point, Score] = {}
+        self._rough: dict[Point, tuple[float, float]] = {}
         self._narrow: dict[Point, bool] = {}
 
     @property
@@ -100,12 +104,18 @@ class GridSearch:
         self._known |= zip(new, found, strict=True)
         return [self._known[p] for p in points]
 
-    def screen(self, points: Sequence[Point]) -> list[Point]:
-        """Points that are worth a full judgement."""
-        rough = list(self._pool.map(_rough, points, chunksize=16))
+    def screen(self, points: Sequence[Point], most: float | None = None) -> list[Point]:
+        """Points worth a full judgement: corners within the limit, a rough E of at most `most`.
+
+        Without `most` it is `SCREENED_OUT` times the lowest rough E.
+        """
+        new = [p for p in points if p not in self._rough]
+        chunk = max(1, min(16, len(new) // 8))
+        self._rough |= zip(new, self._pool.map(_rough, new, chunksize=chunk), strict=True)
         limit = self.study.constraints["overshoot"].upper
-        E = [cost if worst <= limit else np.inf for cost, worst in rough]
-        most = SCREENED_OUT * min(E)
+        E = [cost if worst <= limit else np.inf for cost, worst in (self._rough[p] for p in points)]
+        if most is None:
+            most = SCREENED_OUT * min(E)
         return [p for p, cost in zip(points, E, strict=True) if np.isfinite(cost) and cost <= most]
 
     def by_cost(self) -> list[Point]:
@@ -145,7 +155,8 @@ class GridSearch:
         """Walk from a point to better neighbours, steps of doubles halving down to 0.05."""
         best, (best_cost,) = start, cost([start])
         while step >= FINE_STEP / 2:
-            around = self._steps(best, step)
+            self.screen([best])
+            around = self.screen(self._steps(best, step), CLOSE * self._rough[best][0])
             costs = cost(around)
             if min(costs, default=np.inf) < best_cost:
                 best_cost = min(costs)

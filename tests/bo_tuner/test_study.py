@@ -88,7 +88,7 @@ class TestShippedStudies:
             "lambda_kf": -1.0,
         }
         assert study.budget == Budget(
-            trials=40, initial_trials=10, drawn_contexts=5, search_cuts=10, validation_draws=25
+            trials=30, initial_trials=10, drawn_contexts=5, search_cuts=10, validation_draws=25
         )
 
     def test_full_is_the_scenario(self):

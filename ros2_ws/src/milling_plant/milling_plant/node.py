@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import asdict, replace
+from time import monotonic_ns
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
 from mpc_controller.ros.messages import (
@@ -100,7 +101,7 @@ class PlantNode(Node):
         self._message = None
         self._publish_reference(self._cut)
         self._publish_measurement(self._cut)
-        self._progress = self._wall.now().nanoseconds
+        self._progress = monotonic_ns()
 
     def _publish_reference(self, cut: Cut) -> None:
         # A message of some hundred points is worth keeping while only context and noise change.
@@ -136,7 +137,7 @@ class PlantNode(Node):
             self._ignored += 1
             return
         cut.apply(command)
-        self._progress = self._wall.now().nanoseconds
+        self._progress = monotonic_ns()
         if cut.done:
             self._end(cut)
         else:
@@ -146,7 +147,7 @@ class PlantNode(Node):
         cut = self._cut
         if cut is None:
             return
-        silence = (self._wall.now().nanoseconds - self._progress) / NANOSECONDS
+        silence = (monotonic_ns() - self._progress) / NANOSECONDS
         if silence > self._settings.command_timeout:
             cut.fail(
                 f"no command for sample {cut.sample} within {self._settings.command_timeout} s"
