@@ -137,7 +137,7 @@ def recording_section(result: Result) -> str:
 def closed_loop_section(result: Result) -> str:
     """Cost of a cut over that of its parts."""
     rows = [
-        [name, f"{r['median']:.2f}", f"{r['lowest']:.2f} … {r['highest']:.2f}", r["target"]]
+        [name, f"{r['median']:.2f}", f"{r['lowest']:.2f} … {r['highest']:.2f}", r["target"] or ""]
         for name, r in result["ratios"].items()
     ]
     return "\n\n".join(
