@@ -19,26 +19,46 @@ OUR_PACKAGES = ("mpc_controller", "milling_plant", "bo_tuner")
 OTHER_PACKAGES = ("numpy", "scipy", "osqp", "filterpy", "scikit-learn", "daqp")
 
 
+def _sources() -> list[tuple[str, Path]]:
+    """List what runs, packages as imported and benchmark modules, by path in the repository."""
+    files = []
+    for package in OUR_PACKAGES:
+        folder = Path(str(import_module(package).__file__)).resolve().parent
+        files += [
+            (f"ros2_ws/src/{package}/{package}/{path.relative_to(folder).as_posix()}", path)
+            for path in folder.rglob("*.py")
+        ]
+    names = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
+    loaded = {Path(name).resolve() for name in names if name}
+    files += [(f"benchmarks/{path.name}", path) for path in loaded if path.parent == BENCHMARKS]
+    return sorted(files)
+
+
 @cache
 def source_digest() -> str:
-    """Short digest of the sources that ran: our packages as imported, and the benchmark modules.
+    """Short digest of the sources that run.
 
     A commit alone does not tell what ran from a working copy with changes. It is read once, since
     files may be edited under a campaign.
     """
-    folders = [Path(str(import_module(p).__file__)).resolve().parent for p in OUR_PACKAGES]
-    files = [
-        (f"{folder.name}/{p.relative_to(folder)}", p)
-        for folder in folders
-        for p in folder.rglob("*.py")
-    ]
-    names = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
-    loaded = [Path(name).resolve() for name in names if name]
-    files += [(p.name, p) for p in set(loaded) if p.parent == BENCHMARKS]
     digest = hashlib.sha256()
-    for name, path in sorted(files):
+    for name, path in _sources():
         digest.update(name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+def _from_commit() -> bool:
+    """Whether what runs is what the commit holds, wherever it was installed or copied."""
+    lines = _git("ls-tree", "-r", "HEAD", "--full-tree").splitlines()
+    committed = {name: about.split()[2] for about, _, name in (ln.partition("\t") for ln in lines)}
+    return all(committed.get(name) == _blob(path) for name, path in _sources())
+
+
+def _blob(path: Path) -> str:
+    """Name that git gives a file of this content."""
+    content = path.read_bytes()
+    header = f"blob {len(content)}\0".encode()
+    return hashlib.sha1(header + content, usedforsecurity=False).hexdigest()
 
 
 def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, object]:
@@ -53,7 +73,7 @@ def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, object]:
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "commit": _git("rev-parse", "HEAD"),
-        "changed_since_commit": bool(_git("status", "--porcelain", "--", "ros2_ws", "benchmarks")),
+        "changed_since_commit": not _from_commit(),
         "source_digest": source_digest(),
         "platform": platform.platform(),
         "processor": _processor(),
