@@ -92,6 +92,7 @@ $(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
 	@rm -rf $(VENV)/build && mkdir $(VENV)/build
 	@cp -R $(PACKAGES:%=ros2_ws/src/%) $(VENV)/build
 	@cd $(VENV)/build && rm -rf */build */*.egg-info
+	SOURCE_COMMIT="$$(git describe --always --dirty --abbrev=12 --exclude='*' 2>/dev/null)" \
 	$(INSTALL) --no-index --no-deps --no-build-isolation --use-pep517 --force-reinstall \
 		$(PACKAGES:%=./$(VENV)/build/%)
 	@rm -rf $(VENV)/build

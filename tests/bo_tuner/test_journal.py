@@ -12,9 +12,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import bo_tuner.journal
 from bo_tuner.errors import JournalError
 from bo_tuner.journal import SCHEMA_VERSION, Journal
-from bo_tuner.trials import Cut, CutOutcome, CutState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.journal_reader import export_csv, read_journal
+from bo_tuner.trials import (
+    TUNING,
+    Cut,
+    CutOutcome,
+    CutState,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 texts = st.text(max_size=20).filter(str.isprintable)
@@ -70,10 +81,9 @@ class TestRoundTrip:
             warnings=warnings,
         )
         path = tmp_path_factory.mktemp("journal") / "journal.sqlite"
-        with Journal(path) as journal:
+        with Journal(path, {}) as journal:
             record(journal, recorded)
-        with Journal(path) as journal:
-            assert journal.trials() == [recorded]
+        assert read_journal(path).trials == (recorded,)
 
     def test_all_fields_of_a_worst_case(self, tmp_path):
         values = [
@@ -81,28 +91,30 @@ class TestRoundTrip:
             for k, field in enumerate(dataclasses.fields(WorstCase))
         ]
         recorded = trial(worst_case=WorstCase(*values))
-        with Journal(tmp_path / "j") as journal:
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
-            assert journal.trials() == [recorded]
+            assert read_journal(tmp_path / "j").trials == (recorded,)
 
-    def test_all_stages_but_the_validation_belong_to_trials(self, tmp_path):
-        stages = [stage for stage in Stage if stage is not Stage.VALIDATION]
-        recorded = trial(cuts=[cut(index=k, stage=stage) for k, stage in enumerate(stages)])
-        with Journal(tmp_path / "j") as journal:
+    def test_checks_and_validation_belong_to_no_trial(self, tmp_path):
+        recorded = trial(cuts=[cut(index=k, stage=stage) for k, stage in enumerate(TUNING)])
+        others = [stage for stage in Stage if stage not in TUNING]
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
-            journal.record_cut(cut(stage=Stage.VALIDATION), {"gain": 1.0})
-            assert journal.trials() == [recorded]
+            for stage in others:
+                journal.record_cut(cut(stage=stage), {"gain": 1.0})
+            assert read_journal(tmp_path / "j").trials == (recorded,)
 
     def test_order_is_that_of_the_numbers(self, tmp_path):
-        with Journal(tmp_path / "j") as journal:
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, trial(1, [cut(1)]), trial(0, [cut(0)]))
-            assert [item.number for item in journal.trials()] == [0, 1]
+            assert [item.number for item in read_journal(tmp_path / "j").trials] == [0, 1]
 
-    def test_provenance_is_that_of_the_first(self, tmp_path):
-        with Journal(tmp_path / "j", {"seed": "1", "host": "a"}):
-            pass
-        with Journal(tmp_path / "j", {"seed": "2"}) as journal:
-            assert journal.provenance() == {"seed": "1", "host": "a"}
+    def test_each_session_leaves_its_provenance(self, tmp_path):
+        sessions = ({"seed": "1", "host": "a"}, {"seed": "2"})
+        for provenance in sessions:
+            with Journal(tmp_path / "j", provenance):
+                pass
+        assert read_journal(tmp_path / "j").sessions == sessions
 
 
 class TestDurability:
@@ -116,24 +128,25 @@ class TestDurability:
             outcome = CutOutcome(CutState.COMPLETE, {"error": 1.5})
             for k in range(50):
                 journal.record_cut(Cut(0, k, Stage.DRAWN, {}, k, outcome), {"gain": 1.0})
-            journal.record_trial(Trial(0, {"gain": 1.0}, "initial", TrialState.COMPLETE))
+            trial = Trial(0, {"gain": 1.0}, "initial", TrialState.COMPLETE, cuts=(None,) * 50)
+            journal.record_trial(trial)
             journal.record_cut(Cut(1, 0, Stage.DRAWN, {}, 0, outcome), {"gain": 2.0})
             os.kill(os.getpid(), signal.SIGKILL)
         """
         path = tmp_path / "journal.sqlite"
         process = subprocess.run([sys.executable, "-c", code, path], env=os.environ, check=False)
         assert process.returncode == -signal.SIGKILL
-        with Journal(path) as journal:
-            (found,) = journal.trials()
-            assert [each.seed for each in found.cuts] == list(range(50))
-            journal.export_csv(tmp_path)
+        (found,) = read_journal(path).trials
+        assert [each.seed for each in found.cuts] == list(range(50))
+        export_csv(path, tmp_path)
         # The cut of the trial that was not finished is kept, too.
         assert [row["trial"] for row in rows(tmp_path / "cuts.csv")] == ["0"] * 50 + ["1"]
 
-    def test_a_journal_is_begun_whole_or_not_at_all(self, tmp_path):
+    def test_a_journal_is_begun_whole_or_not_at_all(self, tmp_path, monkeypatch):
         path = tmp_path / "journal.sqlite"
+        monkeypatch.setattr(bo_tuner.journal, "checksum", lambda row: None)
         with pytest.raises(JournalError, match="NOT NULL"):
-            Journal(path, {"seed": None})
+            Journal(path, {})
         database = sqlite3.connect(path)
         try:
             assert database.execute("PRAGMA user_version").fetchone() == (0,)
@@ -141,13 +154,13 @@ class TestDurability:
         finally:
             database.close()
         with pytest.raises(JournalError, match="version 0"):
-            Journal(path)
+            Journal(path, {})
 
 
 class TestRefusals:
     def refusal(self, path):
         with pytest.raises(JournalError) as caught:
-            Journal(path)
+            Journal(path, {})
         assert isinstance(caught.value, OSError)
         text = str(caught.value)
         assert text.startswith(f"{path}: ")
@@ -171,7 +184,7 @@ class TestRefusals:
         assert "unable to open" in self.refusal(tmp_path / path)
 
     def test_a_trial_is_recorded_once(self, tmp_path):
-        with Journal(tmp_path / "j") as journal:
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, trial())
             with pytest.raises(JournalError, match="number"):
                 record(journal, trial())
@@ -185,9 +198,9 @@ class TestTables:
             parameters={"gain": 6.0, "reason": 7.0},
             worst_case=WorstCase(8.0, {"state": 4.0}, 9.0),
         )
-        with Journal(tmp_path / "j") as journal:
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
-            journal.export_csv(tmp_path)
+        export_csv(tmp_path / "j", tmp_path)
         (of_cut,) = rows(tmp_path / "cuts.csv")
         expected = {
             "state": "complete",
@@ -207,18 +220,21 @@ class TestTables:
 
     def test_doubles_read_back_bit_for_bit(self, tmp_path):
         value = 0.1 + 0.2
-        with Journal(tmp_path / "j") as journal:
+        with Journal(tmp_path / "j", {}) as journal:
             record(journal, trial(cuts=[cut()]))
-            journal.export_csv(tmp_path)
+        export_csv(tmp_path / "j", tmp_path)
         assert float(rows(tmp_path / "cuts.csv")[0]["metrics.error"]) == value
 
     def test_an_empty_journal_gives_headers(self, tmp_path):
-        with Journal(tmp_path / "j") as journal:
-            journal.export_csv(tmp_path)
+        with Journal(tmp_path / "j", {}):
+            pass
+        export_csv(tmp_path / "j", tmp_path)
         assert (tmp_path / "trials.csv").read_text().startswith("number,")
         assert (tmp_path / "cuts.csv").read_text().startswith("trial,")
 
     def test_a_table_that_cannot_be_written(self, tmp_path):
         (tmp_path / "trials.csv").mkdir()
-        with Journal(tmp_path / "j") as journal, pytest.raises(JournalError, match=r"trials\.csv"):
-            journal.export_csv(tmp_path)
+        with Journal(tmp_path / "j", {}):
+            pass
+        with pytest.raises(JournalError, match=r"trials\.csv"):
+            export_csv(tmp_path / "j", tmp_path)

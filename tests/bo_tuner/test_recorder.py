@@ -196,12 +196,13 @@ class TestBag:
         assert data["lost_messages"] == "3"
         assert summary["lost_messages"] == 3
 
-    def test_a_trial_run_again_replaces_its_bag(self, recorder, tmp_path):
+    def test_a_trial_that_goes_on_keeps_what_it_had(self, recorder, tmp_path):
         for samples in (10, 20):
             it = recorder(Policy.ALL)
             record(it, trial_of(3), samples=samples)
-            assert it.close()["bags"] == ["trial_0003"]
-        assert len(read_with_rosbags(tmp_path / "trial_0003")) == 21
+            bags = it.close()["bags"]
+        assert bags == ["trial_0003", "trial_0003_part2"]
+        assert [len(read_with_rosbags(tmp_path / name)) for name in bags] == [11, 21]
 
     def test_types_of_other_packages_are_not_known(self):
         with pytest.raises(KeyError):

@@ -10,7 +10,8 @@ import yaml
 
 from bo_tuner import run_folder
 from bo_tuner.errors import OutputError
-from bo_tuner.run_folder import RunFolder, provenance
+from bo_tuner.provenance import provenance
+from bo_tuner.run_folder import RunFolder
 from bo_tuner.study_file import load_study
 
 NOW = datetime.datetime(2026, 3, 1, 12, 30, 5)
@@ -29,7 +30,7 @@ def same_second(monkeypatch):
 class TestFolder:
     def test_runs_of_one_second_have_folders_of_their_own(self, tmp_path, make_study, same_second):
         output = tmp_path / "a" / "runs"
-        found = [RunFolder(output, make_study()).path for _ in range(3)]
+        found = [RunFolder.create(output, make_study()).path for _ in range(3)]
         assert [path.name for path in found] == [
             "function-20260301-123005",
             "function-20260301-123005-2",
@@ -39,12 +40,12 @@ class TestFolder:
 
     def test_holds_the_study_as_run(self, tmp_path):
         study = load_study("benchmark").replace(trials=3, seed=99)
-        folder = RunFolder(tmp_path, study)
+        folder = RunFolder.create(tmp_path, study)
         assert load_study(folder.path / "study.yaml") == study
 
     def test_latest_follows_the_link(self, tmp_path, make_study):
         for _ in range(2):
-            folder = RunFolder(tmp_path, make_study())
+            folder = RunFolder.create(tmp_path, make_study())
             folder.link_latest()
             link = tmp_path / "latest"
             assert link.resolve() == folder.path.resolve()
@@ -54,15 +55,15 @@ class TestFolder:
         assert {name for name in names if not name.startswith("function-")} == {"latest"}
 
     def test_latest_is_not_moved_by_a_run_that_does_not_start(self, tmp_path, make_study):
-        first = RunFolder(tmp_path, make_study())
+        first = RunFolder.create(tmp_path, make_study())
         first.link_latest()
-        RunFolder(tmp_path, make_study())
+        RunFolder.create(tmp_path, make_study())
         assert (tmp_path / "latest").resolve() == first.path.resolve()
 
     def test_latest_in_the_way(self, tmp_path, make_study):
         (tmp_path / "latest").mkdir()
         with pytest.raises(OutputError, match="latest: cannot point to the run"):
-            RunFolder(tmp_path, make_study()).link_latest()
+            RunFolder.create(tmp_path, make_study()).link_latest()
         assert not list(tmp_path.glob(".latest*"))
 
     @pytest.mark.parametrize("below", ["", "sub/folder"])
@@ -70,19 +71,19 @@ class TestFolder:
         file = tmp_path / "file"
         file.touch()
         with pytest.raises(OutputError, match="cannot write runs there") as caught:
-            RunFolder(file / below, make_study())
+            RunFolder.create(file / below, make_study())
         assert isinstance(caught.value, OSError)
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
     def test_output_is_read_only(self, tmp_path, make_study):
         tmp_path.chmod(0o500)
         with pytest.raises(OutputError, match="Permission denied"):
-            RunFolder(tmp_path / "runs", make_study())
+            RunFolder.create(tmp_path / "runs", make_study())
 
 
 class TestParameterFile:
     def write(self, tmp_path, study, parameters):
-        path = RunFolder(tmp_path, study).write_parameters(study, parameters)
+        path = RunFolder.create(tmp_path, study).write_parameters(study, parameters)
         return path.read_text(), yaml.safe_load(path.read_text())
 
     @pytest.mark.parametrize("value", [3, -3.0, 1e-7, 1e22, 0.1 + 0.2])
@@ -111,7 +112,7 @@ class TestParameterFile:
         }
 
     def test_cannot_be_written(self, tmp_path, make_study):
-        folder = RunFolder(tmp_path, make_study())
+        folder = RunFolder.create(tmp_path, make_study())
         (folder.path / "best.yaml").mkdir()
         with pytest.raises(OutputError, match=r"best\.yaml: cannot be written: Is a directory"):
             folder.write_parameters(make_study(), {"gain": 0.5})
@@ -126,7 +127,7 @@ def strict_json(text):
 
 class TestSummary:
     def test_what_is_no_number_is_null(self, tmp_path, make_study):
-        folder = RunFolder(tmp_path, make_study())
+        folder = RunFolder.create(tmp_path, make_study())
         path = folder.write_summary(
             {"a": float("nan"), "b": ({"c": float("inf")}, 1.5), "d": True, "e": "nan", "f": 3}
         )

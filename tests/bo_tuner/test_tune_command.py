@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner import command_line
-from bo_tuner.command_line import split_ros_arguments
+from bo_tuner.commands import tune as tune_command
+from bo_tuner.commands.common import split_ros_arguments
 from bo_tuner.interruption import Interruption
-from bo_tuner.journal import Journal
+from bo_tuner.journal_reader import read_journal
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import CutState, TrialState
 
@@ -61,7 +61,7 @@ def tune(tmp_path, study_file):
 
     def start(*arguments, study=study_file, environment=None, **options):
         path = os.pathsep.join([str(tmp_path), *sys.path])
-        command = [sys.executable, "-m", "bo_tuner.tune", "--backend", "inprocess"]
+        command = [sys.executable, "-m", "bo_tuner", "tune", "--backend", "inprocess"]
         return subprocess.Popen(
             [*command, "--study", study, *arguments],
             cwd=tmp_path,
@@ -84,8 +84,7 @@ def latest(tmp_path):
 
 
 def recorded(folder):
-    with Journal(folder / "journal.sqlite") as journal:
-        return journal.trials()
+    return list(read_journal(folder / "journal.sqlite").trials)
 
 
 def wait_for(condition):
@@ -101,7 +100,7 @@ class TestRun:
         assert code == 0, err
         folder = latest(tmp_path)
         assert {path.name for path in folder.iterdir()} == {
-            "best.yaml", "cuts.csv", "journal.sqlite", "log", "study.yaml", "summary.json",
+            ".lock", "best.yaml", "cuts.csv", "journal.sqlite", "log", "study.yaml", "summary.json",
             "trials.csv",
         }  # fmt: skip
         assert [trial.number for trial in recorded(folder)] == list(range(5))
@@ -174,7 +173,7 @@ class TestRun:
         assert "feasible" in out
 
     def test_help_fits_80_columns(self):
-        text = command_line.make_parser().format_help()
+        text = tune_command.make_parser().format_help()
         assert max(map(len, text.splitlines())) <= 80
         for code in ("0", "1", "2", "3", "130"):
             assert re.search(rf"^  {code}\s+\w", text, re.MULTILINE)
@@ -233,7 +232,7 @@ class TestFaults:
         last = err.splitlines()[-1]
         assert last.startswith("error: ")
         assert "journal.sqlite" in last
-        assert "the record stays in" in last
+        assert "go on by: tune --resume " in last
         assert sum(line.startswith("error") for line in err.splitlines()) == 1
         # What was told as done is in the record.
         told = sum(line.startswith("trial ") for line in err.splitlines())
@@ -269,7 +268,7 @@ def refusal(tmp_path, study_file, monkeypatch, capsys):
     def run(*arguments, code=2):
         interruption = Interruption()
         try:
-            found = command_line.run(list(arguments), interruption)
+            found = tune_command.run(list(arguments), interruption)
         except SystemExit as exit_:
             found = exit_.code
         out, err = capsys.readouterr()

@@ -8,6 +8,7 @@ import pytest
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
 from bo_tuner.journal import Journal
+from bo_tuner.journal_reader import read_journal
 from bo_tuner.methods import METHODS
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import CutState, Stage, TrialState
@@ -222,7 +223,7 @@ class TestRepetition:
             figures = smooth(**values)
             return figures | {"error": figures["error"] + 0.01 * (window - 5) ** 2}
 
-        with Journal(tmp_path / "journal.sqlite") as journal:
+        with Journal(tmp_path / "journal.sqlite", {}) as journal:
             tuning = Tuning(
                 study, function_backend(study, function), IV, observe=journal.record_cut
             )
@@ -230,7 +231,7 @@ class TestRepetition:
             for trial in tuning:
                 journal.record_trial(trial)
                 trials.append(trial)
-            recorded = journal.trials()
+        recorded = read_journal(tmp_path / "journal.sqlite").trials
         for known in (1, 3, 6, 9):
             rest = run(study, function_backend(study, function), trials=recorded[:known])
             assert rest == trials[known:]

@@ -1,8 +1,11 @@
+import os
+import subprocess
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
+COMMANDS = ["tune"]
 
 
 def shared(folder):
@@ -12,6 +15,16 @@ def shared(folder):
         (f"share/{NAME}/{path}", [str(file) for file in sorted(path.iterdir()) if file.is_file()])
         for path in folders
     ]
+
+
+def commit():
+    """Name what is built, as the caller does or git: a run's record tells it."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    except OSError:
+        found = ""
+    return os.environ.get("SOURCE_COMMIT") or found.strip() or "unknown"
 
 
 setup(
@@ -25,7 +38,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"lib/{NAME}", ["scripts/tune"]),
+        (f"lib/{NAME}", [f"scripts/{command}" for command in COMMANDS]),
         *shared("config"),
         *shared("launch"),
     ],
@@ -42,6 +55,9 @@ setup(
         "threadpoolctl>=3,<4",
     ],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["tune = bo_tuner.tune:main"]},
+    keywords=[f"commit-{commit()}"],
+    entry_points={
+        "console_scripts": [f"{command} = {NAME}.executables:{command}" for command in COMMANDS]
+    },
     zip_safe=False,
 )

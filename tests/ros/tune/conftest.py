@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.journal import Journal
+from bo_tuner.journal_reader import read_journal
 
 DEADLINE = 60.0
 MARK = "TUNE_TEST_MARK"
@@ -182,7 +182,7 @@ class Tune:
         }
         with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
             self.popen = subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner.tune", "--study", file, *arguments],
+                [sys.executable, "-m", "bo_tuner", "tune", "--study", file, *arguments],
                 cwd=folder,
                 env=inherited | environment,
                 stdin=subprocess.DEVNULL,
@@ -254,8 +254,7 @@ class Tune:
         return line.removeprefix("error: ")
 
     def trials(self):
-        with Journal(self.run_folder / "journal.sqlite") as journal:
-            return journal.trials()
+        return list(read_journal(self.run_folder / "journal.sqlite").trials)
 
     def close(self):
         if self.popen.poll() is None:

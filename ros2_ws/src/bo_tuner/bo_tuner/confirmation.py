@@ -119,11 +119,11 @@ def _check(
     def run(stage: Stage, context: Mapping[str, float]) -> bool:
         index = len(trial.cuts) + len(cuts)
         seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
-        outcome = run_cut(study, backend, trial.parameters, context, seed)
-        cut = Cut(trial.number, index, stage, context, seed, outcome)
+        planned = Cut(trial.number, index, stage, context, seed)
+        cut = run_cut(study, backend, trial.parameters, planned)
         cuts.append(cut)
         observe(cut, trial.parameters)
-        return outcome.state is CutState.COMPLETE
+        return cut.outcome.state is CutState.COMPLETE
 
     contexts = study.context_space()
     drawn = contexts.draw_stratified(

@@ -71,6 +71,10 @@ class JournalError(BoTunerError, OSError):
     """The record of a run cannot be written or read."""
 
 
+class RunRecordError(BoTunerError, OSError):
+    """A run folder cannot be read, or cannot be gone on with."""
+
+
 class RunError(BoTunerError, RuntimeError):
     """A run cannot go on; what it recorded stays."""
 

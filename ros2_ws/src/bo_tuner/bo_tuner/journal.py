@@ -1,36 +1,51 @@
-"""The durable record of a run: one SQLite file, a committed row for each cut and each trial."""
+"""The durable record of a run: one SQLite file, a committed row for each cut and each trial.
 
-import csv
+`bo_tuner.journal_reader` reads it. Rows are only ever added. Each carries a checksum of its values,
+since SQLite itself notices damage to its structure, but not to what is stored.
+"""
+
 import json
 import sqlite3
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from bo_tuner.errors import JournalError
-from bo_tuner.trials import Cut, CutOutcome, CutState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.trials import Cut, Trial
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Of the tables below; a journal of another version is refused."""
 
+COLUMNS = {
+    "session": ("provenance",),
+    "trial": (
+        "number", "parameters", "origin", "state", "reason", "worst_case", "warnings",
+        "hyperparameters", "cuts", "seconds",
+    ),
+    "cut": (
+        "trial", "position", "stage", "parameters", "context", "seed", "state", "reason",
+        "metrics", "details", "seconds",
+    ),
+}  # fmt: skip
+
 SCHEMA = """
-CREATE TABLE provenance (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE session (provenance TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE trial (
-    number INTEGER PRIMARY KEY, parameters TEXT NOT NULL, origin TEXT NOT NULL,
+    number INTEGER NOT NULL UNIQUE, parameters TEXT NOT NULL, origin TEXT NOT NULL,
     state TEXT NOT NULL, reason TEXT NOT NULL, worst_case TEXT, warnings TEXT NOT NULL,
-    hyperparameters TEXT NOT NULL
+    hyperparameters TEXT NOT NULL, cuts INTEGER NOT NULL, seconds REAL NOT NULL,
+    checksum INTEGER NOT NULL
 );
 CREATE TABLE cut (
     trial INTEGER NOT NULL, position INTEGER NOT NULL, stage TEXT NOT NULL,
     parameters TEXT NOT NULL, context TEXT NOT NULL, seed INTEGER NOT NULL, state TEXT NOT NULL,
-    reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL
+    reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, seconds REAL NOT NULL,
+    checksum INTEGER NOT NULL
 );
 """
-
-OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
-"""Columns that hold JSON objects."""
 
 
 class Journal:
@@ -43,7 +58,7 @@ class Journal:
     path
         The file; made if it does not exist.
     provenance
-        What produced a new journal: versions, seed, host. Ignored for an existing one.
+        What works on the run from now on: versions, seed, host. A row of its own each time.
 
     Raises
     ------
@@ -51,7 +66,7 @@ class Journal:
         If the file cannot be opened, is no journal, or is of another version.
     """
 
-    def __init__(self, path: Path, provenance: Mapping[str, str] | None = None) -> None:
+    def __init__(self, path: Path, provenance: Mapping[str, str]) -> None:
         self._path = path
         new = not path.exists()
         try:
@@ -59,7 +74,7 @@ class Journal:
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {error}") from error
         try:
-            self._open(new, provenance or {})
+            self._open(new, (json.dumps(dict(provenance)),))
         except sqlite3.Error as error:
             self.close()
             raise JournalError(f"{path}: {error}") from error
@@ -86,14 +101,15 @@ class Journal:
         row = (
             cut.trial,
             cut.index,
-            cut.stage,
+            str(cut.stage),
             json.dumps(dict(parameters)),
             json.dumps(dict(cut.context)),
             cut.seed,
-            outcome.state,
-            outcome.reason,
+            str(outcome.state),
+            _storable(outcome.reason),
             json.dumps(dict(outcome.metrics)),
             json.dumps(dict(outcome.details)),
+            float(cut.seconds),
         )
         self._insert("cut", row)
 
@@ -103,122 +119,63 @@ class Journal:
             trial.number,
             json.dumps(dict(trial.parameters)),
             trial.origin,
-            trial.state,
-            trial.reason,
+            str(trial.state),
+            _storable(trial.reason),
             json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
             json.dumps(trial.warnings),
             json.dumps(dict(trial.hyperparameters)),
+            len(trial.cuts),
+            float(trial.seconds),
         )
         self._insert("trial", row)
-
-    def provenance(self) -> dict[str, str]:
-        """Return what produced the journal."""
-        return dict(self._db.execute("SELECT key, value FROM provenance ORDER BY rowid"))
-
-    def trials(self) -> list[Trial]:
-        """Return all recorded trials with their cuts, in order."""
-        cuts: dict[int, list[Cut]] = {}
-        for cut in self._cuts():
-            # The cuts of a validation belong to no trial.
-            if cut.stage is not Stage.VALIDATION:
-                cuts.setdefault(cut.trial, []).append(cut)
-        rows = self._db.execute(
-            "SELECT number, parameters, origin, state, reason, worst_case, warnings, "
-            "hyperparameters FROM trial ORDER BY number"
-        )
-        return [
-            Trial(
-                number=number,
-                parameters=json.loads(parameters),
-                origin=origin,
-                state=TrialState(state),
-                reason=reason,
-                cuts=tuple(cuts.get(number, ())),
-                worst_case=WorstCase(**json.loads(worst)) if worst else None,
-                warnings=tuple(json.loads(warnings)),
-                hyperparameters={k: tuple(v) for k, v in json.loads(hyperparameters).items()},
-            )
-            for number, parameters, origin, state, reason, worst, warnings, hyperparameters in rows
-        ]
-
-    def export_csv(self, directory: Path) -> None:
-        """Write ``trials.csv`` and ``cuts.csv``.
-
-        Each parameter, context variable and metric has a column of its own, such as
-        ``metrics.overshoot``.
-
-        Raises
-        ------
-        JournalError
-            If a file cannot be written.
-        """
-        for table in ("trial", "cut"):
-            cursor = self._db.execute(f"SELECT * FROM {table} ORDER BY rowid")
-            names = [column[0] for column in cursor.description]
-            rows = [_flat(dict(zip(names, row, strict=True))) for row in cursor]
-            header = list(dict.fromkeys(key for row in rows for key in row)) or names
-            path = directory / f"{table}s.csv"
-            try:
-                with path.open("w", newline="", encoding="utf-8") as file:
-                    writer = csv.DictWriter(file, header)
-                    writer.writeheader()
-                    writer.writerows(rows)
-            except OSError as error:
-                raise JournalError(f"{path}: cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
         """Close the file."""
         self._db.close()
 
-    def _open(self, new: bool, provenance: Mapping[str, str]) -> None:
+    def _open(self, new: bool, session: tuple[str]) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         if new:
             # One transaction: a kill in between must not leave a journal without a version.
             self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA_VERSION}; {SCHEMA}")
-            self._db.executemany("INSERT INTO provenance VALUES (?, ?)", provenance.items())
+        else:
+            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            check_version(self._path, version)
+        self._insert("session", session)
+        if new:
             self._db.execute("COMMIT")
-        (version,) = self._db.execute("PRAGMA user_version").fetchone()
-        if version != SCHEMA_VERSION:
-            raise JournalError(
-                f"{self._path}: journal version {version}; "
-                f"this program reads version {SCHEMA_VERSION}"
-            )
-
-    def _cuts(self) -> list[Cut]:
-        rows = self._db.execute(
-            "SELECT trial, position, stage, context, seed, state, reason, metrics, details "
-            "FROM cut ORDER BY rowid"
-        )
-        return [
-            Cut(
-                trial=trial,
-                index=position,
-                stage=Stage(stage),
-                context=json.loads(context),
-                seed=seed,
-                outcome=CutOutcome(
-                    CutState(state), json.loads(metrics), reason, json.loads(details)
-                ),
-            )
-            for trial, position, stage, context, seed, state, reason, metrics, details in rows
-        ]
 
     def _insert(self, table: str, row: tuple[object, ...]) -> None:
-        marks = ", ".join("?" * len(row))
+        marks = ", ".join("?" * (len(row) + 1))
+        columns = ", ".join((*COLUMNS[table], "checksum"))
         try:
-            self._db.execute(f"INSERT INTO {table} VALUES ({marks})", row)
+            self._db.execute(
+                f"INSERT INTO {table} ({columns}) VALUES ({marks})", (*row, checksum(row))
+            )
         except sqlite3.Error as error:
             raise JournalError(f"{self._path}: {error}") from error
 
 
-def _flat(row: dict[str, object]) -> dict[str, object]:
-    """Spread the JSON objects of a row over columns of their own."""
-    flat: dict[str, object] = {}
-    for key, value in row.items():
-        if key in OBJECTS and value is not None:
-            # With the section in front: names are unique within one only.
-            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
-        else:
-            flat[key] = value
-    return flat
+def checksum(row: Sequence[object]) -> int:
+    """CRC-32 of the values of a row."""
+    return zlib.crc32(repr(tuple(row)).encode())
+
+
+def check_version(path: Path, version: int) -> None:
+    """Refuse a journal of another version.
+
+    Raises
+    ------
+    JournalError
+        With both versions.
+    """
+    if version != SCHEMA_VERSION:
+        raise JournalError(
+            f"{path}: journal version {version}; this program reads version {SCHEMA_VERSION}"
+        )
+
+
+def _storable(text: str) -> str:
+    """Replace what UTF-8 cannot hold, such as half a character that a node said."""
+    return text.encode("utf-8", "replace").decode("utf-8")

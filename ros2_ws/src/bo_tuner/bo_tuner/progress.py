@@ -7,13 +7,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
+from bo_tuner.observer import RunObserver
 from bo_tuner.recommendation import Candidate
 from bo_tuner.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.validation import Validation
 
 
-class RunProgress:
+class RunProgress(RunObserver):
     """Progress bar with incumbent and time left, on standard error; use it in a ``with`` block.
 
     Parameters
@@ -56,19 +57,23 @@ class RunProgress:
     ) -> None:
         self._progress.stop()
 
-    def begin(self, what: str, total: int) -> None:
-        """Start counting `total` steps of `what`."""
+    def begin(self, phase: str, total: int) -> None:
+        """Start counting `total` steps of `phase`."""
         for task in self._progress.task_ids:
             self._progress.remove_task(task)
-        self._task = self._progress.add_task(what, total=total, note="")
+        self._task = self._progress.add_task(phase, total=total, note="")
+
+    def skip(self, steps: int) -> None:
+        """Count steps that were done before."""
+        self._progress.update(self._task, completed=steps)
 
     def advance(self) -> None:
         """Count one step."""
         self._progress.advance(self._task)
 
-    def trial(self, trial: Trial, best: Candidate | None) -> None:
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Count a trial, and tell of it and of the incumbent."""
-        self._progress.update(self._task, advance=1, note=self._incumbent(best))
+        self._progress.update(self._task, advance=1, note=self._incumbent(incumbent))
         line = f"trial {trial.number:3d}  {describe(trial, self._study)}"
         self._console.print(line, soft_wrap=True)
         for warning in trial.warnings:

@@ -1,14 +1,13 @@
 """The folder of a run: the study as run, the journal, and what came out of it."""
 
+import fcntl
 import json
 import math
 import os
-import platform
-import sys
 from collections.abc import Mapping
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Self
 
 import yaml
 
@@ -17,35 +16,80 @@ from bo_tuner.study import Study
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import Value
 
-PACKAGES = ("bo_tuner", "numpy", "scipy", "rclpy")
 LATEST = "latest"
+LOCK = ".lock"
+STUDY = "study.yaml"
+JOURNAL = "journal.sqlite"
+BEST = "best.yaml"
+SUMMARY = "summary.json"
 
 
 class RunFolder:
-    """A new folder ``<output>/<study>-<date-time>``, with a number behind if that exists.
+    """The folder of a run, which this process alone works in until it is closed.
 
     Parameters
     ----------
-    output
-        Where runs are kept; made if need be.
-    study
-        The study as run, with what the command line changed in it.
+    path
+        An existing folder.
 
     Raises
     ------
     OutputError
-        If the folder cannot be made or written to.
+        If it cannot be written to, or another process works in it.
     """
 
-    def __init__(self, output: Path, study: Study) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            # The lock ends with the process, however that ends.
+            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = os.read(self._lock, 20).decode("ascii", "replace").strip()
+            self.close()
+            by = f" (process {holder})" if holder.isdigit() else ""
+            raise OutputError(f"{path}: another process works in this run{by}") from None
+        try:
+            os.ftruncate(self._lock, 0)
+            os.write(self._lock, str(os.getpid()).encode())
+        except OSError as error:
+            self.close()
+            raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+
+    @classmethod
+    def create(cls, output: Path, study: Study) -> Self:
+        """Make ``<output>/<study>-<date-time>``, with a number behind if that exists.
+
+        Parameters
+        ----------
+        output
+            Where runs are kept; made if need be.
+        study
+            The study as run, with what the command line changed in it.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be made or written to.
+        """
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         try:
             output.mkdir(parents=True, exist_ok=True)
-            self.path = _new_folder(output / f"{study.name}-{stamp}")
-            self.log.mkdir()
-            (self.path / "study.yaml").write_text(study_to_yaml(study), encoding="utf-8")
+            folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
+            folder.log.mkdir()
+            (folder.path / STUDY).write_text(study_to_yaml(study), encoding="utf-8")
+        except OutputError:
+            raise
         except OSError as error:
             raise OutputError(f"{output}: cannot write runs there: {error.strerror}") from error
+        return folder
+
+    def close(self) -> None:
+        """Let other processes work in the folder."""
+        os.close(self._lock)
 
     @property
     def log(self) -> Path:
@@ -55,7 +99,7 @@ class RunFolder:
     @property
     def journal(self) -> Path:
         """File of the journal."""
-        return self.path / "journal.sqlite"
+        return self.path / JOURNAL
 
     def link_latest(self) -> None:
         """Let ``latest``, beside the folder, point to it.
@@ -97,7 +141,7 @@ class RunFolder:
             f"/**/{study.nodes[key].node}": {"ros__parameters": of_node}
             for key, of_node in values.items()
         }
-        return self._write("best.yaml", yaml.safe_dump(nodes, sort_keys=False))
+        return self._write(BEST, yaml.safe_dump(nodes, sort_keys=False))
 
     def write_summary(self, summary: Mapping[str, object]) -> Path:
         """Write ``summary.json``, with null for what is not a number, and return its path.
@@ -108,7 +152,7 @@ class RunFolder:
             If the file cannot be written.
         """
         text = json.dumps(_without_nan(summary), indent=2, allow_nan=False)
-        return self._write("summary.json", text + "\n")
+        return self._write(SUMMARY, text + "\n")
 
     def _write(self, name: str, text: str) -> Path:
         path = self.path / name
@@ -144,23 +188,3 @@ def _without_nan(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
-    """Tell what produced a run: versions, machine, backend, algorithm and seed."""
-    versions = {}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            versions[package] = "not installed as a package"
-    return {
-        "study": study.name,
-        "seed": str(study.seed),
-        "backend": backend,
-        "algorithm": algorithm,
-        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "host": platform.node(),
-        "platform": platform.platform(),
-        "python": sys.version.split()[0],
-    } | versions

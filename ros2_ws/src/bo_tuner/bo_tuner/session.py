@@ -2,34 +2,59 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 
 from bo_tuner.backends import Backend
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.recorded import RecordedCuts
 from bo_tuner.backends.ros import RosBackend
 from bo_tuner.confirmation import Recommendation, recommend
-from bo_tuner.errors import JournalError, OutputError, RunError
+from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
+from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.journal import Journal
+from bo_tuner.journal_reader import JournalContent, export_csv, salvage
 from bo_tuner.methods import METHODS
+from bo_tuner.observer import RunObserver
 from bo_tuner.progress import RunProgress, comparison
+from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run import RunRecording
-from bo_tuner.run_folder import RunFolder, provenance
+from bo_tuner.run_folder import RunFolder
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, Value
 from bo_tuner.tuning import Tuning
 from bo_tuner.validation import Validation, validate
 
-EXIT_OK = 0
-EXIT_FAULT = 1
-EXIT_USAGE = 2
-EXIT_INFEASIBLE = 3
-EXIT_SIGNAL = 128
+NOTHING = JournalContent((), (), (), "")
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How a run is run.
+
+    Attributes
+    ----------
+    algorithm
+        Key of `METHODS`.
+    backend
+        ``ros`` or ``inprocess``.
+    attach
+        Use nodes that run already.
+    ros_arguments
+        ``--ros-args`` for the tuner's node and the ones that it starts.
+    record
+        What of the trials is recorded, on ROS.
+    """
+
+    algorithm: str = "IV"
+    backend: str = "ros"
+    attach: bool = False
+    ros_arguments: Sequence[str] = ()
+    record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
 
 
 class Session:
@@ -39,43 +64,23 @@ class Session:
     ----------
     study
         The study as run.
-    algorithm
-        Key of `METHODS`.
-    output
-        Where run folders are made.
-    backend
-        ``ros`` or ``inprocess``.
+    folder
+        Of the run; closed in the end. What it has on record already is not run again.
+    options
+        How to run it.
     interruption
         Ends the run on a signal.
-    attach
-        Use nodes that run already.
-    ros_arguments
-        ``--ros-args`` for the tuner's node and the ones that it starts.
-    record
-        What of the trials is recorded, on ROS; as in `RecordOptions` by default.
     """
 
     def __init__(
-        self,
-        study: Study,
-        algorithm: str,
-        output: Path,
-        backend: str,
-        interruption: Interruption,
-        *,
-        attach: bool = False,
-        ros_arguments: list[str] | None = None,
-        record: RecordOptions | None = None,
+        self, study: Study, folder: RunFolder, options: RunOptions, interruption: Interruption
     ) -> None:
         self._study = study
-        self._algorithm = algorithm
-        self._method = METHODS[algorithm]
-        self._output = output
-        self._backend_name = backend
+        self._folder = folder
+        self._options = options
+        self._method = METHODS[options.algorithm]
         self._interruption = interruption
-        self._attach = attach
-        self._ros_arguments = ros_arguments or []
-        self._record = record or RecordOptions()
+        self._observers: list[RunObserver] = []
         # Reasons and units are shown as they are: what stands in brackets is no markup.
         self._console = Console(stderr=True, markup=False, emoji=False, highlight=False)
 
@@ -84,79 +89,106 @@ class Session:
 
         Raises
         ------
-        OutputError, BackendError, StudyError
+        OutputError, BackendError, StudyError, JournalError
             If the folder, the nodes or the objects cannot be had in the first place.
         """
-        folder = RunFolder(self._output, self._study)
-        record = provenance(self._study, self._backend_name, self._algorithm)
-        try:
-            with Journal(folder.journal, record) as journal:
-                try:
-                    code = self._run(self._make_backend(folder), journal, folder)
-                except BaseException:
-                    # What ended the run matters more than a table that cannot be written either.
-                    with contextlib.suppress(JournalError):
-                        journal.export_csv(folder.path)
-                    raise
-                journal.export_csv(folder.path)
-                return code
-        except Interrupted as interrupt:
-            self._tell(f"interrupted by {interrupt}; the record stays in {folder.path}")
-            return EXIT_SIGNAL + interrupt.signum
-        except (RunError, JournalError, OutputError) as error:
-            self._tell(f"error: {error}; the record stays in {folder.path}")
-            return EXIT_FAULT
+        folder, options = self._folder, self._options
+        with contextlib.closing(folder):
+            earlier, damage = NOTHING, ""
+            if folder.journal.exists():
+                earlier, damage = salvage(folder.journal)
+            who = provenance(self._study, options.backend, options.algorithm)
+            if damage:
+                self._tell(f"the record was damaged: {damage}")
+                who["salvaged"] = damage
+            backend = self._recorded(earlier)
+            try:
+                with Journal(folder.journal, who) as journal:
+                    try:
+                        code = self._run(backend, journal, earlier)
+                    except BaseException:
+                        # What ended the run matters more than a table that cannot be written.
+                        with contextlib.suppress(JournalError):
+                            export_csv(folder.journal, folder.path)
+                        raise
+                    export_csv(folder.journal, folder.path)
+                    return code
+            except Interrupted as interrupt:
+                self._tell(f"interrupted by {interrupt}; {self._how_to_resume()}")
+                return EXIT_SIGNAL + interrupt.signum
+            except (RunError, JournalError, OutputError) as error:
+                self._tell(f"error: {error}; {self._how_to_resume()}")
+                return EXIT_FAULT
 
-    def _run(self, backend: Backend, journal: Journal, folder: RunFolder) -> int:
+    def _recorded(self, earlier: JournalContent) -> RecordedCuts:
+        try:
+            return RecordedCuts(self._make_backend(), self._study, earlier.cuts)
+        except KeyError as error:
+            raise RunRecordError(
+                f"{self._folder.journal}: has cuts of another study, with {error}"
+            ) from error
+
+    def _run(self, backend: RecordedCuts, journal: Journal, earlier: JournalContent) -> int:
         try:
             self._interruption.check()
             backend.open()
-            folder.link_latest()
-            self._tell(f"run folder {folder.path}")
-            return self._tune(backend, journal, folder)
+            self._folder.link_latest()
+            self._tell(f"run folder {self._folder.path}")
+            if earlier.cuts:
+                self._tell(
+                    f"goes on after {len(earlier.trials)} trials and {len(earlier.cuts)} cuts "
+                    "on record"
+                )
+            return self._tune(backend, journal, earlier)
         finally:
             # The nodes come down first, whatever happens to the files.
             self._interruption.ignore()
             backend.close()
 
-    def _make_backend(self, folder: RunFolder) -> Backend:
-        if self._backend_name == "inprocess":
+    def _make_backend(self) -> Backend:
+        if self._options.backend == "inprocess":
             return InProcessBackend(self._study)
         return RosBackend(
             self._study,
-            folder.log,
-            attach=self._attach,
-            ros_arguments=self._ros_arguments,
+            self._folder.log,
+            attach=self._options.attach,
+            ros_arguments=list(self._options.ros_arguments),
             interrupted=self._interruption.check,
         )
 
-    def _tune(self, backend: Backend, journal: Journal, folder: RunFolder) -> int:
+    def _tune(self, backend: RecordedCuts, journal: Journal, earlier: JournalContent) -> int:
         study = self._study
+        recording = self._recording(backend)
+        known = len(earlier.trials)
 
         def observe(cut: Cut, parameters: Mapping[str, Value]) -> None:
-            journal.record_cut(cut, parameters)
+            if backend.given is None:
+                journal.record_cut(cut, parameters)
+                recording.cut(cut, parameters)
+            for observer in self._observers:
+                observer.cut(cut, parameters)
             self._interruption.check()
 
-        recording = self._recording(backend, folder)
+        def advance() -> None:
+            for observer in self._observers:
+                observer.advance()
 
-        def observe_and_record(cut: Cut, parameters: Mapping[str, Value]) -> None:
-            journal.record_cut(cut, parameters)
-            recording.cut(cut, parameters)
-            self._interruption.check()
-
-        tuning = Tuning(study, backend, self._method, observe=observe_and_record)
+        tuning = Tuning(study, backend, self._method, observe=observe, trials=earlier.trials)
         with RunProgress(self._console, study) as progress:
-            progress.begin("tuning", study.budget.trials)
+            self._observers = [progress]
+            self._begin("tuning", study.budget.trials)
+            progress.skip(known)
             with recording:
                 for trial in tuning:
                     journal.record_trial(trial)
                     leader = self._best(tuning)
-                    progress.trial(trial, leader)
+                    for observer in self._observers:
+                        observer.trial(trial, leader)
                     recording.trial(
                         trial, leader is not None and leader.trial.number == trial.number
                     )
                     self._interruption.check()
-            progress.begin("checking candidates", self._method.most_checked)
+            self._begin("checking candidates", self._method.most_checked)
             best = recommend(
                 study,
                 backend,
@@ -164,32 +196,38 @@ class Session:
                 self._method.models,
                 most_checked=self._method.most_checked,
                 observe=observe,
-                advance=progress.advance,
+                advance=advance,
             )
             if best is None:
                 self._tell("no feasible parametrization: every trial failed")
                 return EXIT_INFEASIBLE
-            progress.begin("validation", study.budget.validation_draws)
+            self._begin("validation", study.budget.validation_draws)
             default, tuned = validate(
                 study,
                 backend,
                 [study.search_space().defaults, best.candidate.trial.parameters],
                 observe=observe,
-                advance=progress.advance,
+                advance=advance,
             )
-        return self._report(folder, best, default, tuned, recording.summary)
+        return self._report(best, default, tuned, recording.summary)
+
+    def _begin(self, phase: str, total: int) -> None:
+        for observer in self._observers:
+            observer.begin(phase, total)
 
     def _best(self, tuning: Tuning) -> Candidate | None:
         ranked = rank(self._study, tuning.trials, self._method.models)
         return ranked[0] if ranked else None
 
-    def _recording(self, backend: Backend, folder: RunFolder) -> RunRecording:
-        listen = backend.listen if isinstance(backend, RosBackend) else None
-        return RunRecording(folder.path, self._study, self._record, listen, self._tell)
+    def _recording(self, backend: RecordedCuts) -> RunRecording:
+        ros = backend.backend
+        listen = ros.listen if isinstance(ros, RosBackend) else None
+        return RunRecording(
+            self._folder.path, self._study, self._options.record, listen, self._tell
+        )
 
     def _report(
         self,
-        folder: RunFolder,
         best: Recommendation,
         default: Validation,
         tuned: Validation,
@@ -197,6 +235,7 @@ class Session:
     ) -> int:
         feasible = best.feasible and tuned.feasible
         candidate = best.candidate
+        folder = self._folder
         path = folder.write_parameters(self._study, candidate.trial.parameters)
         folder.write_summary(
             {
@@ -228,3 +267,6 @@ class Session:
 
     def _tell(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
+
+    def _how_to_resume(self) -> str:
+        return f"go on by: tune --resume {self._folder.path}"

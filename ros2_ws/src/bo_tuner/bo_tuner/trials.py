@@ -18,6 +18,9 @@ class Stage(StrEnum):
     VALIDATION = "validation"
 
 
+TUNING = (Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)
+"""Stages of a trial; what follows are checks of its candidates and the validation."""
+
 ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 """Stages whose contexts follow the distribution that the objective is an expectation over."""
 
@@ -74,7 +77,9 @@ class Cut:
     seed
         Seed of the noise.
     outcome
-        What came of it.
+        What came of it; of a cut that is only planned, that it was not run.
+    seconds
+        How long it took [s]; no part of what makes two cuts equal.
     """
 
     trial: int
@@ -82,7 +87,8 @@ class Cut:
     stage: Stage
     context: Mapping[str, float]
     seed: int
-    outcome: CutOutcome
+    outcome: CutOutcome = CutOutcome(CutState.FAILED, reason="not run")
+    seconds: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -131,6 +137,8 @@ class Trial:
     hyperparameters
         Logarithms of the hyperparameters of the surrogates behind the proposal, by name, from
         which the next ones start.
+    seconds
+        How long it took to propose it [s]; no part of what makes two trials equal.
     """
 
     number: int
@@ -142,6 +150,7 @@ class Trial:
     worst_case: WorstCase | None = None
     warnings: tuple[str, ...] = ()
     hyperparameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    seconds: float = field(default=0.0, compare=False)
 
     def observations(self, metric: str) -> list[float]:
         """Values of `metric` in the cuts that estimate its distribution, not in the search."""

@@ -1,6 +1,8 @@
 """The run: trials of stage one, each with its cuts of stage two, on any backend."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,7 +82,9 @@ class Tuning:
             If three trials in a row were lost with their nodes.
         """
         while len(self.trials) < self._study.budget.trials:
-            trial = self._evaluate(len(self.trials), self._stage_one.ask())
+            begin = time.monotonic()
+            proposal = self._stage_one.ask()
+            trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)
             self._take(trial)
             yield trial
             if self._lost >= LOST_IN_A_ROW:
@@ -94,7 +98,7 @@ class Tuning:
         lost = any(cut.outcome.state is CutState.LOST for cut in trial.cuts)
         self._lost = self._lost + 1 if lost else 0
 
-    def _evaluate(self, number: int, proposal: Proposal) -> Trial:
+    def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:
         cuts: list[Cut] = []
 
         def finish(state: TrialState, reason: str, worst_case: WorstCase | None) -> Trial:
@@ -108,15 +112,20 @@ class Tuning:
                 worst_case=worst_case,
                 warnings=proposal.warnings,
                 hyperparameters=proposal.hyperparameters,
+                seconds=seconds,
             )
 
         def run(stage: Stage, context: Mapping[str, float]) -> CutOutcome:
             seed = noise_seed(self._study.seed, Stream.NOISE, number, len(cuts))
-            outcome = run_cut(self._study, self._backend, proposal.parameters, context, seed)
-            cut = Cut(number, len(cuts), stage, context, seed, outcome)
+            cut = run_cut(
+                self._study,
+                self._backend,
+                proposal.parameters,
+                Cut(number, len(cuts), stage, context, seed),
+            )
             cuts.append(cut)
             self._observe(cut, proposal.parameters)
-            return outcome
+            return cut.outcome
 
         for stage, context in self._estimating_contexts(number):
             outcome = run(stage, context)
@@ -186,19 +195,32 @@ class Tuning:
         )
 
 
-def run_cut(
-    study: Study,
-    backend: Backend,
-    parameters: Mapping[str, Value],
-    context: Mapping[str, float],
-    seed: int,
-) -> CutOutcome:
-    """Run one cut; an objective that its scale cannot take makes it a failed one."""
-    outcome = backend.run_cut(study.assignments(parameters, context, seed))
+def run_cut(study: Study, backend: Backend, parameters: Mapping[str, Value], planned: Cut) -> Cut:
+    """Run a planned cut; an objective that its scale cannot take makes it a failed one.
+
+    Parameters
+    ----------
+    study
+        The study.
+    backend
+        Runs the cut; open.
+    parameters
+        Value of each parameter.
+    planned
+        The cut, with no outcome yet.
+
+    Returns
+    -------
+    Cut
+        With its outcome, and how long it took.
+    """
+    begin = time.monotonic()
+    outcome = backend.run_cut(study.assignments(parameters, planned.context, planned.seed))
+    seconds = time.monotonic() - begin
     objective = study.objective
     if outcome.state is CutState.COMPLETE and objective.scale == "log":
         value = outcome.metrics[objective.metric]
         if value <= 0.0:
             reason = f"metric {objective.metric} is {value}; its log scale needs a positive value"
-            return CutOutcome(CutState.FAILED, {}, reason, outcome.details)
-    return outcome
+            outcome = CutOutcome(CutState.FAILED, {}, reason, outcome.details)
+    return replace(planned, outcome=outcome, seconds=seconds)

@@ -102,13 +102,15 @@ def validate(
         seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, k)
         context = contexts.to_dict(row)
         for number, parameters in enumerate(parametrizations):
-            outcome = run_cut(study, backend, parameters, context, seed)
-            cut = Cut(number, k, Stage.VALIDATION, context, seed, outcome)
+            planned = Cut(number, k, Stage.VALIDATION, context, seed)
+            cut = run_cut(study, backend, parameters, planned)
             cuts[number].append(cut)
             observe(cut, parameters)
-            lost = lost + 1 if outcome.state is CutState.LOST else 0
+            lost = lost + 1 if cut.outcome.state is CutState.LOST else 0
             if lost >= LOST_IN_A_ROW:
-                raise RunError(f"{lost} cuts in a row were lost with their nodes: {outcome.reason}")
+                raise RunError(
+                    f"{lost} cuts in a row were lost with their nodes: {cut.outcome.reason}"
+                )
         advance()
     return [_judge(study, p, c) for p, c in zip(parametrizations, cuts, strict=True)]
 

@@ -186,7 +186,7 @@ class Recorder:
 
     def _write(self, batch: _Batch, cut: Cut, parameters: dict[str, Value]) -> None:
         if self._bag is None:
-            self._bag = TrialBag(self._folder / f"trial_{cut.trial:04d}")
+            self._bag = TrialBag(_free(self._folder / f"trial_{cut.trial:04d}"))
             self._bag_missing = _Batch()
             self._cuts = []
         messages = timed(batch.messages, self._bag.latest)
@@ -276,3 +276,13 @@ class Recorder:
             if path is not None:
                 self._incomplete.append(path.name)
                 self._retention.keep(path, None, None)
+
+
+def _free(path: Path) -> Path:
+    """Take `path`, or the first of ``<path>_part2``...: a trial that goes on keeps what it had."""
+    free = path
+    number = 1
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.name}_part{number}")
+    return free

@@ -1,19 +1,17 @@
-"""The options of ``tune``, and what is said of wrong ones: one line each, and exit code 2."""
+"""``tune``: run a study, or go on with a run, and report what was found."""
 
 import argparse
-import sys
 from collections.abc import Sequence
-from io import TextIOWrapper
 from pathlib import Path
-from typing import NoReturn
 
-from threadpoolctl import threadpool_limits
-
-from bo_tuner.errors import BackendError, OutputError, StudyError
+from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
+from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.methods import METHODS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
-from bo_tuner.session import EXIT_USAGE, Session
+from bo_tuner.run_folder import RunFolder
+from bo_tuner.run_record import read_run
+from bo_tuner.session import RunOptions, Session
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study, shipped_studies
 
@@ -30,37 +28,33 @@ exit codes:
   2    something given is wrong: study, option, folder, nodes
   3    the run is complete, but nothing feasible was found
   130  interrupted by Ctrl-C (143: by SIGTERM); nodes are down, the record stays
+       and --resume goes on from there
 
 examples:
   tune                                 the benchmark study on nodes of its own
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that run already
   tune --backend inprocess --seed 7    without ROS, repeatable to the last bit
+  tune --resume runs/latest            go on with a run that was cut short
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
 
+STUDY = "benchmark"
+ALGORITHM = "IV"
+BACKENDS = ("ros", "inprocess")
+OUTPUT = Path("runs")
+FROM_THE_RECORD = ("study", "trials", "seed", "output", "backend", "algorithm")
+"""Options that a run which goes on has on record."""
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """Say what is wrong in one line, without the usage."""
-        self.exit(EXIT_USAGE, f"error: {message} (tune --help tells more)\n")
 
-
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Make the parser of the command line."""
-    parser = _Parser(
-        prog="tune",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = Parser("tune", DESCRIPTION, EPILOG)
     parser.add_argument(
         "--study",
-        default="benchmark",
         metavar="NAME|FILE",
         help=f"shipped study ({', '.join(shipped_studies())}) or path of a study file "
-        "(default: %(default)s)",
+        f"(default: {STUDY})",
     )
     parser.add_argument(
         "--trials", type=int, metavar="N", help="number of parametrizations (default: the study's)"
@@ -71,15 +65,13 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--output",
         type=Path,
-        default=Path("runs"),
         metavar="DIR",
-        help="where run folders are made (default: %(default)s)",
+        help=f"where run folders are made (default: {OUTPUT})",
     )
     parser.add_argument(
         "--backend",
-        choices=("ros", "inprocess"),
-        default="ros",
-        help="cuts on ROS nodes, or on the same objects in this process (default: %(default)s)",
+        choices=BACKENDS,
+        help=f"cuts on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
     )
     parser.add_argument(
         "--attach", action="store_true", help="use nodes that run already instead of starting them"
@@ -103,13 +95,20 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--algorithm",
         choices=tuple(METHODS),
-        default="IV",
         help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
-        + " (default: %(default)s)",
+        + f" (default: {ALGORITHM})",
+    )
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="go on with the run in this folder, where it was cut short; what is on record is not "
+        "run again",
     )
     return parser
 
 
+@guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command; returns its exit code, or exits after a wrong option.
 
@@ -120,34 +119,36 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     interruption
         Ends the run on a signal.
     """
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            # A terminal that cannot show a sign of ours gets a question mark, not an error.
-            stream.reconfigure(errors="replace")
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    if arguments.attach and arguments.backend != "ros":
+    if arguments.resume is not None:
+        given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
+        if given:
+            parser.error(f"--resume has --{given[0]} from the run's record; leave it out")
+        record = read_run(arguments.resume)
+        study, algorithm, backend = record.study, record.algorithm, record.backend
+        if backend not in BACKENDS:
+            raise RunRecordError(f"{arguments.resume}: unknown backend {backend!r} in its record")
+    else:
+        study = _study(arguments)
+        algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
+    if arguments.attach and backend != "ros":
         parser.error("--attach needs --backend ros")
-    if arguments.record not in (None, Policy.NONE) and arguments.backend != "ros":
+    if arguments.record not in (None, Policy.NONE) and backend != "ros":
         parser.error("--record needs --backend ros: without nodes there are no messages")
-    try:
-        # More threads than one only slow down the small matrices of the surrogates.
-        with threadpool_limits(1):
-            session = Session(
-                _study(arguments),
-                arguments.algorithm,
-                arguments.output,
-                arguments.backend,
-                interruption,
-                attach=arguments.attach,
-                ros_arguments=ros_arguments,
-                record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
-            )
-            return session.run()
-    except (StudyError, OutputError, BackendError) as error:
-        sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
-        return EXIT_USAGE
+    options = RunOptions(
+        algorithm=algorithm,
+        backend=backend,
+        attach=arguments.attach,
+        ros_arguments=ros_arguments,
+        record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
+    )
+    if arguments.resume is not None:
+        folder = RunFolder(arguments.resume.resolve())
+    else:
+        folder = RunFolder.create(arguments.output or OUTPUT, study)
+    return Session(study, folder, options, interruption).run()
 
 
 def _megabytes(text: str) -> int:
@@ -161,21 +162,8 @@ def _megabytes(text: str) -> int:
     return round(size * MEGABYTE)
 
 
-def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Part the own arguments from those between ``--ros-args`` and ``--``, or the end."""
-    own: list[str] = []
-    ros: list[str] = []
-    inside = False
-    for argument in argv:
-        starts = argument == "--ros-args"
-        ends = inside and argument == "--"
-        (ros if inside or starts else own).append(argument)
-        inside = starts or (inside and not ends)
-    return own, ros
-
-
 def _study(arguments: argparse.Namespace) -> Study:
-    study = load_study(arguments.study)
+    study = load_study(arguments.study or STUDY)
     try:
         return study.replace(trials=arguments.trials, seed=arguments.seed)
     except StudyError as error:

@@ -1,0 +1,13 @@
+"""``python -m bo_tuner COMMAND``: any of the commands without an installation's scripts."""
+
+import sys
+
+from bo_tuner import executables
+
+COMMANDS = ("tune",)
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
+        sys.exit(f"error: expected one of {', '.join(COMMANDS)} (python -m bo_tuner tune --help)")
+    name = sys.argv.pop(1)
+    getattr(executables, name)()

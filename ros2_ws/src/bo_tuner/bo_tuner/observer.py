@@ -1,0 +1,22 @@
+"""Who looks on while a run goes on: the terminal, topics, a log."""
+
+from collections.abc import Mapping
+
+from bo_tuner.recommendation import Candidate
+from bo_tuner.trials import Cut, Trial, Value
+
+
+class RunObserver:
+    """Told of each step of a run, after it is on record; does nothing with it by itself."""
+
+    def begin(self, phase: str, total: int) -> None:
+        """Tell that `total` steps of `phase` begin."""
+
+    def cut(self, cut: Cut, parameters: Mapping[str, Value]) -> None:
+        """Tell of a cut of a parametrization."""
+
+    def advance(self) -> None:
+        """Tell of a step of the phase that is no trial."""
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Tell of a trial, which is a step, and of the best one so far."""
