@@ -3,15 +3,13 @@
 import importlib
 import threading
 import time
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from rclpy.context import Context
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from rclpy.task import Future
+from rclpy.subscription import Subscription
 
 from bo_tuner.recording.bag import Topic, make_topic
 
@@ -20,13 +18,15 @@ NOT_HEARD = ("/rosout",)
 DEPTH = 2000
 """Messages of a topic that may wait; some cuts' worth, for a moment in which this process is
 busy."""
-SPIN_PERIOD = 0.1
+PERIOD = 0.1
+"""Time [s] after which waiting messages are taken. To wake up for each of them would cost a loop
+that runs beside it on few cores a multiple of this."""
 SETTLE = 0.3
 """Time [s] in which the nodes' publishers find a new subscription, on one machine."""
 
 
 class Sink(Protocol):
-    """Where messages go; its methods are called in the listener's thread."""
+    """Where messages go; its methods are called from any thread."""
 
     def take(self, topic: Topic, data: bytes) -> None:
         """Take a message."""
@@ -60,11 +60,10 @@ class TopicListener:
         self._node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
         )
-        # The other executor takes four times as long for a message.
-        self._executor = EventsExecutor(context=context)
-        self._executor.add_node(self._node)
+        self._subscriptions: list[_Heard] = []
+        self._taking = threading.Lock()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name="topic-listener", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="topic-listener", daemon=True)
         self._thread.start()
         while self.refresh():
             time.sleep(SETTLE)
@@ -90,11 +89,23 @@ class TopicListener:
             self._subscribe(topic, found[topic])
         return bool(new)
 
+    def take(self) -> None:
+        """Hand over all messages that wait, in the order in which they came."""
+        with self._taking:
+            waiting = [item for heard in self._subscriptions for item in heard.take()]
+            for _, topic, data in sorted(waiting, key=lambda item: item[0]):
+                self._sink.take(topic, data)
+            lost = sum(heard.lost for heard in self._subscriptions)
+            if lost:
+                self._sink.lose(lost)
+                for heard in self._subscriptions:
+                    heard.lost = 0
+
     def close(self) -> None:
-        """Stop listening."""
+        """Hand over what waits, and stop listening."""
         self._stop.set()
         self._thread.join()
-        self._executor.shutdown()
+        self.take()
         self._node.destroy_node()
 
     def _subscribe(self, name: str, message_type: str) -> None:
@@ -114,22 +125,45 @@ class TopicListener:
             if best_effort
             else QoSReliabilityPolicy.RELIABLE,
         )
-        self._node.create_subscription(
-            message_class,
-            name,
-            partial(self._sink.take, topic),
-            qos,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
-            raw=True,
+        # It is in no executor, which would call this.
+        subscription = self._node.create_subscription(
+            message_class, name, lambda message: None, qos, raw=True
         )
+        with self._taking:
+            self._subscriptions.append(_Heard(topic, subscription, len(publishers) == 1))
 
-    def _on_lost(self, info: QoSMessageLostInfo) -> None:
-        self._sink.lose(info.total_count_change)
+    def _run(self) -> None:
+        while not self._stop.wait(PERIOD):
+            self.take()
 
-    def _spin(self) -> None:
-        while not self._stop.is_set():
-            # Returns after the period only: one call for many messages is a fifth cheaper.
-            self._executor.spin_until_future_complete(Future(), SPIN_PERIOD)
+
+@dataclass
+class _Heard:
+    """A subscription, and how many of its messages the middleware has lost.
+
+    A publisher numbers its messages; where there are several, a gap tells nothing.
+    """
+
+    topic: Topic
+    subscription: Subscription
+    one_publisher: bool
+    latest: int = 0
+    lost: int = 0
+
+    def take(self) -> list[tuple[int, Topic, bytes]]:
+        """Take the messages that wait, with the time of their arrival [ns]."""
+        found = []
+        handle = self.subscription.handle
+        with handle:
+            while (item := handle.take_message(self.subscription.msg_type, True)) is not None:
+                data, info = item
+                found.append((info["received_timestamp"], self.topic, data))
+                number = info["publication_sequence_number"]
+                # A publisher that was started anew begins again; not every middleware numbers.
+                if self.one_publisher and number and 0 < self.latest < number:
+                    self.lost += number - self.latest - 1
+                self.latest = number or 0
+        return found
 
 
 def _message_class(name: str) -> Any:

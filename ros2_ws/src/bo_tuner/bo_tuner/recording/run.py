@@ -20,6 +20,9 @@ class Listener(Protocol):
     def refresh(self) -> bool:
         """Hear topics that were not there before, too; tells whether there were any."""
 
+    def take(self) -> None:
+        """Hand on what has come by now."""
+
     def close(self) -> None:
         """Stop listening."""
 
@@ -82,13 +85,16 @@ class RunRecording:
         """Stop listening and finish the bags."""
         if self._listener is not None:
             self._listener.close()
+            self._listener = None
         if self._recorder is not None:
             self.summary = self._recorder.close()
             self._pass_news_on()
+            self._recorder = None
 
     def cut(self, cut: Cut, parameters: Mapping[str, Value]) -> None:
         """Tell that a cut of a parametrization has ended."""
-        if self._recorder is not None:
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
             self._recorder.cut(cut, parameters)
 
     def trial(self, trial: Trial, best: bool) -> None:
