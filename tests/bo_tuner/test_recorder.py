@@ -204,6 +204,27 @@ class TestBag:
         assert bags == ["trial_0003", "trial_0003_part2"]
         assert [len(read_with_rosbags(tmp_path / name)) for name in bags] == [11, 21]
 
+    def test_checks_and_validation_have_bags_of_their_own(self, recorder, tmp_path):
+        it = recorder(Policy.NOTABLE)
+        record(it, trial_of(3), best=True)
+        stages = [(Stage.CHECK_DRAWN, 3), (Stage.CHECK_WORST, 3), (Stage.CHECK_DRAWN, 1)]
+        for index, (stage, number) in enumerate(stages):
+            it.take(*joints(START + 10**12 + index * 10**9))
+            it.cut(cut_of(number, index, stage=stage), PARAMETERS)
+        it.phase_ended()
+        for index, parameters in enumerate((PARAMETERS, PARAMETERS | {"lambda_mpc": 0.5})):
+            it.take(*joints(START + 10**13 + index * 10**9))
+            it.cut(cut_of(index, 0, stage=Stage.VALIDATION), parameters)
+        it.phase_ended()
+        names = ["trial_0003", "check_0003", "check_0001", "validation"]
+        assert it.close()["bags"] == names
+        assert [len(read_with_mcap(tmp_path / name)) for name in names[1:]] == [2, 1, 2]
+        data = [custom_data(tmp_path / name) for name in names]
+        assert all(each["complete"] == "true" for each in data)
+        assert [cut["stage"] for cut in json.loads(data[1]["cuts"])] == [s for s, _ in stages[:2]]
+        judged = [cut["parameters"]["lambda_mpc"] for cut in json.loads(data[3]["cuts"])]
+        assert judged == [PARAMETERS["lambda_mpc"], 0.5]
+
     def test_types_of_other_packages_are_not_known(self):
         with pytest.raises(KeyError):
             make_topic("/spindle", "spindle_msgs/msg/Load")
@@ -413,7 +434,10 @@ class TestTrouble:
         told = []
 
         class Listener:
-            def refresh(self):
+            def take(self):
+            pass
+
+        def refresh(self):
                 return False
 
             def close(self):

@@ -19,13 +19,14 @@ from bo_tuner.recording.retention import (
     BADNESS,
     KEPT_AS,
     MEGABYTE,
+    Reason,
     RecordOptions,
     Retention,
     badness,
     verdict,
 )
 from bo_tuner.study import Study
-from bo_tuner.trials import Cut, Trial, TrialState, Value
+from bo_tuner.trials import TUNING, Cut, Stage, Trial, TrialState, Value
 
 MEMORY = 64_000_000
 """Most bytes of messages that wait to be written."""
@@ -74,6 +75,7 @@ class Recorder:
         self._dropped = 0
         self._lost = 0
         self._bag: TrialBag | None = None
+        self._bag_name = ""
         self._notes: dict[str, str] = {}
         self._cuts: list[dict[str, object]] = []
         self._bag_missing = _Batch()
@@ -111,6 +113,11 @@ class Recorder:
         """Tell that a trial is complete, and whether no other is better so far."""
         self._wait_for_quiet()
         self._submit(self._finish, self._take_batch(), trial, best)
+
+    def phase_ended(self) -> None:
+        """Tell that no cut of a check, or of the validation, is to come for now."""
+        self._wait_for_quiet()
+        self._submit(self._finish_evidence, self._take_batch())
 
     def warn(self, text: str) -> None:
         """Add to what `news` returns."""
@@ -185,8 +192,11 @@ class Recorder:
         self._retention = Retention(self._folder, self._options)
 
     def _write(self, batch: _Batch, cut: Cut, parameters: dict[str, Value]) -> None:
+        if cut.stage not in TUNING and self._bag_name != bag_name(cut):
+            self._finish_evidence(_Batch())
         if self._bag is None:
-            self._bag = TrialBag(_free(self._folder / f"trial_{cut.trial:04d}"))
+            self._bag_name = bag_name(cut)
+            self._bag = TrialBag(_free(self._folder / self._bag_name))
             self._bag_missing = _Batch()
             self._cuts = []
         messages = timed(batch.messages, self._bag.latest)
@@ -196,6 +206,7 @@ class Recorder:
             {
                 "index": cut.index,
                 "stage": str(cut.stage),
+                "parameters": parameters,
                 "context": dict(cut.context),
                 "seed": cut.seed,
                 "state": str(outcome.state),
@@ -242,7 +253,24 @@ class Recorder:
             | ({} if value is None else {BADNESS: repr(value)})
         )
         self._bag = None
-        displaced = retention.keep(bag.path, reason, value)
+        self._keep(retention, bag.path, reason, value)
+
+    def _finish_evidence(self, batch: _Batch) -> None:
+        """Finish the bag of a check or of the validation, if one is open."""
+        bag, retention = self._bag, self._retention
+        if bag is None or retention is None:
+            return
+        self._count(batch)
+        bag.write(timed(batch.messages, bag.latest), self._notes)
+        notes = {"state": "complete", KEPT_AS: str(Reason.EVIDENCE), "complete": "true"}
+        bag.finish(self._notes | self._missing() | notes)
+        self._bag = None
+        self._keep(retention, bag.path, Reason.EVIDENCE, None)
+
+    def _keep(
+        self, retention: Retention, path: Path, reason: Reason | None, value: float | None
+    ) -> None:
+        displaced = retention.keep(path, reason, value)
         if displaced and not self._displaced:
             self._displaced = True
             self.warn(
@@ -276,6 +304,13 @@ class Recorder:
             if path is not None:
                 self._incomplete.append(path.name)
                 self._retention.keep(path, None, None)
+
+
+def bag_name(cut: Cut) -> str:
+    """Name of the bag that a cut belongs to: a trial, a trial's check, or the validation."""
+    if cut.stage is Stage.VALIDATION:
+        return "validation"
+    return f"{'trial' if cut.stage in TUNING else 'check'}_{cut.trial:04d}"
 
 
 def _free(path: Path) -> Path:

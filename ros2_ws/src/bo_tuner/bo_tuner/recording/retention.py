@@ -27,11 +27,12 @@ class Policy(StrEnum):
 
 
 class Reason(StrEnum):
-    """What makes a trial notable."""
+    """What makes a bag notable."""
 
     BEST = "best so far"
     WORST = "worst"
     FAILED = "failed"
+    EVIDENCE = "evidence for the recommendation"
 
 
 @dataclass(frozen=True)
@@ -91,18 +92,18 @@ class Retention:
         self._sizes: dict[str, int] = {}
         self._reasons: dict[str, str] = {}
         self._worst = float("-inf")
-        for path in sorted(folder.glob("*")):
-            if (path / "metadata.yaml").is_file():
-                data = custom_data(path)
-                self._sizes[path.name] = _size(path)
-                self._reasons[path.name] = data.get(KEPT_AS, "")
-                with contextlib.suppress(KeyError, ValueError):
-                    self._worst = max(self._worst, float(data[BADNESS]))
+        bags = [path.parent for path in folder.glob("*/metadata.yaml")]
+        for path in sorted(bags, key=lambda path: (path.stat().st_mtime_ns, path.name)):
+            data = custom_data(path)
+            self._sizes[path.name] = _size(path)
+            self._reasons[path.name] = data.get(KEPT_AS, "")
+            with contextlib.suppress(KeyError, ValueError):
+                self._worst = max(self._worst, float(data[BADNESS]))
 
     @property
     def kept(self) -> list[str]:
         """Names of the bags, oldest first."""
-        return sorted(self._sizes)
+        return list(self._sizes)
 
     def reason(self, study: Study, trial: Trial, best: bool) -> Reason | None:
         """Tell what makes a trial notable, if anything does.

@@ -1,4 +1,4 @@
-"""The recording of a run, from the first of its trials to the last, or none at all."""
+"""The recording of a run, from its first trial to the validation, or none at all."""
 
 import contextlib
 from collections.abc import Callable, Mapping
@@ -32,7 +32,7 @@ Listen = Callable[[Recorder], Listener]
 
 
 class RunRecording:
-    """Records trials; use it in a ``with`` block around them.
+    """Records cuts; use it in a ``with`` block around them.
 
     Parameters
     ----------
@@ -102,6 +102,13 @@ class RunRecording:
         if self._recorder is not None and self._listener is not None:
             self._recorder.trial(trial, best)
             self._listener.refresh()
+            self._pass_news_on()
+
+    def phase_ended(self) -> None:
+        """Tell that the checks, or the validation, have ended."""
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            self._recorder.phase_ended()
             self._pass_news_on()
 
     def _pass_news_on(self) -> None:
