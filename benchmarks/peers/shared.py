@@ -1,0 +1,47 @@
+"""What every peer needs: scaled constraints, feasibility as observed, and permitted values."""
+
+from collections.abc import Mapping, Sequence
+
+from bo_tuner.benchmark.optimizer import Observation
+from bo_tuner.space import SearchSpace
+from bo_tuner.study import Study
+from bo_tuner.trials import Value
+
+
+def excesses(study: Study, observation: Observation) -> dict[str, float]:
+    """Excess over each limit relative to the limit's size, so that constraints are comparable."""
+    return {
+        name: value / (abs(study.constraints[name].upper) or 1.0)
+        for name, value in observation.constraints.items()
+    }
+
+
+def is_feasible(observation: Observation) -> bool:
+    """Whether a trial ended and kept all limits as observed."""
+    return not observation.failed and all(v <= 0.0 for v in observation.constraints.values())
+
+
+def best_observed(observations: Sequence[Observation]) -> int | None:
+    """Index of the lowest observed objective of all that are feasible as observed, if any is."""
+    objectives = {
+        index: observation.objective
+        for index, observation in enumerate(observations)
+        if is_feasible(observation) and observation.objective is not None
+    }
+    return min(objectives, key=objectives.__getitem__, default=None)
+
+
+def permitted(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """Tuned parameters as they are if the order permits them, moved to the nearest that it does.
+
+    A round trip through the unit cube changes the last digit of a double; values that are permitted
+    keep theirs, so that a peer recognises what it asked for.
+    """
+    repaired = tuned(space, space.to_parameters(space.to_cube(parameters)))
+    same = space.key(repaired) == space.key(parameters)
+    return dict(parameters) if same else repaired
+
+
+def tuned(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """Tuned ones of a whole parametrization."""
+    return {name: parameters[name] for name in space.names}
