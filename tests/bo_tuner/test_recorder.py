@@ -434,6 +434,169 @@ class TestTrouble:
         told = []
 
         class Listener:
+            def refresh(self):
+                return False
+
+            def take(self):
+                pass
+
+            def close(self):
+                pass
+
+        def listen(recorder):
+            raise AssertionError
+
+        with RunRecording(tmp_path, STUDY, RecordOptions(Policy.NONE), listen, print) as recording:
+            recording.cut(cut_of(0), PARAMETERS)
+            recording.trial(trial_of(0), True)
+        assert recording.summary == {"policy": "none"}
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestCutOff:
+    def write(self, folder, cuts=3):
+        """Leave an unfinished bag behind: a partial bag of some cuts."""
+        bag = TrialBag(folder / "trial_0002")
+        for k in range(cuts):
+            start = START + k * NANOSECONDS
+            messages = [joints(start + i, float(i)) for i in range(40)]
+            bag.write(timed(messages), {"trial": "2", "state": "interrupted"})
+        return bag
+
+    def test_a_killed_writer_loses_no_whole_cut(self, tmp_path):
+        program = f"""
+            import os, signal, sys
+            sys.path.insert(0, {str(Path(__file__).parent)!r})
+            from pathlib import Path
+            from test_recorder import TestCutOff
+            bag = TestCutOff().write(Path({str(tmp_path)!r}))
+            bag._writer.write(*next(iter([(c, 1, b"abc") for c in bag._connections.values()])))
+            os.kill(os.getpid(), signal.SIGKILL)
+        """
+        ended = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], check=False)
+        assert ended.returncode == -signal.SIGKILL
+        (partial,) = partial_bags(tmp_path)
+        bag = recover(partial)
+        assert bag == tmp_path / "trial_0002"
+        assert len(read_with_rosbags(bag)) == len(read_with_mcap(bag)) == 120
+        data = custom_data(bag)
+        assert data["complete"] == "false"
+        assert data["state"] == "interrupted"
+        assert list(tmp_path.iterdir()) == [bag]
+
+    @pytest.mark.parametrize("cut_by", [1, 500, 3000, 6000])
+    def test_a_file_cut_anywhere_gives_its_whole_chunks(self, tmp_path, cut_by):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        data = file.read_bytes()
+        file.write_bytes(data[:-cut_by])
+        found = read_with_rosbags(recover(partial))
+        assert len(found) in (40, 80, 120)
+        assert [m.velocity[0] for _, _, m in found] == [float(k % 40) for k in range(len(found))]
+
+    def test_damage_ends_the_recovery(self, tmp_path):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        data = bytearray(file.read_bytes())
+        chunks, position = [], 8
+        while position < len(data):
+            kind, length = struct.unpack_from("<BQ", data, position)
+            chunks += [position] if kind == 0x06 else []
+            position += 9 + length
+        # The second one now claims to be longer than the file.
+        data[chunks[1] + 1 : chunks[1] + 9] = b"\xff" * 8
+        file.write_bytes(data)
+        assert len(read_with_rosbags(recover(partial))) == 40
+
+    @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"garbage" * 50, None])
+    def test_nothing_to_recover(self, tmp_path, content):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        if content is None:
+            file.unlink()
+        else:
+            file.write_bytes(content)
+        assert recover(partial) is None
+        assert list(tmp_path.iterdir()) == []
+
+    def test_the_next_session_recovers_and_says_so(self, recorder, tmp_path):
+        self.write(tmp_path).abandon()
+        it = recorder()
+        summary = it.close()
+        assert summary["incomplete"] == ["trial_0002"]
+        assert summary["bags"] == ["trial_0002"]
+        assert "trial_0002" in summary["warnings"][0]
+
+    def test_a_whole_bag_of_the_same_trial_is_not_replaced(self, recorder, tmp_path):
+        record(it := recorder(), trial_of(2), best=True)
+        it.close()
+        self.write(tmp_path).abandon()
+        recorder().close()
+        assert custom_data(tmp_path / "trial_0002")["complete"] == "true"
+
+    def test_an_interrupted_run_leaves_its_last_trial(self, recorder, tmp_path):
+        it = recorder()
+        it.take(*joints(START))
+        it.cut(cut_of(4), PARAMETERS)
+        assert it.close()["incomplete"] == ["trial_0004"]
+        data = custom_data(tmp_path / "trial_0004")
+        assert data["state"] == "interrupted"
+        assert len(read_with_rosbags(tmp_path / "trial_0004")) == 1
+
+
+class TestTrouble:
+    def test_a_full_disk_ends_the_recording_only(self, recorder, tmp_path, monkeypatch):
+        it = recorder(Policy.ALL)
+        record(it, trial_of(0))
+
+        def full(*arguments):
+            raise OSError(28, "No space left on device")
+
+        it._writer.submit(lambda: None).result()
+        monkeypatch.setattr(TrialBag, "write", full)
+        record(it, trial_of(1))
+        record(it, trial_of(2))
+        summary = it.close()
+        (line,) = summary["warnings"]
+        assert "No space left on device; the run goes on" in line
+        assert summary["bags"] == ["trial_0000"]
+        # What was begun makes room for the journal.
+        assert [path.name for path in tmp_path.iterdir()] == ["trial_0000"]
+
+    def test_a_folder_that_cannot_be_made(self, tmp_path):
+        (tmp_path / "bags").write_text("a file")
+        it = Recorder(tmp_path / "bags", STUDY, RecordOptions())
+        record(it, trial_of(0))
+        (line,) = it.close()["warnings"]
+        assert "File exists" in line
+
+    def test_a_slow_disk_delays_no_message(self, recorder, monkeypatch):
+        """With the writer stuck, messages and cuts are still taken, up to the memory."""
+        stuck = threading.Event()
+        original = TrialBag.write
+
+        def write(bag, *arguments):
+            stuck.wait()
+            original(bag, *arguments)
+
+        monkeypatch.setattr(TrialBag, "write", write)
+        it = recorder(Policy.ALL, memory=20_000)
+        for number in range(20):
+            record(it, trial_of(number))
+        stuck.set()
+        summary = it.close()
+        assert summary["dropped_messages"] > 0
+        assert summary["bags"][0] == "trial_0000"
+
+    def test_news_is_told_once_and_logged(self, tmp_path):
+        (tmp_path / "log").mkdir()
+        (tmp_path / "bags").write_text("a file")
+        told = []
+
+        class Listener:
             def take(self):
             pass
 
