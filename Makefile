@@ -24,24 +24,33 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 	FASTRTPS_DEFAULT_PROFILES_FILE='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml' \
 	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
 
-.PHONY: help setup tune test lint types format check colcon clean
+# Processes of the benchmark.
+JOBS ?= $(shell nproc 2>/dev/null || echo 1)
+EXPERIMENTS ?= paper benchmarks/experiments/peers.yaml benchmarks/experiments/choices.yaml
+
+.PHONY: help setup tune benchmark test lint types format check colcon clean
 .NOTPARALLEL:
 
 help:
-	@echo 'make setup    install ROS 2 and the three packages into $(VENV) (PYTHON=python3.12 picks one)'
-	@echo 'make tune     tune the feed axis (ARGS="--trials 20" and so on)'
-	@echo 'make test     run the test suite (ARGS="-k kalman" and so on)'
-	@echo 'make check    lint, types and tests'
-	@echo 'make lint     ruff and import-linter'
-	@echo 'make types    mypy'
-	@echo 'make format   reformat the code'
-	@echo 'make colcon   install colcon into $(VENV)'
-	@echo 'make clean    remove all of it, but not runs/'
+	@echo 'make setup      install ROS 2 and the three packages into $(VENV) (PYTHON=python3.12 picks one)'
+	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
+	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
+	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'
+	@echo 'make check      lint, types and tests'
+	@echo 'make lint       ruff and import-linter'
+	@echo 'make types      mypy'
+	@echo 'make format     reformat the code'
+	@echo 'make colcon     install colcon into $(VENV)'
+	@echo 'make clean      remove all of it, but not runs/'
 
 setup: $(VENV)/.packages
 
 tune: setup
 	$(BIN)/tune $(ARGS)
+
+benchmark: setup $(VENV)/.benchmarks
+	PYTHONPATH='$(CURDIR)/benchmarks' $(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
+		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
 
 test: setup $(VENV)/.dev
 	$(CHECK_ENV) $(BIN)/python -m pytest $(ARGS)
@@ -99,7 +108,7 @@ $(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
 	@$(PIP) check
 	@touch $@
 
-$(VENV)/.dev $(VENV)/.colcon: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
+$(VENV)/.dev $(VENV)/.colcon $(VENV)/.benchmarks: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
 	$(INSTALL) --requirement $<
 	@$(PIP) check
 	@touch $@

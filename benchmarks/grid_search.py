@@ -1,9 +1,9 @@
 """Find the true optimum of the studies by dense search.
 
-A point is judged by the truth of `truth.py`. With two tuned parameters the grid is complete
-(all integers, steps of 0.05). With more it is coarse, and the best points are refined by a pattern
-search over integer steps and halving steps of the doubles. That a controller is too slow or fails
-does not show in the vectorised loop, so that the best points also make cuts on the objects.
+A point is judged by the truth that campaigns judge by, too. With two tuned parameters the grid is
+complete (all integers, steps of 0.05). With more it is coarse, and the best points are refined by a
+pattern search over integer steps and halving steps of the doubles. That a controller is too slow or
+fails does not show in the vectorised loop, so that the best points also make cuts on the objects.
 
 First every point of the grid is screened by the corners of the context box, where most infeasible
 ones show, and by few drawn contexts. What keeps the limit there and costs little more than the best
@@ -26,16 +26,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import BENCHMARKS, provenance, table, write_result
 from threadpoolctl import threadpool_limits
-from truth import SEED, Effort, Judgement, Truth
 
+from bo_tuner.benchmark.truth import SEED, Effort, Truth
 from bo_tuner.parameter import Parameter
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import Value
 from mpc_controller.errors import ControllerError
 
+OPTIMA = BENCHMARKS.parent / "ros2_ws/src/bo_tuner/config/experiments/grid_search.json"
+JUDGE = "milling_plant.truth:Judge"
+EFFORT = Effort(real_cuts=50)
 TOLERABLE = 0.2
 FINE_STEP = 0.05
 COARSE_STEPS = 12
@@ -292,7 +295,7 @@ _worker: dict[str, Truth] = {}
 
 def _start_worker(study: Study) -> None:
     threadpool_limits(1)
-    _worker["truth"] = Truth(study)
+    _worker["truth"] = Truth(study, JUDGE, EFFORT)
 
 
 def _complete(point: Point) -> dict[str, Value]:
@@ -302,47 +305,50 @@ def _complete(point: Point) -> dict[str, Value]:
     return dict(space.to_parameters(space.to_cube(tuned))) | tuned
 
 
+def _values(point: Point) -> dict[str, dict[str, Value]]:
+    return _worker["truth"].study.assignments(_complete(point), {}, 0)
+
+
 def _score(point: Point) -> Score:
     """Score a point: E only if no context of the grid violates the limit, corners first."""
-    truth, parameters = _worker["truth"], _complete(point)
+    truth, values = _worker["truth"], _values(point)
     try:
-        corner = truth.corner_overshoot(parameters)
+        corner = truth.judge.corner_overshoot(values)
         if not corner <= truth.limit:
             return Score(np.inf, corner)
-        worst = float(truth.grid_overshoot(parameters).max())
+        worst = float(truth.judge.grid_overshoot(values).max())
         if not worst <= truth.limit:
             return Score(np.inf, worst)
-        return Score(float(np.mean(truth.drawn(parameters)[0])), worst)
+        return Score(float(np.mean(truth.judge.drawn(values)[0])), worst)
     except ControllerError:
         return Score(np.inf, np.inf)
 
 
 def _rough(point: Point) -> tuple[float, float]:
-    truth, parameters = _worker["truth"], _complete(point)
     try:
-        return truth.rough(parameters)
+        rough: tuple[float, float] = _worker["truth"].judge.rough(_values(point))
     except ControllerError:
         return np.inf, np.inf
+    return rough
 
 
 def _judge_short(point: Point) -> tuple[float, float]:
-    truth, parameters = _worker["truth"], _complete(point)
+    judge, values = _worker["truth"].judge, _values(point)
     try:
-        return float(np.mean(truth.drawn(parameters)[0])), truth.corner_overshoot(parameters)
+        return float(np.mean(judge.drawn(values)[0])), judge.corner_overshoot(values)
     except ControllerError:
         return np.inf, np.inf
 
 
 def _judge_fully(point: Point) -> dict[str, Any]:
     truth, parameters = _worker["truth"], _complete(point)
-    judgement: Judgement = truth.judge(parameters)
-    chances, shares = truth.meets_chances(parameters)
+    verdict = asdict(truth.verdict(parameters))
     return {
         "point": list(point),
         "parameters": parameters,
-        "feasible": judgement.worst <= truth.limit and chances,
-        "within_limits": shares,
-        **asdict(judgement),
+        "E": verdict.pop("objective"),
+        **verdict,
+        "worst_precise": truth.judge.precise_worst(_values(point)),
     }
 
 
@@ -364,11 +370,11 @@ def main() -> None:
     parser.add_argument(
         "--output",
         type=Path,
-        default=RESULTS / "grid_search.json",
+        default=OPTIMA,
         help="result file; entries of other studies in it stay (default: %(default)s)",
     )
     arguments = parser.parse_args()
-    about = provenance() | {"effort": asdict(Effort()), "truth_seed": SEED}
+    about = provenance() | {"effort": asdict(EFFORT), "truth_seed": SEED}
     entries = read_entries(arguments.output)
     for name in arguments.study or ["benchmark", "full"]:
         study = load_study(name)

@@ -7,10 +7,11 @@ import re
 import pytest
 from rich.console import Console
 
-from bo_tuner.progress import RunProgress, comparison, describe
+from bo_tuner.live.status import TUNING, RunStatus
+from bo_tuner.live.stop_advice import StopAdvice
+from bo_tuner.methods import METHODS
+from bo_tuner.progress import RunProgress, advice_in_words, describe, duration
 from bo_tuner.recommendation import Candidate
-from bo_tuner.study_file import load_study
-from bo_tuner.validation import ConstraintCheck, Validation
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
@@ -37,10 +38,15 @@ def candidate(trial, feasibility=0.9):
 
 
 def follow(console, study, trials, best):
-    with RunProgress(console, study) as progress:
-        progress.begin("tuning", 5)
+    status = RunStatus(study, METHODS["IV"])
+    with RunProgress(console, study, status) as progress:
+        for observer in (status, progress):
+            observer.begin(TUNING, 5)
         for trial in trials:
-            progress.trial(trial, best)
+            for observer in (status, progress):
+                for cut in trial.cuts:
+                    observer.cut(cut, trial.parameters)
+                observer.trial(trial, best)
 
 
 class TestLines:
@@ -84,9 +90,36 @@ class TestTerminal:
         follow(out, make_study(), [trial], candidate(trial))
         shown = ESCAPE.sub("", text(out))
         assert "1/5" in shown
-        if width >= 200:
-            assert "incumbent: trial 3, error 0.25" in shown
-            assert "P(feasible) 0.90" in shown
+        if width >= 80:
+            assert "incumbent: trial 3, error 0.25, P(feasible) 0.90" in shown
+
+    def test_shows_time_left_and_the_optimizer_s_share(self, make_study, make_trial):
+        """Trials of 60 s in two cuts and 20 s for the proposal: 20 / 80, and 2 of 5 are left."""
+        out = console(True, 80)
+        trials = [make_trial(k, {"gain": 0.5}, [1.0, 1.0]) for k in range(3)]
+        trials = [
+            dataclasses.replace(
+                trial,
+                seconds=20.0,
+                cuts=tuple(dataclasses.replace(cut, seconds=30.0) for cut in trial.cuts),
+            )
+            for trial in trials
+        ]
+        follow(out, make_study(), trials, candidate(trials[0]))
+        # 2 trials of 80 s, a check of 20 cuts and a validation of 2 x 5 cuts, 30 s each.
+        seconds = 2 * 80 + (20 + 10) * 30
+        assert f"3/5 {duration(seconds)} left  optimizer 25%" in ESCAPE.sub("", text(out))
+
+    def test_trials_on_record_are_counted_and_not_told_again(self, make_study, make_trial):
+        out = console(True, 80)
+        trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(3)]
+        with RunProgress(out, make_study()) as progress:
+            progress.begin(TUNING, 5)
+            progress.recall(trials, candidate(trials[1]))
+        shown = ESCAPE.sub("", text(out))
+        assert "3/5" in shown
+        assert "incumbent: trial 1" in shown
+        assert "gain 0.5" not in shown
 
     def test_the_validation_has_a_bar_of_its_own(self, make_study):
         out = console(True)
@@ -99,14 +132,15 @@ class TestTerminal:
         assert "1/3" in last
         assert "tuning" not in last
 
-    @pytest.mark.parametrize("width", [40, 80])
+    @pytest.mark.parametrize("width", [20, 40, 80])
     def test_the_bar_fits_its_line(self, make_study, make_trial, width):
         """A bar that wraps would leave a trail of old ones on the screen."""
         out = console(True, width)
         trial = make_trial(3, {"gain": 0.5}, [1.0])
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
-        bars = [line for line in ESCAPE.sub("", text(out)).splitlines() if "1/5" in line]
-        assert bars
+        shown = ESCAPE.sub("", text(out)).splitlines()
+        bars = [line for line in shown if re.search(r"1/5|no feasible", line)]
+        assert len(bars) >= 2
         assert all(len(part) <= width for line in bars for part in line.split("\r"))
 
     def test_no_incumbent_yet(self, make_study, make_trial):
@@ -136,47 +170,19 @@ class TestTerminal:
         assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")
 
 
-def validation(study, objective=0.1695, failures=0):
-    checks = [
-        ConstraintCheck(name, worst=0.1226, violations=2, holds=False) for name in study.constraints
-    ]
-    return Validation(
-        parameters=study.search_space().defaults,
-        draws=25,
-        failures=failures,
-        objective=objective,
-        deviation=0.05,
-        constraints=tuple(checks),
+class TestWords:
+    @pytest.mark.parametrize(
+        ("seconds", "words"),
+        [(0.4, "0:00:00"), (59.6, "0:01:00"), (100, "0:01:40"), (7265, "2:01:05")],
     )
+    def test_duration(self, seconds, words):
+        assert duration(seconds) == words
 
-
-class TestTable:
-    @pytest.mark.parametrize("name", ["benchmark", "full"])
-    def test_fits_80_columns(self, name):
-        study = load_study(name)
-        out = console()
-        out.print(comparison(study, validation(study), validation(study)))
-        lines = text(out).splitlines()
-        assert max(map(len, lines)) <= 80
-        shown = text(out)
-        for word in ("control_horizon", "tracking_error", "overshoot", "draws above 0.09", "m/s"):
-            assert word in shown
-        # Nothing was broken over two lines or cut off.
-        assert "…" not in shown
-        assert all("│" in line for line in lines[4:-1] if "─" not in line)
-        first_cells = [line.split("│")[1].strip() for line in lines if line.startswith("│")]
-        assert all(first_cells)
-
-    def test_narrow_terminals_still_get_all_numbers(self):
-        study = load_study("benchmark")
-        out = console(width=40)
-        out.print(comparison(study, validation(study), validation(study)))
-        assert max(map(len, text(out).splitlines())) <= 40
-
-    def test_the_mean_has_its_standard_error(self):
-        study = load_study("benchmark")
-        out = console()
-        out.print(comparison(study, validation(study), validation(study)))
-        # 0.05 / sqrt(25) = 0.01
-        assert "0.1695 ± 0.01" in text(out)
-        assert text(out).count("NO") == 2
+    def test_the_advice_has_its_numbers_with_units(self, make_study):
+        study = make_study(
+            metrics={"error": {"node": "axis", "unit": "m"}, "peak": {"node": "axis"}}
+        )
+        advice = StopAdvice(trials=20, remaining=10, expected_gain=0.00123, noise=0.0234)
+        words = advice_in_words(advice, study)
+        assert "the 10 trials left are expected to gain at most 0.0012 m in error" in words
+        assert "0.023 m" in words

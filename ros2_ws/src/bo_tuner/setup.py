@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
-COMMANDS = ["tune"]
+COMMANDS = ["tune", "report", "validate", "replay", "apply", "benchmark"]
 
 
 def shared(folder):
@@ -35,6 +35,7 @@ setup(
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["report/templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -46,7 +47,11 @@ setup(
     # are system packages, which pip does not see.
     python_requires=">=3.11",
     install_requires=[
+        "Jinja2>=3.1,<4",
+        "joblib>=1.4,<2",
+        "matplotlib>=3.8,<4",
         "numpy>=1.26,<3",
+        "plotly>=6,<8",
         "scipy>=1.11,<2",
         "scikit-learn>=1.4,<2",
         "PyYAML>=6,<7",
@@ -54,7 +59,19 @@ setup(
         "rosbags>=0.10,<0.12",
         "threadpoolctl>=3,<4",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={
+        "cluster": ["distributed>=2024.8"],
+        # The other optimizers of the benchmark, see benchmarks/peers.
+        "peers": [
+            "torch",
+            "botorch>=0.18,<0.19",
+            "optuna>=5,<6",
+            "greenlet",
+            "smac>=2.4,<3",
+            "cma>=4.5,<5",
+        ],
+        "test": ["pytest"],
+    },
     keywords=[f"commit-{commit()}"],
     entry_points={
         "console_scripts": [f"{command} = {NAME}.executables:{command}" for command in COMMANDS]

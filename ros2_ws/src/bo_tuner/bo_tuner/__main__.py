@@ -2,12 +2,9 @@
 
 import sys
 
-from bo_tuner import executables
-
-COMMANDS = ("tune",)
+from bo_tuner.executables import COMMANDS, run
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         sys.exit(f"error: expected one of {', '.join(COMMANDS)} (python -m bo_tuner tune --help)")
-    name = sys.argv.pop(1)
-    getattr(executables, name)()
+    run(sys.argv[1], sys.argv[2:])

@@ -1,16 +1,20 @@
-"""SIGINT and SIGTERM as a request that a run notices between two steps."""
+"""Requests from outside that a run notices between two steps: to end, or to wait."""
 
 import signal
+import threading
+from collections.abc import Callable
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LOOK_AROUND = 0.1
+"""Time [s] after which a run that waits looks for other requests."""
 
 
 class Interrupted(Exception):  # noqa: N818 (a request, no error)
-    """A signal asks for the end of the run."""
+    """Somebody asks for the end of the run, by a signal or as if by one."""
 
-    def __init__(self, signum: int) -> None:
-        super().__init__(signal.Signals(signum).name)
+    def __init__(self, signum: int, source: str = "") -> None:
+        super().__init__(source or signal.Signals(signum).name)
         self.signum = signum
 
 
@@ -18,14 +22,24 @@ class Interruption:
     """Takes SIGINT and SIGTERM from its making on; make it in the main thread."""
 
     def __init__(self) -> None:
-        self._signum: int | None = None
+        self._request: tuple[int, str] | None = None
         for signum in SIGNALS:
             signal.signal(signum, self._take)
 
     def check(self) -> None:
-        """Raise `Interrupted` if a signal came."""
-        if self._signum is not None:
-            raise Interrupted(self._signum)
+        """Raise `Interrupted` if the end was asked for."""
+        if self._request is not None:
+            raise Interrupted(*self._request)
+
+    def request(self, source: str) -> None:
+        """Ask for the end as SIGTERM does; from any thread.
+
+        Parameters
+        ----------
+        source
+            Who asks, in a few words.
+        """
+        self._request = (signal.SIGTERM, source)
 
     def ignore(self) -> None:
         """Ignore further signals, so that they do not disturb the end of the run."""
@@ -33,4 +47,32 @@ class Interruption:
             signal.signal(signum, signal.SIG_IGN)
 
     def _take(self, signum: int, _frame: FrameType | None) -> None:
-        self._signum = signum
+        self._request = (signum, "")
+
+
+class Pause:
+    """Makes a run wait between two cuts while it is asked to; asked from any thread."""
+
+    def __init__(self) -> None:
+        self._go_on = threading.Event()
+        self._go_on.set()
+
+    @property
+    def requested(self) -> bool:
+        """Whether the run shall wait."""
+        return not self._go_on.is_set()
+
+    def request(self, wait: bool) -> None:
+        """Ask the run to wait, or to go on."""
+        (self._go_on.clear if wait else self._go_on.set)()
+
+    def wait(self, check: Callable[[], None]) -> None:
+        """Return once the run shall go on.
+
+        Parameters
+        ----------
+        check
+            Called all the while; raises what shall end the wait.
+        """
+        while not self._go_on.wait(LOOK_AROUND):
+            check()

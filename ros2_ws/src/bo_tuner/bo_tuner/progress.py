@@ -1,21 +1,27 @@
-"""What a run shows in the terminal while it goes on, and the table at its end."""
+"""What a run shows in the terminal while it goes on."""
 
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Column, Table
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Column
+from rich.text import Text
 
-from bo_tuner.observer import RunObserver
+from bo_tuner.live.display import Display
+from bo_tuner.live.status import RunStatus
+from bo_tuner.live.stop_advice import StopAdvice
 from bo_tuner.recommendation import Candidate
 from bo_tuner.study import Study
-from bo_tuner.trials import Trial, TrialState
-from bo_tuner.validation import Validation
+from bo_tuner.trials import Cut, Trial, TrialState, Value
 
 
-class RunProgress(RunObserver):
-    """Progress bar with incumbent and time left, on standard error; use it in a ``with`` block.
+class RunProgress(Display):
+    """A line for each trial and, on a terminal, a bar with a second line for the incumbent.
+
+    All of it is on standard error.
 
     Parameters
     ----------
@@ -23,29 +29,19 @@ class RunProgress(RunObserver):
         Where to draw.
     study
         The study.
+    status
+        Where the run stands, told of each step before; without it no times are shown.
     """
 
-    def __init__(self, console: Console, study: Study) -> None:
+    def __init__(self, console: Console, study: Study, status: RunStatus | None = None) -> None:
+        super().__init__()
         self._study = study
+        self._status = status
         self._console = console
-        self._progress = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(bar_width=12),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            # Takes what the line has left, and is cut off there.
-            TextColumn(
-                "{task.fields[note]}",
-                markup=False,
-                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
-            ),
-            console=console,
-            expand=True,
-            # A log file gets the lines of the trials instead.
-            disable=not console.is_terminal,
-        )
+        self._progress = _TwoLines(console)
 
     def __enter__(self) -> Self:
+        """Show the bar, once there is something to show."""
         self._progress.start()
         return self
 
@@ -55,41 +51,126 @@ class RunProgress(RunObserver):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        """Leave the terminal as it was."""
         self._progress.stop()
+
+    def start(self, folder: Path, backend: str, algorithm: str) -> None:
+        """Tell where the run is."""
+        self.tell(f"run folder {folder}")
 
     def begin(self, phase: str, total: int) -> None:
         """Start counting `total` steps of `phase`."""
         for task in self._progress.task_ids:
             self._progress.remove_task(task)
         self._task = self._progress.add_task(phase, total=total, note="")
+        self._show()
 
-    def skip(self, steps: int) -> None:
-        """Count steps that were done before."""
-        self._progress.update(self._task, completed=steps)
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Count the trials on record."""
+        self._progress.second_line = incumbent_in_words(incumbent, self._study)
+        self._show(steps=len(trials))
+
+    def cut(self, cut: Cut, parameters: Mapping[str, Value]) -> None:
+        """Show the times anew."""
+        self._show()
 
     def advance(self) -> None:
         """Count one step."""
-        self._progress.advance(self._task)
+        self._show(steps=1)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Count a trial, and tell of it and of the incumbent."""
-        self._progress.update(self._task, advance=1, note=self._incumbent(incumbent))
-        line = f"trial {trial.number:3d}  {describe(trial, self._study)}"
-        self._console.print(line, soft_wrap=True)
+        self._progress.second_line = incumbent_in_words(incumbent, self._study)
+        self._show(steps=1)
+        self.tell(f"trial {trial.number:3d}  {describe(trial, self._study)}")
         for warning in trial.warnings:
-            self._console.print(f"           warning: {warning}", soft_wrap=True)
+            self.tell(f"           warning: {warning}")
 
-    def _incumbent(self, best: Candidate | None) -> str:
-        if best is None:
-            return "no complete trial yet"
-        metric = self._study.metrics[self._study.objective.metric]
-        if not best.believed_feasible:
-            return f"no feasible point yet (least violating: trial {best.trial.number})"
-        value = f"{best.objective:.4g} {metric.unit}".rstrip()
-        return (
-            f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
-            f"P(feasible) {best.feasibility:.2f}"
+    def advise(self, advice: StopAdvice) -> None:
+        """Give the advice to stop."""
+        self.tell(advice_in_words(advice, self._study))
+
+    def pause(self, paused: bool) -> None:
+        """Tell of a pause."""
+        self._show()
+        self.tell("paused; call ~/pause with data: false to go on" if paused else "goes on")
+
+    def tell(self, text: str) -> None:
+        """Tell a line that one can do without."""
+        self._console.print(text, soft_wrap=True)
+
+    def _show(self, steps: int = 0) -> None:
+        parts = []
+        if self._status is not None:
+            now = self._status.now
+            if now.time_left is not None:
+                parts.append(f"{duration(now.time_left)} left")
+            if now.overhead is not None:
+                parts.append(f"optimizer {now.overhead:.0%}")
+            if now.paused:
+                parts.append("PAUSED")
+        self._progress.update(self._task, advance=steps, note="  ".join(parts))
+
+
+class _TwoLines(Progress):
+    """A progress bar with a line of text below."""
+
+    def __init__(self, console: Console) -> None:
+        self.second_line = ""
+        super().__init__(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=12),
+            MofNCompleteColumn(),
+            # Takes what the line has left, and is cut off there.
+            TextColumn(
+                "{task.fields[note]}",
+                markup=False,
+                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+            ),
+            console=console,
+            expand=True,
+            # Drawing takes time from the run.
+            refresh_per_second=2,
+            # A log file gets the lines of the trials instead.
+            disable=not console.is_terminal,
         )
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield the bar and the line."""
+        yield from super().get_renderables()
+        if self.second_line:
+            yield Text(self.second_line, no_wrap=True, overflow="ellipsis")
+
+
+def incumbent_in_words(best: Candidate | None, study: Study) -> str:
+    """Tell the best trial so far in a line."""
+    if best is None:
+        return "no complete trial yet"
+    if not best.believed_feasible:
+        return f"no feasible point yet (least violating: trial {best.trial.number})"
+    metric = study.metrics[study.objective.metric]
+    value = f"{best.objective:.4g} {metric.unit}".rstrip()
+    return (
+        f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
+        f"P(feasible) {best.feasibility:.2f}"
+    )
+
+
+def advice_in_words(advice: StopAdvice, study: Study) -> str:
+    """Tell the advice to stop in a sentence."""
+    metric = study.metrics[study.objective.metric]
+    unit = f" {metric.unit}" if metric.unit else ""
+    return (
+        f"advice: stop here; the {advice.remaining} trials left are expected to gain at most "
+        f"{advice.expected_gain:.2g}{unit} in {metric.name}, less than the noise of the best one, "
+        f"{advice.noise:.2g}{unit}"
+    )
+
+
+def duration(seconds: float) -> str:
+    """Tell a time in hours, minutes and seconds, such as 0:01:40."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def describe(trial: Trial, study: Study) -> str:
@@ -107,38 +188,3 @@ def describe(trial: Trial, study: Study) -> str:
         verdict = "above" if trial.worst_case.value > worst.upper else "within"
         text += f"  worst {worst.metric} {trial.worst_case.value:.4g} ({verdict} {worst.upper:g})"
     return f"{text}  [{len(trial.cuts)} cuts]"
-
-
-def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
-    """Table of the default against the tuned parametrization on the same fresh draws."""
-    table = Table(
-        title=f"{study.name}: default against tuned, the same {tuned.draws} fresh draws",
-        title_justify="left",
-    )
-    table.add_column("")
-    table.add_column("unit")
-    table.add_column("default", justify="right")
-    table.add_column("tuned", justify="right")
-    both = (default, tuned)
-    for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[f"{v.parameters[name]:.4g}" for v in both])
-    table.add_section()
-    metric = study.metrics[study.objective.metric]
-    table.add_row(
-        f"mean {metric.name}",
-        metric.unit,
-        *[f"{v.objective:.4g} ± {v.deviation / v.draws**0.5:.2g}" for v in both],
-    )
-    for index, constraint in enumerate(study.constraints.values()):
-        unit = study.metrics[constraint.metric].unit
-        checks = [v.constraints[index] for v in both]
-        table.add_row(
-            f"largest {constraint.metric}", unit, *[f"{check.worst:.4g}" for check in checks]
-        )
-        table.add_row(
-            f"  draws above {constraint.upper:g}", "", *[str(check.violations) for check in checks]
-        )
-    table.add_row("failed cuts", "", *[str(v.failures) for v in both])
-    table.add_section()
-    table.add_row("feasible", "", *["yes" if v.feasible else "NO" for v in both])
-    return table

@@ -9,9 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-import yaml
-
 from bo_tuner.errors import OutputError
+from bo_tuner.parameter_file import node_values, to_yaml
 from bo_tuner.study import Study
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -122,26 +121,12 @@ class RunFolder:
     def write_parameters(self, study: Study, parameters: Mapping[str, Value]) -> Path:
         """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
 
-        A node is addressed by its name in any namespace. Doubles keep their decimal point, since
-        a node refuses an integer for one. What the study sets once on a tuned node is part of it:
-        the parametrization was judged with it.
-
         Raises
         ------
         OutputError
             If the file cannot be written.
         """
-        values: dict[str, dict[str, object]] = {}
-        for name, value in parameters.items():
-            item = study.parameters[name]
-            constants = study.nodes[item.node].parameters
-            of_node = values.setdefault(item.node, {k: _plain(v) for k, v in constants.items()})
-            of_node[item.parameter] = int(value) if item.is_integer else float(value)
-        nodes = {
-            f"/**/{study.nodes[key].node}": {"ros__parameters": of_node}
-            for key, of_node in values.items()
-        }
-        return self._write(BEST, yaml.safe_dump(nodes, sort_keys=False))
+        return self._write(BEST, to_yaml(node_values(study, parameters)))
 
     def write_summary(self, summary: Mapping[str, object]) -> Path:
         """Write ``summary.json``, with null for what is not a number, and return its path.
@@ -176,10 +161,6 @@ def _new_folder(path: Path) -> Path:
             folder = path.with_name(f"{path.name}-{number}")
         else:
             return folder
-
-
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _without_nan(value: object) -> object:

@@ -20,6 +20,10 @@ class Stream(IntEnum):
     VALIDATION_NOISE = 6
     CHECK_CONTEXTS = 7
     CHECK_NOISE = 8
+    CERTIFICATE_CONTEXTS = 9
+    CERTIFICATE_NOISE = 10
+    CERTIFICATE_SEARCH = 11
+    ROBUSTNESS = 12
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

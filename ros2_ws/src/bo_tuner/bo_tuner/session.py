@@ -2,9 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
-
-from rich.console import Console
+from collections.abc import Iterator, Mapping, Sequence
 
 from bo_tuner.backends import Backend
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -16,20 +14,24 @@ from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNA
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.journal import Journal
 from bo_tuner.journal_reader import JournalContent, export_csv, salvage
+from bo_tuner.live.display import Output, Result
+from bo_tuner.live.monitor import Monitor
+from bo_tuner.live.node import LiveNode
+from bo_tuner.live.status import CHECKING, TUNING, VALIDATION
 from bo_tuner.methods import METHODS
-from bo_tuner.observer import RunObserver
-from bo_tuner.progress import RunProgress, comparison
 from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run import RunRecording
 from bo_tuner.run_folder import RunFolder
 from bo_tuner.study import Study
-from bo_tuner.trials import Cut, Value
+from bo_tuner.trials import Cut, Trial, Value
 from bo_tuner.tuning import Tuning
 from bo_tuner.validation import Validation, validate
 
 NOTHING = JournalContent((), (), (), "")
+STOP_EARLY = "stop_early"
+"""Key of the provenance that tells of the option, so that a run goes on as it began."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +50,10 @@ class RunOptions:
         ``--ros-args`` for the tuner's node and the ones that it starts.
     record
         What of the trials is recorded, on ROS.
+    output
+        What is shown of the run.
+    stop_early
+        Follow the advice to stop.
     """
 
     algorithm: str = "IV"
@@ -55,6 +61,8 @@ class RunOptions:
     attach: bool = False
     ros_arguments: Sequence[str] = ()
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
+    output: Output = Output.PROGRESS
+    stop_early: bool = False
 
 
 class Session:
@@ -80,9 +88,8 @@ class Session:
         self._options = options
         self._method = METHODS[options.algorithm]
         self._interruption = interruption
-        self._observers: list[RunObserver] = []
-        # Reasons and units are shown as they are: what stands in brackets is no markup.
-        self._console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+        self._monitor = Monitor(study, self._method, options.output, interruption)
+        self._display = self._monitor.display
 
     def run(self) -> int:
         """Tune, validate and report; returns the exit code.
@@ -92,14 +99,21 @@ class Session:
         OutputError, BackendError, StudyError, JournalError
             If the folder, the nodes or the objects cannot be had in the first place.
         """
+        code = self._run_on_record()
+        self._display.end(code)
+        return code
+
+    def _run_on_record(self) -> int:
         folder, options = self._folder, self._options
         with contextlib.closing(folder):
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
             who = provenance(self._study, options.backend, options.algorithm)
+            if options.stop_early:
+                who[STOP_EARLY] = "yes"
             if damage:
-                self._tell(f"the record was damaged: {damage}")
+                self._display.warn(f"the record was damaged: {damage}")
                 who["salvaged"] = damage
             backend = self._recorded(earlier)
             try:
@@ -114,10 +128,10 @@ class Session:
                     export_csv(folder.journal, folder.path)
                     return code
             except Interrupted as interrupt:
-                self._tell(f"interrupted by {interrupt}; {self._how_to_resume()}")
+                self._display.warn(f"interrupted by {interrupt}; {self._how_to_resume()}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
-                self._tell(f"error: {error}; {self._how_to_resume()}")
+                self._display.warn(f"error: {error}; {self._how_to_resume()}")
                 return EXIT_FAULT
 
     def _recorded(self, earlier: JournalContent) -> RecordedCuts:
@@ -133,9 +147,10 @@ class Session:
             self._interruption.check()
             backend.open()
             self._folder.link_latest()
-            self._tell(f"run folder {self._folder.path}")
+            options = self._options
+            self._display.start(self._folder.path, options.backend, options.algorithm)
             if earlier.cuts:
-                self._tell(
+                self._display.tell(
                     f"goes on after {len(earlier.trials)} trials and {len(earlier.cuts)} cuts "
                     "on record"
                 )
@@ -159,36 +174,27 @@ class Session:
     def _tune(self, backend: RecordedCuts, journal: Journal, earlier: JournalContent) -> int:
         study = self._study
         recording = self._recording(backend)
-        known = len(earlier.trials)
 
         def observe(cut: Cut, parameters: Mapping[str, Value]) -> None:
             if backend.given is None:
                 journal.record_cut(cut, parameters)
                 recording.cut(cut, parameters)
-            for observer in self._observers:
-                observer.cut(cut, parameters)
-            self._interruption.check()
-
-        def advance() -> None:
-            for observer in self._observers:
-                observer.advance()
+            self._monitor.cut(cut, parameters)
 
         tuning = Tuning(study, backend, self._method, observe=observe, trials=earlier.trials)
-        with RunProgress(self._console, study) as progress:
-            self._observers = [progress]
-            self._begin("tuning", study.budget.trials)
-            progress.skip(known)
+        with self._live(backend), self._display:
+            self._monitor.begin(TUNING, study.budget.trials)
+            if tuning.trials:
+                self._monitor.recall(tuning.trials, self._best(tuning))
             with recording:
-                for trial in tuning:
+                for trial in self._trials(tuning):
                     journal.record_trial(trial)
                     leader = self._best(tuning)
-                    for observer in self._observers:
-                        observer.trial(trial, leader)
                     recording.trial(
                         trial, leader is not None and leader.trial.number == trial.number
                     )
-                    self._interruption.check()
-            self._begin("checking candidates", self._method.most_checked)
+                    self._monitor.trial(tuning.trials, leader)
+            self._monitor.begin(CHECKING, self._method.most_checked)
             best = recommend(
                 study,
                 backend,
@@ -196,34 +202,50 @@ class Session:
                 self._method.models,
                 most_checked=self._method.most_checked,
                 observe=observe,
-                advance=advance,
+                advance=self._monitor.advance,
             )
             if best is None:
-                self._tell("no feasible parametrization: every trial failed")
+                self._display.warn("no feasible parametrization: every trial failed")
                 return EXIT_INFEASIBLE
-            self._begin("validation", study.budget.validation_draws)
+            self._monitor.begin(VALIDATION, study.budget.validation_draws)
             default, tuned = validate(
                 study,
                 backend,
                 [study.search_space().defaults, best.candidate.trial.parameters],
                 observe=observe,
-                advance=advance,
+                advance=self._monitor.advance,
             )
         return self._report(best, default, tuned, recording.summary)
 
-    def _begin(self, phase: str, total: int) -> None:
-        for observer in self._observers:
-            observer.begin(phase, total)
+    def _trials(self, tuning: Tuning) -> Iterator[Trial]:
+        """Run trials up to the budget, or until the advice to stop if it is to be followed."""
+        trials = iter(tuning)
+        while not (self._options.stop_early and self._monitor.advice is not None):
+            trial = next(trials, None)
+            if trial is None:
+                return
+            yield trial
 
     def _best(self, tuning: Tuning) -> Candidate | None:
         ranked = rank(self._study, tuning.trials, self._method.models)
         return ranked[0] if ranked else None
 
+    def _live(self, backend: RecordedCuts) -> contextlib.AbstractContextManager[object]:
+        """Tell of the run in the ROS graph, if there is one."""
+        ros = backend.backend
+        client = ros._client if isinstance(ros, RosBackend) else None
+        if client is None:
+            return contextlib.nullcontext()
+        live = LiveNode(
+            client.context, self._study, self._folder.path, self._monitor, self._interruption
+        )
+        return contextlib.closing(live)
+
     def _recording(self, backend: RecordedCuts) -> RunRecording:
         ros = backend.backend
         listen = ros.listen if isinstance(ros, RosBackend) else None
         return RunRecording(
-            self._folder.path, self._study, self._options.record, listen, self._tell
+            self._folder.path, self._study, self._options.record, listen, self._display.warn
         )
 
     def _report(
@@ -237,36 +259,36 @@ class Session:
         candidate = best.candidate
         folder = self._folder
         path = folder.write_parameters(self._study, candidate.trial.parameters)
-        folder.write_summary(
-            {
-                "feasible": feasible,
-                "trial": candidate.trial.number,
-                "checked_trials": best.checked,
-                "predicted_objective": candidate.objective,
-                "predicted_feasibility": candidate.feasibility,
-                "default": dataclasses.asdict(default) | {"feasible": default.feasible},
-                "tuned": dataclasses.asdict(tuned) | {"feasible": tuned.feasible},
-                "recording": recorded,
-            }
-        )
-        out = Console(markup=False, emoji=False, highlight=False)
-        out.print(comparison(self._study, default, tuned))
-        out.print(f"parameters: {path}", soft_wrap=True)
-        if not best.feasible:
-            out.print(
-                "no parametrization is feasible as far as the checks can tell; the file holds the "
-                "least violating one",
-                soft_wrap=True,
-            )
-        elif not feasible:
-            out.print(
-                "the parametrization found looked feasible, but did not hold in the validation",
-                soft_wrap=True,
-            )
+        advice = self._monitor.advice
+        summary = {
+            "feasible": feasible,
+            "trial": candidate.trial.number,
+            "checked_trials": best.checked,
+            "predicted_objective": candidate.objective,
+            "predicted_feasibility": candidate.feasibility,
+            "default": dataclasses.asdict(default) | {"feasible": default.feasible},
+            "tuned": dataclasses.asdict(tuned) | {"feasible": tuned.feasible},
+            "stop_advice": advice and dataclasses.asdict(advice),
+            "stopped_early": self._options.stop_early and advice is not None,
+            "recording": recorded,
+        }
+        folder.write_summary(summary)
+        # What is made of a finished run goes here: its record is whole.
+        amiss = _amiss(best, tuned)
+        self._display.result(Result(self._study, default, tuned, path, amiss, summary))
         return EXIT_OK if feasible else EXIT_INFEASIBLE
-
-    def _tell(self, text: str) -> None:
-        self._console.print(text, soft_wrap=True)
 
     def _how_to_resume(self) -> str:
         return f"go on by: tune --resume {self._folder.path}"
+
+
+def _amiss(best: Recommendation, tuned: Validation) -> str:
+    """Tell what speaks against the parametrization found; empty if nothing does."""
+    if not best.feasible:
+        return (
+            "no parametrization is feasible as far as the checks can tell; the file holds the "
+            "least violating one"
+        )
+    if not tuned.feasible:
+        return "the parametrization found looked feasible, but did not hold in the validation"
+    return ""

@@ -141,18 +141,28 @@ class Trigger:
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A number that `node` gives after a cut, under `key` (its `name` unless given)."""
+    """A number that `node` gives after a cut, under `key` (its `name` unless given).
+
+    One that a node measures by the clock is not `reproducible`: over ROS it differs when the same
+    cut is run again, and `replay` does not judge it.
+    """
 
     name: str
     node: str
     key: str = ""
     unit: str = ""
+    reproducible: bool = True
 
     def __post_init__(self) -> None:
         """Check the fields."""
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
+        if not isinstance(self.reproducible, bool):
+            raise StudyError(
+                f"expected true or false, found {checks.show(self.reproducible)}",
+                ("reproducible",),
+            )
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
 

@@ -159,6 +159,7 @@ class MillingPlant:
     def __init__(self, settings: PlantSettings | None = None) -> None:
         self.settings = default_settings() if settings is None else settings
         self.velocity: Array = np.empty(0)
+        self._trace: dict[str, tuple[str, Array]] = {}
 
     def set_parameters(self, values: Mapping[str, object]) -> None:
         """Change some parameters for the cuts to come, all of them or none.
@@ -174,7 +175,33 @@ class MillingPlant:
         """Run one cut in lock-step with `controller` and return `Cut.result`."""
         cut = Cut(self.settings)
         controller.start(cut.reference)
+        commands = []
         while not cut.done:
-            cut.apply(controller.step(cut.measurement).command)
+            commands.append(controller.step(cut.measurement).command)
+            cut.apply(commands[-1])
         self.velocity = cut.velocity
+        self._trace = self._signals(cut, np.array(commands))
         return cut.result()
+
+    def trace(self) -> dict[str, tuple[str, Array]]:
+        """Return the signals of the last cut; empty before the first one.
+
+        Returns
+        -------
+        dict from str to (str, ndarray)
+            By name, each with its unit and its values (n,), of the n samples that were run.
+            ``time`` is that of the others; what stands before a slash is what they have in common.
+        """
+        return dict(self._trace)
+
+    def _signals(self, cut: Cut, commands: Array) -> dict[str, tuple[str, Array]]:
+        n = commands.size
+        reference, velocity = cut.reference[:n], cut.velocity[:n]
+        return {
+            "time": ("s", self.settings.sample_time * np.arange(n, dtype=np.float64)),
+            "velocity/reference": ("m/s", reference),
+            "velocity/actual": ("m/s", velocity),
+            "velocity error": ("m/s", reference - velocity),
+            "position error": ("m", self.settings.sample_time * np.cumsum(reference - velocity)),
+            "command": ("m/s", commands),
+        }

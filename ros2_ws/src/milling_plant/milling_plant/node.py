@@ -11,6 +11,7 @@ from mpc_controller.ros.messages import (
     cut_identifier,
     cut_result,
     from_stamp,
+    is_time,
     joint_velocity,
     read_joint_velocity,
     set_joint_velocity,
@@ -71,13 +72,18 @@ class PlantNode(Node):
     def _on_run_cut(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        settings = self._parameter_table.settings
+        start = max(self.get_clock().now().nanoseconds, self._next_start)
+        samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
         if self._cut is not None:
             response.message = f"cut {cut_identifier(self._start)} is running; wait or abort it"
         elif self._reference.get_subscription_count() == 0:
             response.message = f"no controller listens on {self._reference.topic_name}"
+        elif not is_time(start + round(samples * settings.sample_time * NANOSECONDS)):
+            response.message = "the cut would end after 2038, which no stamp can tell"
         else:
-            self._begin()
+            self._begin(settings, start)
             response.success = True
             response.message = cut_identifier(self._start)
         return response
@@ -91,11 +97,11 @@ class PlantNode(Node):
             self._end(self._cut)
         return response
 
-    def _begin(self) -> None:
-        self._settings = self._parameter_table.settings
+    def _begin(self, settings: PlantSettings, start: int) -> None:
+        self._settings = settings
         self._watchdog.timer_period_ns = int(_watchdog_period(self._settings) * NANOSECONDS)
         self._cut = Cut(self._settings)
-        self._start = max(self.get_clock().now().nanoseconds, self._next_start)
+        self._start = start
         self._ignored = 0
         self._resent = 0
         self._message = None

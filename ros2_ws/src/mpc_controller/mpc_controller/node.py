@@ -12,6 +12,7 @@ from mpc_controller.ros.messages import (
     NANOSECONDS,
     cut_result,
     from_stamp,
+    is_time,
     joint_velocity,
     read_joint_velocity,
     read_velocity_trajectory,
@@ -29,6 +30,9 @@ from mpc_controller.errors import ControllerError
 from mpc_controller.ros.parameters import NodeParameters
 from mpc_controller.ros.process import run
 from mpc_controller.settings import ControllerSettings, default_settings
+
+LONGEST_GAP = 200
+"""Measurements in a row that count as lost; one from further ahead is none of this cut."""
 
 
 class ControllerNode(Node):
@@ -67,6 +71,9 @@ class ControllerNode(Node):
     def _on_trajectory(self, message: JointTrajectory) -> None:
         start = from_stamp(message.header.stamp)
         if start != 0 and start == self._start:
+            return
+        if not is_time(start):
+            self._ignored += 1
             return
         settings = self._parameter_table.settings
         self._settings = settings
@@ -108,7 +115,7 @@ class ControllerNode(Node):
             return
         controller = self._controller
         k = self._sample(message)
-        if not 0 <= k < controller.reference_length:
+        if not 0 <= k < min(controller.reference_length, controller.samples_done + LONGEST_GAP):
             self._ignored += 1
             self._early = message
             return

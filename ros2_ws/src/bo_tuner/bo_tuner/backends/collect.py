@@ -7,6 +7,14 @@ from bo_tuner.study import Study
 from bo_tuner.trials import CutOutcome, CutState
 
 STATUS_OK = "ok"
+MOST_SAID = 500
+"""Characters of a reason, and of a value, that are kept."""
+
+
+def one_line(text: str) -> str:
+    """Make what a node says fit for a line of a terminal or a table."""
+    line = " ".join(text[:MOST_SAID].split())
+    return "".join(c if c.isprintable() else "?" for c in line)
 
 
 def outcome(study: Study, said: Mapping[str, Mapping[str, object]]) -> CutOutcome:
@@ -26,10 +34,14 @@ def outcome(study: Study, said: Mapping[str, Mapping[str, object]]) -> CutOutcom
         Failed if a node says so, or if a metric is missing or not finite: such a value never
         becomes a number.
     """
-    details = {f"{node}.{key}": str(v) for node, pairs in said.items() for key, v in pairs.items()}
+    details = {
+        f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
+        for node, pairs in said.items()
+        for key, value in pairs.items()
+    }
     for node, pairs in said.items():
         if pairs.get("status") != STATUS_OK:
-            reason = pairs.get("reason") or "no reason given"
+            reason = one_line(str(pairs.get("reason") or "no reason given"))
             return CutOutcome(CutState.FAILED, {}, f"{node}: {reason}", details)
     metrics = {}
     for name, metric in study.metrics.items():
@@ -39,7 +51,7 @@ def outcome(study: Study, said: Mapping[str, Mapping[str, object]]) -> CutOutcom
         except (TypeError, ValueError):
             value = float("nan")
         if not isfinite(value):
-            shown = "is missing" if text is None else f"is {str(text)[:40]}"
+            shown = "is missing" if text is None else f"is {one_line(str(text)[:40])}"
             return CutOutcome(
                 CutState.FAILED, {}, f"{metric.node}: metric {metric.key} {shown}", details
             )

@@ -1,11 +1,12 @@
 """Cuts on ROS 2 nodes, which the backend starts, watches, and starts anew when one is lost."""
 
+import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
 
 from bo_tuner.backends import Assignments
-from bo_tuner.backends.collect import outcome
+from bo_tuner.backends.collect import one_line, outcome
 from bo_tuner.backends.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.processes import NodeProcess, stop_all
 from bo_tuner.backends.study_client import LostError, RefusedError, StudyClient
@@ -112,13 +113,21 @@ class RosBackend:
         if client is None:
             raise BackendError("the backend is not open")
         try:
+            for key in client.restarted():
+                client.set(key, self._study.nodes[key].parameters)
             for key, values in assignments.items():
                 client.set(key, values)
-            return outcome(self._study, client.run_cut())
+            said = client.run_cut()
+            if lost := client.restarted():
+                raise LostError(f"{self._study.nodes[lost[0]].node} was started anew in the cut")
+            result = outcome(self._study, said)
         except RefusedError as refusal:
-            return CutOutcome(CutState.FAILED, {}, str(refusal))
+            return CutOutcome(CutState.FAILED, {}, one_line(str(refusal)))
         except LostError as loss:
-            return CutOutcome(CutState.LOST, {}, f"{loss}{self._recover(client)}")
+            reason = one_line(f"{loss}{self._recover(client)}")
+            return CutOutcome(CutState.LOST, {}, reason)
+        ignored = {"ignored_results": str(client.results.take_ignored())}
+        return dataclasses.replace(result, details={**result.details, **ignored})
 
     def listen(self, sink: Sink) -> TopicListener:
         """Hear all topics of the study's nodes; to be closed before the backend.
@@ -206,6 +215,10 @@ class RosBackend:
                 client.wait_until_gone(LEASE)
                 self._start_processes()
             client.wait_for_nodes(DISCOVERY_TIMEOUT)
+            if self._attach:
+                # Of a node that was killed and is back, the graph tells bit by bit.
+                client.spin_for(LOOK_AROUND)
+                client.restarted()
             self._set_constants(client)
         except (LostError, BackendError, StudyError) as error:
             # The next cut will find the same and be lost in turn; three lost trials end the run.

@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.collect import STATUS_OK
+from bo_tuner.backends.cut_results import CutResults
 from bo_tuner.errors import BackendError
 from bo_tuner.study import Study
 
@@ -26,6 +27,9 @@ RESULT_QOS = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.RELIABLE)
 CALL_TIMEOUT = 5.0
 ANSWER_TIMEOUT = 1.0
 SPIN_PERIOD = 0.1
+
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""What the graph calls the node of a publisher that it has only just discovered."""
 
 
 class LostError(Exception):
@@ -54,6 +58,11 @@ class StudyClient:
     watch
         Called at least every `SPIN_PERIOD` seconds while waiting; raises what shall end the wait.
 
+    Attributes
+    ----------
+    results
+        What the nodes say of the present cut.
+
     Raises
     ------
     BackendError
@@ -66,7 +75,8 @@ class StudyClient:
         self._study = study
         self._watch = watch
         self._known: dict[str, dict[str, object]] = {}
-        self._said: dict[str, dict[str, dict[str, object]]] = {}
+        self._publishers: dict[str, set[bytes]] = {}
+        self.results = CutResults()
         self._context = Context()
         try:
             rclpy.init(
@@ -75,7 +85,8 @@ class StudyClient:
                 domain_id=domain,
                 signal_handler_options=SignalHandlerOptions.NO,
             )
-            self._node = Node(NODE_NAME, context=self._context)
+            # It has no parameters to set, and rclpy's services for them can be made to raise.
+            self._node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
         except (RuntimeError, ValueError) as error:
             self._context.try_shutdown()
             # rcl adds where in its own sources it found the mistake.
@@ -145,12 +156,30 @@ class StudyClient:
                 except SilentError:
                     if time.monotonic() > deadline:
                         raise
+        self.restarted()
 
     def wait_until_gone(self, timeout: float) -> None:
         """Wait until no node of the study is discovered any more, at most `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while len(self.absent()) < len(self._study.nodes) and time.monotonic() < deadline:
             self._spin()
+
+    def restarted(self) -> list[str]:
+        """Return the keys of nodes that were started anew since this was last asked.
+
+        Such a node has forgotten its parameters, and is to be told them again.
+        """
+        found = []
+        for key, spec in self._study.nodes.items():
+            names = (spec.node.rpartition("/")[2], UNKNOWN_NODE)
+            infos = self._node.get_publishers_info_by_topic(self._result_topic(key))
+            present = {bytes(i.endpoint_gid) for i in infos if i.node_name in names}
+            # One that was killed stays in the graph for a while; what counts is what is new.
+            if present - self._publishers.get(key, set()):
+                found.append(key)
+                self._known.pop(key, None)
+            self._publishers[key] = present
+        return found
 
     def forget_parameters(self) -> None:
         """Forget what the nodes were told, so that they are told again."""
@@ -203,13 +232,20 @@ class StudyClient:
             If the cut does not start, or a result does not come, within the trigger's timeout, or
             a node that has not said anything of a failed cut does not answer.
         """
-        self._said.clear()
         trigger = self._study.trigger
         deadline = time.monotonic() + trigger.timeout
-        cut = self._start_cut(deadline)
+        self.results.begin()
+        try:
+            self.results.identify(self._start_cut(deadline))
+            return self._await_results(deadline)
+        finally:
+            self.results.end()
+
+    def _await_results(self, deadline: float) -> dict[str, dict[str, object]]:
+        trigger = self._study.trigger
         awaited = {trigger.node} | {metric.node for metric in self._study.metrics.values()}
         while True:
-            said = self._said.get(cut, {})
+            said = self.results.said
             if any(pairs["status"] != STATUS_OK for pairs in said.values()):
                 # A node may have failed the cut for want of another one.
                 for key in sorted(awaited - said.keys()):
@@ -258,8 +294,7 @@ class StudyClient:
             failed = status.level == DiagnosticStatus.ERROR
             pairs.setdefault("status", "failed" if failed else STATUS_OK)
             pairs.setdefault("reason", status.message)
-            # Results of foreign cuts are never looked at: nobody knows their identifier here.
-            self._said.setdefault(str(pairs.get("cut", "")), {})[key] = pairs
+            self.results.add(key, pairs)
 
     def _call(self, client: Client, request: Any, key: str, timeout: float = CALL_TIMEOUT) -> Any:
         future = client.call_async(request)

@@ -7,11 +7,12 @@ from pathlib import Path
 from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
 from bo_tuner.errors import RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
+from bo_tuner.live.display import Output
 from bo_tuner.methods import METHODS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.run_folder import RunFolder
 from bo_tuner.run_record import read_run
-from bo_tuner.session import RunOptions, Session
+from bo_tuner.session import STOP_EARLY, RunOptions, Session
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study, shipped_studies
 
@@ -27,8 +28,8 @@ exit codes:
        its record stays
   2    something given is wrong: study, option, folder, nodes
   3    the run is complete, but nothing feasible was found
-  130  interrupted by Ctrl-C (143: by SIGTERM); nodes are down, the record stays
-       and --resume goes on from there
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); nodes are
+       down, the record stays and --resume goes on from there
 
 examples:
   tune                                 the benchmark study on nodes of its own
@@ -36,6 +37,8 @@ examples:
   tune --study my_axis.yaml --attach   your study, on nodes that run already
   tune --backend inprocess --seed 7    without ROS, repeatable to the last bit
   tune --resume runs/latest            go on with a run that was cut short
+  tune --stop-early                    no more trials than are worth their cuts
+  tune --json-lines | jq .event        each step for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
 
@@ -105,6 +108,28 @@ def make_parser() -> Parser:
         help="go on with the run in this folder, where it was cut short; what is on record is not "
         "run again",
     )
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument(
+        "--quiet",
+        dest="output_mode",
+        action="store_const",
+        const=Output.QUIET,
+        default=Output.PROGRESS,
+        help="show the result only, and what is amiss",
+    )
+    shown.add_argument(
+        "--json-lines",
+        dest="output_mode",
+        action="store_const",
+        const=Output.JSON_LINES,
+        help="show the run as JSON on stdout, an object per line and event, for other programs",
+    )
+    parser.add_argument(
+        "--stop-early",
+        action="store_true",
+        help="end the tuning as soon as the trials left are expected to gain less than the noise; "
+        "the best candidates are checked and validated as ever",
+    )
     return parser
 
 
@@ -130,8 +155,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         study, algorithm, backend = record.study, record.algorithm, record.backend
         if backend not in BACKENDS:
             raise RunRecordError(f"{arguments.resume}: unknown backend {backend!r} in its record")
+        stop_early = arguments.stop_early or STOP_EARLY in record.provenance
     else:
-        study = _study(arguments)
+        study, stop_early = _study(arguments), arguments.stop_early
         algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
     if arguments.attach and backend != "ros":
         parser.error("--attach needs --backend ros")
@@ -143,6 +169,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         attach=arguments.attach,
         ros_arguments=ros_arguments,
         record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
+        output=arguments.output_mode,
+        stop_early=stop_early,
     )
     if arguments.resume is not None:
         folder = RunFolder(arguments.resume.resolve())

@@ -27,6 +27,7 @@ LOOP_QOS = QoSProfile(
 """Of all topics here: depth bounds loss even when reliable, and no command is ever latched."""
 
 NANOSECONDS = 1_000_000_000
+LATEST_SECOND = 2**31 - 1
 
 
 def to_stamp(time: int) -> Time:
@@ -37,6 +38,11 @@ def to_stamp(time: int) -> Time:
 def from_stamp(stamp: Time | Duration) -> int:
     """Read a stamp or a duration [ns]."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def is_time(time: int) -> bool:
+    """Whether a time [ns] fits into a stamp, whose seconds have 32 bits: 1970 to 2038."""
+    return 0 <= time < LATEST_SECOND * NANOSECONDS
 
 
 def cut_identifier(start: int) -> str:
@@ -60,8 +66,10 @@ def set_joint_velocity(message: JointState, time: int, velocity: float) -> None:
 
 
 def read_joint_velocity(message: JointState, joint: str) -> float | None:
-    """Velocity [m/s] of a joint, or None if the message does not speak of it."""
+    """Velocity [m/s] of a joint, or None if the message does not speak of it, or of no time."""
     if joint not in message.name or len(message.velocity) != len(message.name):
+        return None
+    if not is_time(from_stamp(message.header.stamp)):
         return None
     return float(message.velocity[message.name.index(joint)])
 

@@ -2,9 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -14,6 +20,8 @@ from mpc_controller.parameters import Specification, build, specifications
 
 T = TypeVar("T")
 
+LONGEST_REASON = 1000
+KNOWN_TYPES = frozenset(kind.value for kind in Parameter.Type)
 ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
 
 
@@ -25,7 +33,8 @@ class Refusal(ParameterNotDeclaredException):
     """
 
     def __init__(self, reason: str) -> None:
-        Exception.__init__(self, reason)
+        # The name of an unknown parameter may be anything.
+        Exception.__init__(self, " ".join(reason.split())[:LONGEST_REASON])
 
 
 def descriptor(spec: Specification) -> ParameterDescriptor:
@@ -94,6 +103,9 @@ class NodeParameters(Generic[T]):
         for name, value in asdict(self.settings).items():  # type: ignore[call-overload]
             value = list(value) if isinstance(value, tuple) else value
             node.declare_parameter(name, value, descriptor(self._specs[name]), ignore_override=True)
+        for service in node.services:
+            if service.srv_type in (SetParameters, SetParametersAtomically):
+                service.callback = _refusing_unknown_types(service.callback)
         # Judged ahead of rclpy, whose own reasons name neither the parameter nor its value.
         node.add_pre_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._apply)
@@ -129,6 +141,25 @@ class NodeParameters(Generic[T]):
                 raise SettingsError(f"{p.name}: cannot be deleted")
             current[p.name] = _plain(p)
         return build(self._table, current)
+
+
+def _refusing_unknown_types(callback: Callable) -> Callable:
+    """Answer a value of a type that does not exist, by which rclpy lets the node die."""
+
+    def guarded(request: Any, response: Any) -> Any:
+        for p in request.parameters:
+            if p.value.type not in KNOWN_TYPES:
+                refusal = SetParametersResult(
+                    successful=False, reason=f"{p.name}: there is no type {p.value.type}"
+                )
+                if isinstance(response, SetParameters.Response):
+                    response.results = [refusal] * len(request.parameters)
+                else:
+                    response.result = refusal
+                return response
+        return callback(request, response)
+
+    return guarded
 
 
 def _plain(p: Parameter) -> object:

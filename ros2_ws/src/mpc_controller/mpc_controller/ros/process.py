@@ -56,7 +56,13 @@ def run(make_node: Callable[[], Node]) -> int:
     executor.add_node(node)
     try:
         while not stop:
-            executor.spin_once(timeout_sec=SPIN_PERIOD)
+            try:
+                executor.spin_once(timeout_sec=SPIN_PERIOD)
+            except Exception as error:
+                if not rclpy.ok():
+                    raise
+                # What one message breaks, our doing or rclpy's, must not end the node for all.
+                node.get_logger().error(f"a message was dropped: {error!r}")
     finally:
         for signum in (signal.SIGINT, signal.SIGTERM):
             signal.signal(signum, signal.SIG_IGN)

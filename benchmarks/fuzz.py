@@ -1,0 +1,160 @@
+"""10,000 hostile inputs: study files, journals, parameter values and results of anybody.
+
+The contracts are those of tests/fuzz: an answer or one line of refusal, no traceback, no file but
+the one that was given. Hypothesis draws the inputs; study files go to atheris, too, if that is
+installed (``pip install atheris``), which looks for bytes that lead into code not yet run.
+"""
+
+import argparse
+import json
+import os
+import platform
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from hypothesis import HealthCheck, given, seed, settings
+
+CONTRACTS = BENCHMARKS.parent / "tests" / "fuzz"
+SEED = 1
+SHARES = {"study text": 3, "study bytes": 3, "journal": 2, "parameters": 1, "results": 1}
+"""Of the inputs, in tenths."""
+
+
+def draw(count: int, check: Callable[..., object], **strategies: object) -> int:
+    """Check a contract on inputs; returns their number."""
+    done = 0
+
+    @seed(SEED)
+    @settings(
+        max_examples=count,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(**strategies)
+    def run(**inputs: object) -> None:
+        nonlocal done
+        done += 1
+        check(**inputs)
+
+    run()
+    return done
+
+
+def by_hypothesis(count: int, folder: Path) -> dict[str, dict[str, float]]:
+    """Draw inputs of each kind; returns how many and the seconds that they took."""
+    import contracts as c
+
+    run = folder / "run"
+    record = c.make_run(run)
+    size = (run / c.JOURNAL).stat().st_size
+    scratch = folder / "journals"
+    scratch.mkdir()
+    plans: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
+        "study text": (c.check_study, {"text": c.studies()}),
+        "study bytes": (
+            lambda data: c.check_study_bytes(data, c.below(folder)),
+            {"data": c.bytes_of_studies()},
+        ),
+        "journal": (
+            lambda damage: c.check_journal(run, record, damage, scratch / "run"),
+            {"damage": c.damages(size)},
+        ),
+        "parameters": (c.check_parameters, {"changes": c.parameter_values}),
+        "results": (c.check_results, {"early": c.messages, "late": c.messages}),
+    }
+    result = {}
+    for name, (check, strategies) in plans.items():
+        begin = time.perf_counter()
+        done = draw(count * SHARES[name] // 10, check, **strategies)
+        result[name] = {"inputs": done, "seconds": time.perf_counter() - begin}
+        print(f"{name}: {done}", flush=True)
+    return result
+
+
+def by_atheris(count: int) -> dict[str, object]:
+    """Let atheris look for study files in a process of its own, which it never returns from."""
+    with tempfile.TemporaryDirectory() as name:
+        done = subprocess.run(
+            [sys.executable, __file__, "--atheris", str(count), name],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    said = re.search(r"Done (\d+) runs in (\d+) second", done.stderr)
+    if done.returncode == 3:
+        return {"inputs": 0, "reason": done.stdout.strip()}
+    if said is None or done.returncode != 0:
+        raise SystemExit(f"error: atheris found something:\n{done.stderr}")
+    covered = re.findall(r"cov: (\d+)", done.stderr)
+    return {
+        "inputs": int(said[1]),
+        "seconds": float(said[2]),
+        "covered_edges": int(covered[-1]),
+        "covered_edges_at_first": int(covered[0]),
+    }
+
+
+def run_atheris(count: int, folder: Path) -> None:
+    """Hand study files to atheris; does not return."""
+    try:
+        import atheris
+    except ImportError:
+        print("atheris is not installed")
+        raise SystemExit(3) from None
+    with atheris.instrument_imports(include=["bo_tuner", "yaml"], enable_loader_override=False):
+        import contracts as c
+
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    (corpus / "full.yaml").write_text(c.TEXT)
+    empty = folder / "studies"
+    empty.mkdir()
+
+    def check(data: bytes) -> None:
+        c.check_study_bytes(data, empty)
+
+    options = [f"-runs={count}", f"-seed={SEED}", "-max_len=6000", "-timeout=60"]
+    atheris.Setup([sys.argv[0], *options, str(corpus)], check)
+    atheris.Fuzz()
+
+
+def main() -> None:
+    """Fuzz and report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--inputs", type=int, default=10_000, help="(default: %(default)s)")
+    parser.add_argument("--atheris-inputs", type=int, default=50_000, help="(default: %(default)s)")
+    parser.add_argument("--result", type=Path, default=RESULTS / "fuzz.json")
+    parser.add_argument("--atheris", nargs=2, metavar=("COUNT", "FOLDER"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    sys.path.append(str(CONTRACTS))
+    random.seed(SEED)
+    if arguments.atheris:
+        run_atheris(int(arguments.atheris[0]), Path(arguments.atheris[1]))
+    packages = ("hypothesis", "atheris", "PyYAML")
+    origin = provenance(packages) | {"load_average": os.getloadavg(), "host": platform.machine()}
+    with tempfile.TemporaryDirectory() as name:
+        drawn = by_hypothesis(arguments.inputs, Path(name))
+    result = {
+        "provenance": origin,
+        "seed": SEED,
+        "inputs": sum(int(kind["inputs"]) for kind in drawn.values()),
+        "failures": 0,
+        "hypothesis": drawn,
+        "atheris_on_study_files": by_atheris(arguments.atheris_inputs),
+    }
+    write_result(arguments.result, result)
+    print(table(["kind", "inputs", "seconds"], [[k, *v.values()] for k, v in drawn.items()]))
+    print(f"atheris: {json.dumps(result['atheris_on_study_files'])}")
+    print(f"{result['inputs']} inputs by hypothesis, no failure")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""The report of a run: its size, how long it takes to write and to open, and what axe-core finds.
+
+A page is opened in a new headless Chromium with an empty profile, as by a click on the file.
+Opened means that all text is there and the first figure is drawn; the figures below the window
+follow. Times are those of the browser's own clock, from the start of the navigation on.
+"""
+
+import argparse
+import importlib.util
+import os
+import re
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from common import BENCHMARKS, RESULTS, provenance, table, write_result
+
+from bo_tuner.commands import tune
+from bo_tuner.interruption import Interruption
+from bo_tuner.report.page import write_report
+from bo_tuner.run_record import read_run
+
+# The browser is driven as in the tests.
+sys.path.append(str(BENCHMARKS.parent / "tests" / "browser"))
+from chromium import Chromium
+
+DRAWN = "document.documentElement.dataset.drawn === 'all'"
+TIMES = """
+(() => {
+  const marks = performance.getEntriesByName("figure").map((mark) => mark.startTime);
+  const loaded = performance.getEntriesByType("navigation")[0].loadEventEnd;
+  return [Math.max(loaded, marks[0]), marks[marks.length - 1]].map((ms) => ms / 1000);
+})()
+"""
+VIEWS = (("light", 1280), ("dark", 1280), ("light", 390))
+
+
+def open_page(page: Path) -> tuple[float, float, float]:
+    """Open a page in a new browser.
+
+    Returns the seconds until it is open and until all is drawn, and the time of the processor that
+    the page's thread took for all of it, which other programs do not stretch.
+    """
+    with tempfile.TemporaryDirectory() as profile, Chromium(Path(profile)) as browser:
+        browser.call("Performance.enable")
+        browser.open(page)
+        browser.wait_for(DRAWN)
+        if browser.errors:
+            raise SystemExit(f"error: {browser.errors[0]}")
+        metrics = browser.call("Performance.getMetrics")["metrics"]
+        (thread,) = [item["value"] for item in metrics if item["name"] == "ThreadTime"]
+        opened, drawn = browser.evaluate(TIMES)
+        return opened, drawn, thread
+
+
+def axe_findings(page: Path, axe: str) -> list[dict[str, object]]:
+    """List what axe-core finds, in light, dark and on a phone."""
+    found = []
+    with tempfile.TemporaryDirectory() as profile, Chromium(Path(profile)) as browser:
+        for theme, width in VIEWS:
+            browser.open(page, theme=theme, width=width)
+            browser.wait_for(DRAWN)
+            browser.evaluate(f"{axe}; 0")
+            rules = browser.evaluate("axe.run().then(r => r.violations.map(v => [v.id, v.impact]))")
+            found += [
+                {"theme": theme, "width": width, "rule": rule, "impact": impact}
+                for rule, impact in rules
+            ]
+    return found
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--study", default="full", help="(default: %(default)s)")
+    parser.add_argument("--trials", type=int, default=100, help="(default: %(default)s)")
+    parser.add_argument("--opens", type=int, default=10, help="(default: %(default)s)")
+    parser.add_argument("--result", type=Path, default=RESULTS / "report.json")
+    arguments = parser.parse_args()
+    spec = importlib.util.find_spec("axe_core_python")
+    if spec is None or spec.origin is None:
+        raise SystemExit("error: axe-core-python is not installed")
+    axe = Path(spec.origin).with_name("axe.min.js").read_text(encoding="utf-8")
+    about = provenance(("plotly", "Jinja2", "axe-core-python"))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        chosen = ["--study", arguments.study, "--trials", str(arguments.trials)]
+        tune.run([*chosen, "--backend", "inprocess", "--output", str(folder)], Interruption())
+        record = read_run((folder / "latest").resolve())
+        page = folder / "report.html"
+        writing = []
+        for _ in range(3):
+            start = time.perf_counter()
+            write_report(record, page)
+            writing.append(time.perf_counter() - start)
+        times = [open_page(page) for _ in range(arguments.opens)]
+        findings = axe_findings(page, axe)
+        size = page.stat().st_size
+    opened, drawn, thread = zip(*times, strict=True)
+    serious = [item for item in findings if item["impact"] in ("serious", "critical")]
+    version = re.search(r"axe v([0-9.]+)", axe)
+    result = {
+        "provenance": about,
+        "study": arguments.study,
+        "trials": len(record.trials),
+        "size_bytes": size,
+        "seconds_to_write": writing,
+        "seconds_to_open": opened,
+        "seconds_to_draw_all": drawn,
+        "processor_seconds_of_the_page": thread,
+        "load_average": os.getloadavg(),
+        "axe_version": version.group(1) if version else "unknown",
+        "axe_findings": findings,
+    }
+    write_result(arguments.result, result)
+    measured = {
+        "write": writing,
+        "open": opened,
+        "draw all figures": drawn,
+        "processor time of the page": thread,
+    }
+    rows = [(what, statistics.median(s), min(s), max(s)) for what, s in measured.items()]
+    print(table(("report", "median [s]", "min", "max"), rows))
+    print(
+        f"{len(record.trials)} trials, {size / 1e6:.2f} MB; axe-core {result['axe_version']}: "
+        f"{len(findings)} findings, {len(serious)} of them serious"
+    )
+
+
+if __name__ == "__main__":
+    main()

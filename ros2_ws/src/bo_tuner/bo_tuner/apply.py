@@ -1,0 +1,142 @@
+"""Setting the result of a run on live nodes: certified, all or nothing, read back."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Protocol
+
+from bo_tuner import checks
+from bo_tuner.backends.collect import one_line
+from bo_tuner.bundle import same
+from bo_tuner.certificate import FAIL, PASS
+from bo_tuner.certificate_record import CERTIFICATE
+from bo_tuner.errors import BoTunerError
+from bo_tuner.parameter_file import NodeValues
+from bo_tuner.run_record import RunRecord
+from bo_tuner.study import Study
+from bo_tuner.study_file import study_to_yaml
+from bo_tuner.trials import Trial
+
+
+class ApplyError(BoTunerError, RuntimeError):
+    """Nodes did not take what they were told; the text says what they run now."""
+
+
+class NodeError(BoTunerError, RuntimeError):
+    """A node refused, is not there, or does not answer."""
+
+
+class RefusedError(NodeError):
+    """A node refused its parameters, and keeps those it had."""
+
+
+class Nodes(Protocol):
+    """Live nodes, by their names."""
+
+    def get(self, node: str, names: list[str]) -> dict[str, object]:
+        """Read parameters of a node.
+
+        Raises
+        ------
+        NodeError
+            If the node does not answer, or does not have one of them.
+        """
+
+    def set(self, node: str, values: Mapping[str, object]) -> None:
+        """Set parameters of a node, all of them or none.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them.
+        NodeError
+            If the node does not answer: it may have taken them.
+        """
+
+
+def certificate_problem(record: RunRecord, trial: Trial) -> str:
+    """Tell in a line why a parametrization is not certified; an empty text if it is."""
+    path = record.path / CERTIFICATE
+    try:
+        certificate = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return f"{path}: there is no certificate; validate makes one"
+    except (OSError, ValueError, RecursionError) as error:
+        return f"{path}: cannot be read: {error}"
+    if not isinstance(certificate, dict):
+        return f"{path}: is no certificate; validate makes one"
+    if certificate.get("parameters") != dict(trial.parameters):
+        return f"{path}: is of another parametrization; validate makes one of this"
+    if certificate.get("study_sha256") != study_sha256(record.study):
+        return f"{path}: is of another study, as to its limits or nodes; validate makes one of this"
+    verdict = certificate.get("verdict")
+    if verdict == PASS:
+        return ""
+    return f"{path}: says {FAIL if verdict == FAIL else checks.show(verdict)}, not {PASS}"
+
+
+def study_sha256(study: Study) -> str:
+    """Digest of a study, as in the provenance of a run."""
+    return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
+
+
+def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
+    """Read from live nodes the parameters that are in `like`.
+
+    Raises
+    ------
+    NodeError
+        As in `Nodes.get`.
+    """
+    return {node: nodes.get(node, list(values)) for node, values in like.items()}
+
+
+def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
+    """Set values on live nodes, and read them back.
+
+    If one node refuses, or does not hold what it was told, all are set back.
+
+    Parameters
+    ----------
+    nodes
+        The live nodes.
+    before
+        What they run now.
+    new
+        What they shall run; of the same nodes and parameters.
+
+    Raises
+    ------
+    ApplyError
+        If the nodes do not run the new values. One line.
+    """
+    touched: list[str] = []
+    try:
+        for node, values in new.items():
+            touched.append(node)
+            try:
+                nodes.set(node, values)
+            except RefusedError:
+                touched.remove(node)
+                raise
+        for node, values in new.items():
+            found = nodes.get(node, list(values))
+            for name, value in values.items():
+                if not same(found[name], value):
+                    shown = one_line(str(found[name]))
+                    raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
+    except NodeError as error:
+        raise ApplyError(f"{error}; {_set_back(nodes, before, touched)}") from error
+
+
+def _set_back(nodes: Nodes, before: NodeValues, touched: list[str]) -> str:
+    """Give nodes what they had; returns what came of it, in words."""
+    failed = []
+    for node in touched:
+        try:
+            nodes.set(node, before[node])
+        except NodeError as error:
+            failed.append(f"{node} could not be set back: {error}")
+    if failed:
+        return "; ".join(failed)
+    return f"{', '.join(touched)} set back to what it was" if touched else "nothing was changed"

@@ -1,0 +1,182 @@
+"""The results page of a campaign: Markdown with its figures beside it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bo_tuner.benchmark import figures, findings, tables
+from bo_tuner.benchmark.experiment import Case, Experiment
+from bo_tuner.benchmark.field_figure import field_figure
+from bo_tuner.benchmark.fields import axes
+from bo_tuner.benchmark.summary import Record, RowSummary, summarise
+from bo_tuner.figures.figure import Figure
+
+FOLDER = "figures"
+
+LEGEND = """\
+How to read the tables. *Held in validation*: the run called its answer feasible, and 25 fresh
+draws showed no violation. *Truly feasible*: the mean over noise keeps the limit in each context of
+a grid over the whole box, and real cuts keep the chance constraints. *Validated objective* and
+*validated - training* are over all answers; training is the mean of the answer's cuts in the
+tuning. The *true objective* is over 600 drawn contexts. *Narrow*: a step of one parameter (1 of an
+integer, 5 % of the range otherwise) costs more than a fifth in objective or beyond the limit. In
+brackets: 95 % confidence intervals, Clopper-Pearson for shares, Student's t for means.
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Part of the page.
+
+    Attributes
+    ----------
+    title
+        Its heading.
+    text
+        What stands below, in Markdown; the figures are linked in it.
+    figures
+        To be written beside the page.
+    """
+
+    title: str
+    text: str
+    figures: tuple[Figure, ...] = ()
+
+
+def sections(experiment: Experiment, done: Mapping[str, Record]) -> list[Section]:
+    """Lay out a finished campaign."""
+    parts = []
+    for case in experiment.cases.values():
+        summaries = summaries_of(experiment, case, done)
+        parts.append(_case(experiment, case, summaries, done))
+        if case.points:
+            text = tables.neighbourhood_table(experiment, case, summaries, done)
+            title = f"{case.title}: the best parametrizations and their neighbours"
+            parts.append(Section(title, text))
+        if case.surrogates is not None:
+            parts.append(_fields(case, done))
+    if experiment.calibration is not None and not done["calibration"]["failed"]:
+        figure, text = figures.calibration(experiment, done["calibration"]["result"])
+        parts.append(Section("The model of the computing time", _with(text, figure), (figure,)))
+    if experiment.cost is not None:
+        figure, text = figures.cost_scaling(experiment, done)
+        text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment, done)}"
+        parts.append(Section("Cost of a run", text, (figure,)))
+    parts.append(Section(f"How {experiment.name} was made", provenance(experiment, done)))
+    return parts
+
+
+def summaries_of(
+    experiment: Experiment, case: Case, done: Mapping[str, Record]
+) -> list[RowSummary]:
+    """Sum up the rows of a case."""
+    optimum = experiment.optimum(case.study)
+    return [summarise(case, row, done, optimum) for row in case.rows.values()]
+
+
+def markdown(parts: Sequence[Section], title: str, introduction: str) -> str:
+    """Text of the page."""
+    text = [f"# {title}", introduction.strip(), LEGEND.strip()]
+    for part in parts:
+        text += [f"## {part.title}", part.text.strip()]
+    return "\n\n".join(text) + "\n"
+
+
+def numbers(experiment: Experiment, done: Mapping[str, Record]) -> str:
+    """Only what is the same whenever the campaign is repeated: the tables of all cases."""
+    text = []
+    for case in experiment.cases.values():
+        summaries = summaries_of(experiment, case, done)
+        text += [case.title, tables.comparison_table(case, summaries)]
+        text.append(tables.convergence_table(case, summaries))
+        if case.points:
+            text.append(tables.neighbourhood_table(experiment, case, summaries, done))
+    return "\n\n".join(text)
+
+
+def _case(
+    experiment: Experiment,
+    case: Case,
+    summaries: Sequence[RowSummary],
+    done: Mapping[str, Record],
+) -> Section:
+    study = case.study
+    initial = case.initial_trials or study.budget.initial_trials
+    text = [
+        f"{case.runs} runs of each row on the study `{study.name}`, with the same initial sample "
+        f"of {initial} for all rows of one run. A run's trials end with the one that reaches "
+        f"{case.cuts} cuts{_exceptions(case)}; algorithms that check their candidates before they "
+        f"answer leave {case.reserved_cuts} of them for that.",
+        tables.comparison_table(case, summaries),
+    ]
+    published = tables.published_table(summaries)
+    if published:
+        text += ["The paper's numbers beside ours:", published]
+    said = findings.beside_the_paper(summaries) + findings.beside_others(case, summaries)
+    if said:
+        text.append("\n".join(f"- {sentence}" for sentence in said))
+    if case.remarks:
+        text.append(case.remarks.strip())
+    figure = figures.convergence(case, summaries, experiment.optimum(study))
+    text += [
+        _with("Truly feasible solutions, and their mean objective, along the way:", figure),
+        tables.convergence_table(case, summaries),
+    ]
+    failures = [f"- {s.row.name}: {reason}" for s in summaries for reason in s.failures]
+    if failures:
+        text += ["Runs that failed, counted as infeasible:", "\n".join(failures)]
+    return Section(case.title, "\n\n".join(text), (figure,))
+
+
+def _exceptions(case: Case) -> str:
+    other = [f"{row.cuts} for {row.name}" for row in case.rows.values() if row.cuts is not None]
+    return f" ({', '.join(other)})" if other else ""
+
+
+def _fields(case: Case, done: Mapping[str, Record]) -> Section:
+    title = f"{case.title}: final surrogates and the truth"
+    figure_of = case.surrogates
+    points = 0 if figure_of is None else figure_of.points
+    columns = [done[f"truth/{case.name}/{first}"] for first in axes(case.study, points)[0]]
+    record = done[f"surrogates/{case.name}"]
+    failed = [r["failed"] for r in (record, *columns) if r["failed"]]
+    if failed:
+        return Section(title, f"No figure: {failed[0]}")
+    figure = field_figure(case, record["result"], [c["result"] for c in columns])
+    return Section(title, _with("", figure), (figure,))
+
+
+def _with(text: str, figure: Figure) -> str:
+    """Put a figure below a text."""
+    link = f"![{figure.title}]({FOLDER}/{figure.name}.png)"
+    return f"{text}\n\n{link}\n\n*{figure.caption}*".strip()
+
+
+def provenance(experiment: Experiment, done: Mapping[str, Record]) -> str:
+    """Tell commits, machines, seeds, and how fast it went."""
+    lines = []
+    results = [r["result"] for name, r in done.items() if name.startswith("run/") and r["result"]]
+    cuts = sum(result["cuts"] for result in results)
+    in_cuts = sum(result["seconds"]["cuts"] for result in results)
+    optimizer = sum(result["seconds"]["optimizer"] for result in results)
+    wall = sum(record["wall_seconds"] for record in done.values())
+    seeds = {case.name: case.runs for case in experiment.cases.values()}
+    if in_cuts > 0.0:
+        lines.append(
+            f"- {len(results)} runs with {cuts} cuts of the trials: {cuts / in_cuts:.0f} cuts per "
+            f"second and core; the optimizers took {optimizer / (optimizer + in_cuts):.0%} of the "
+            f"runs' processor time. All tasks together: {wall / 60.0:.1f} minutes on one core, "
+            f"with judging."
+        )
+    lines.append(f"- Seeds: {', '.join(f'{name} 1 to {n}' for name, n in seeds.items())}.")
+    for key, words in (("commit", "Commit"), ("machine", "Machine"), ("versions", "Versions")):
+        values = sorted({str(record["about"][key]) for record in done.values()})
+        lines.append(f"- {words}: {'; '.join(values)}.")
+    dates = sorted(record["about"]["date"] for record in done.values())
+    lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
+    return "\n".join(lines)
+
+
+def failed_tasks(done: Mapping[str, Record]) -> dict[str, Any]:
+    """Reasons of the tasks that failed, by task."""
+    return {name: record["failed"] for name, record in done.items() if record["failed"]}

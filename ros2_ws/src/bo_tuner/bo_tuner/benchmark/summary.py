@@ -1,0 +1,131 @@
+"""What the runs of a row say together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bo_tuner.benchmark.experiment import Case
+from bo_tuner.benchmark.experiment_parts import Row
+from bo_tuner.benchmark.neighbours import is_narrow
+from bo_tuner.benchmark.statistics import Mean, Share, mean, share
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class RowSummary:
+    """A row of a table, from all its runs.
+
+    Attributes
+    ----------
+    row
+        The row.
+    results
+        Results of the runs that ended, in the order of their seeds; see `runs.run`.
+    failures
+        Reasons of the runs that raised something.
+    validated
+        Runs whose answer held in the validation's draws.
+    feasible
+        Runs whose answer is feasible in truth.
+    narrow
+        Answers with a neighbour that is much worse.
+    validation
+        Objective in the validation, over all answers.
+    difference
+        Of the validation to the cuts of the tuning, over all answers.
+    objective
+        True objective, over the truly feasible answers.
+    distance
+        Of that to the grid's optimum [%]; not given without one.
+    worst
+        True worst case, over all answers.
+    best
+        Lowest validated objective of a validated answer.
+    cuts, check_cuts
+        Cuts of the trials, and of the checks of candidates.
+    """
+
+    row: Row
+    results: tuple[Record, ...]
+    failures: tuple[str, ...]
+    validated: Share
+    feasible: Share
+    narrow: int
+    validation: Mean
+    difference: Mean
+    objective: Mean
+    distance: Mean | None
+    worst: Mean
+    best: float | None
+    cuts: Mean
+    check_cuts: Mean
+
+    @property
+    def answers(self) -> list[Record]:
+        """Answers of the runs that have one."""
+        return [result["answer"] for result in self.results if result["answer"] is not None]
+
+    @property
+    def feasible_objectives(self) -> list[float]:
+        """True objectives of the truly feasible answers."""
+        return [a["truth"]["objective"] for a in self.answers if a["truth"]["feasible"]]
+
+
+def summarise(
+    case: Case, row: Row, done: Mapping[str, Record], optimum: float | None
+) -> RowSummary:
+    """Sum up a row.
+
+    Parameters
+    ----------
+    case, row
+        The row and where it belongs.
+    done
+        Records of the campaign by task.
+    optimum
+        Objective of the grid's optimum.
+    """
+    records = [done[f"run/{case.name}/{row.name}/{seed}"] for seed in range(1, case.runs + 1)]
+    results = tuple(r["result"] for r in records if not r["failed"])
+    answers = [result["answer"] for result in results if result["answer"] is not None]
+    validated = [a for a in answers if a["believed"] and a["validation"]["feasible"]]
+    feasible = [a["truth"]["objective"] for a in answers if a["truth"]["feasible"]]
+    whole = [a for a in answers if a["validation"]["objective"] is not None]
+    sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
+    objectives = [a["validation"]["objective"] for a in validated]
+    return RowSummary(
+        row=row,
+        results=results,
+        failures=tuple(r["failed"] for r in records if r["failed"]),
+        validated=share(len(validated), case.runs),
+        feasible=share(len(feasible), case.runs),
+        narrow=sum(is_narrow(a["neighbours"]) for a in answers),
+        validation=mean([a["validation"]["objective"] for a in whole]),
+        difference=mean([a["validation"]["objective"] - a["training"] for a in whole]),
+        objective=mean(feasible),
+        distance=None
+        if optimum is None
+        else mean([100.0 * sign * (E / optimum - 1.0) for E in feasible]),
+        worst=mean([a["truth"]["worst"] for a in answers if a["truth"]["worst"] is not None]),
+        best=None if not objectives else min(objectives, key=lambda E: sign * E),
+        cuts=mean([result["cuts"] for result in results]),
+        check_cuts=mean([result["check_cuts"] for result in results]),
+    )
+
+
+def incumbent_at(result: Record, cuts: int) -> Record | None:
+    """Truth of what a run believed the best after so many cuts; None if it had nothing yet."""
+    number = None
+    for used, trial in result["trajectory"]:
+        if used > cuts:
+            break
+        number = trial
+    found: Record | None = None if number is None else result["incumbents"][str(number)]
+    return found
+
+
+def feasible_at(results: Sequence[Record], cuts: int) -> list[float]:
+    """Return the true objectives of the truly feasible incumbents after so many cuts."""
+    found = [incumbent_at(result, cuts) for result in results]
+    return [item["objective"] for item in found if item is not None and item["feasible"]]

@@ -1,0 +1,212 @@
+"""The bundle of a run, ``RUN/deploy/``: all that takes its result to the machine, and back.
+
+Each file is replaced as a whole, the provenance last; it has the SHA-256 of all others, so that
+whoever gets the bundle can tell whether it is whole.
+"""
+
+import csv
+import hashlib
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from bo_tuner import checks
+from bo_tuner.certificate_record import CERTIFICATE
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.parameter_file import NodeValues, from_yaml, node_values, to_yaml
+from bo_tuner.run_record import RunRecord
+from bo_tuner.study import Study
+from bo_tuner.trials import Trial
+
+DEPLOY = "deploy"
+PARAMETERS = "parameters.yaml"
+ROLLBACK = "rollback.yaml"
+DIFFERENCE = "difference.csv"
+PROVENANCE = "provenance.json"
+
+COPIED = (CERTIFICATE, "certificate_cuts.csv", "report.html")
+"""Files of the run that are copied if it has them."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A parameter of a node, and its values on two sides."""
+
+    node: str
+    parameter: str
+    unit: str
+    now: object
+    new: object
+
+    @property
+    def equal(self) -> bool:
+        """Whether nothing would change."""
+        return same(self.now, self.new)
+
+
+def same(one: object, other: object) -> bool:
+    """Whether two parameter values are equal; 1 and 1.0 are, as a node may hold either."""
+    return one == other or repr(one) == repr(other)
+
+
+def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Difference]:
+    """Set values side by side, those that a node does not have on one side as None."""
+    units = {
+        (study.nodes[item.node].node, item.parameter): item.unit
+        for item in study.parameters.values()
+    }
+    return [
+        Difference(node, name, units.get((node, name), ""), now.get(node, {}).get(name), value)
+        for node, values in new.items()
+        for name, value in values.items()
+    ]
+
+
+def result_of(record: RunRecord) -> Trial:
+    """Return the trial that a run ended with.
+
+    Raises
+    ------
+    RunRecordError
+        If it has not ended, or nothing could be recommended.
+    """
+    if record.summary is None:
+        raise RunRecordError(
+            f"{record.path}: has no result: it has not ended, or every trial failed"
+        )
+    number = record.summary.get("trial")
+    for trial in record.trials:
+        if trial.number == number:
+            return trial
+    shown = checks.show(number)
+    raise RunRecordError(f"{record.path}: its summary names trial {shown}, not on record")
+
+
+def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
+    """Write the bundle of a run that has ended, or bring it up to date.
+
+    Parameters
+    ----------
+    record
+        The run.
+    rollback
+        What the nodes ran before the result was set on them. Without it the file for the way back
+        stays as it is; a new one has the study's defaults.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    RunRecordError
+        If the run has no result.
+    OutputError
+        If the files cannot be written, or a file could not be read back with these values.
+    """
+    trial = result_of(record)
+    if rollback is not None:
+        _check_readable(rollback)
+    tuned = node_values(record.study, trial.parameters)
+    default = node_values(record.study, record.study.search_space().defaults)
+    folder = record.path / DEPLOY
+    files = {
+        PARAMETERS: to_yaml(tuned).encode(),
+        DIFFERENCE: _table(differences(record.study, default, tuned)).encode(),
+    }
+    try:
+        folder.mkdir(exist_ok=True)
+        for name in COPIED:
+            if (record.path / name).is_file():
+                files[name] = (record.path / name).read_bytes()
+            else:
+                (folder / name).unlink(missing_ok=True)
+        if rollback is not None or not (folder / ROLLBACK).exists():
+            files[ROLLBACK] = to_yaml(default if rollback is None else rollback).encode()
+        else:
+            files[ROLLBACK] = (folder / ROLLBACK).read_bytes()
+        files[PROVENANCE] = _provenance(record, trial, files).encode()
+        for name, content in files.items():
+            _replace(folder / name, content)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    return folder
+
+
+def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
+    """Read what to set to get back to where the nodes were.
+
+    Raises
+    ------
+    RunRecordError
+        If there is no such file, or it is not of this run's nodes and parameters.
+    """
+    path = record.path / DEPLOY / ROLLBACK
+    expected = node_values(record.study, record.study.search_space().defaults)
+    try:
+        values = from_yaml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RunRecordError(f"{path}: {error}") from error
+    for node, names in expected.items():
+        if values.keys() != expected.keys() or values[node].keys() != names.keys():
+            raise RunRecordError(
+                f"{path}: expected values of {', '.join(names)} of {node}, and no others"
+            )
+    return values
+
+
+def _check_readable(values: NodeValues) -> None:
+    """Refuse values, such as NaN, that a parameter file does not hold: no way would lead back."""
+    try:
+        from_yaml(to_yaml(values))
+    except ValueError as error:
+        raise OutputError(f"{ROLLBACK}: cannot hold what the nodes run: {error}") from error
+
+
+def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> str:
+    summary = record.summary or {}
+    content = {
+        "study": record.study.name,
+        "run": record.path.resolve().name,
+        "trial": trial.number,
+        "feasible": summary.get("feasible"),
+        "parameters": dict(trial.parameters),
+        "provenance": dict(record.provenance),
+        "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())},
+    }
+    return json.dumps(content, indent=2) + "\n"
+
+
+def _table(rows: list[Difference]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("node", "parameter", "unit", "default", "tuned", "changed"))
+    writer.writerows(_cells(rows))
+    return text.getvalue()
+
+
+def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
+    for row in rows:
+        yield row.node, row.parameter, row.unit, row.now, row.new, "" if row.equal else "yes"
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file so that whoever reads it, at any moment, finds the old one or the new one."""
+    if path.is_file() and path.read_bytes() == content:
+        return
+    temporary = path.with_name(f".{path.name}-{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            file.flush()
+            # What was on the machine must outlive a loss of power right after it was changed.
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

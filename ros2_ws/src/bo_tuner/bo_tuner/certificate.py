@@ -1,0 +1,188 @@
+"""The certificate of a parametrization: what fresh cuts show of it, and whether that is enough.
+
+The burden of proof lies with the parametrization. A limit counts as kept only if the cuts show it
+with the stated confidence 1 - α; too few cuts to show it are a FAIL as well.
+
+- A chance constraint (Eq. 3d) is shown if the Clopper-Pearson upper bound of the probability that a
+  draw violates it is at most 1 - probability.
+- A worst-case constraint (Eq. 3e) is shown if no draw exceeds the limit, as in the validation of
+  `tune` (Sec. 5.2), and in every context that a separate search takes for the worst, the upper
+  bound of the mean over noise is within the limit. The worst case is an expectation over noise, as
+  in stage two, so a single noisy cut in a corner of the box refutes nothing; a draw, in a context
+  as operation brings it, does. To allow none among n draws is a success-run test: it shows a
+  violation probability below 1 - α^(1/n), and more draws are a harder test. What the tuner aims
+  at leaves room for both: a single cut in the worst context stays within the limit with
+  `SINGLE_CUT_PROBABILITY`, so the mean there keeps a standard deviation of distance.
+- A failed cut keeps no limit: it counts as a violation of every constraint, and one is a FAIL.
+
+PASS needs all of them to be shown. Such a test of a union of hypotheses, each at level α, has level
+α itself, whatever the dependence between them (Berger 1982): whichever limit is in truth not kept,
+it passes its own test with probability α at most. So no correction for the number of constraints
+and candidates is due. What no test covers is a worst context that the search did not find.
+
+References
+----------
+Berger (1982). Multiparameter hypothesis testing and acceptance sampling. Technometrics 24(4).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.certificate_parts import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
+from bo_tuner.risk import (
+    conditional_value_at_risk,
+    draws_needed,
+    is_shown,
+    mean_of,
+    most_events,
+    probability_bound,
+)
+from bo_tuner.special import Array
+from bo_tuner.study import Constraint, Study
+from bo_tuner.study_parts import MAXIMIZE
+from bo_tuner.trials import Cut, CutState
+
+PASS, FAIL = "PASS", "FAIL"
+
+
+def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
+    """Return how many draws a PASS takes at least, and the constraint that asks for most of them.
+
+    With fewer, even a sample without any violation cannot show a chance constraint.
+    """
+    needed = {
+        c.name: draws_needed(1.0 - (c.probability or 0.0), confidence)
+        for c in study.chance_constraints
+    }
+    if not needed:
+        return 1, ""
+    name = max(needed, key=lambda key: needed[key])
+    return needed[name], name
+
+
+def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
+    """Judge the cuts of a parametrization.
+
+    Parameters
+    ----------
+    study
+        Says what is judged.
+    evidence
+        The cuts; at least one draw.
+    confidence
+        Of all bounds, between 0 and 1.
+    """
+    metric = study.objective.metric
+    values = _values(evidence.drawn, metric)
+    sign = -1.0 if study.objective.direction == MAXIMIZE else 1.0
+    failed = [cut for cut in evidence.cuts if cut.outcome.state is not CutState.COMPLETE]
+    return Findings(
+        parameters=dict(evidence.parameters),
+        objective=mean_of(values, confidence),
+        tail=sign * conditional_value_at_risk(sign * values, TAIL),
+        cuts=len(evidence.cuts),
+        failures=len(failed),
+        first_failure=_failure(failed[0]) if failed else "",
+        constraints=tuple(
+            _judge(study, constraint, evidence, confidence)
+            for constraint in study.constraints.values()
+        ),
+    )
+
+
+def _judge(
+    study: Study, constraint: Constraint, evidence: Evidence, confidence: float
+) -> ConstraintVerdict:
+    values = _values(evidence.drawn, constraint.metric)
+    draws, violations = len(evidence.drawn), int(np.sum(values > constraint.upper))
+    failures = draws - len(values)
+    events = violations + failures
+    unit = study.metrics[constraint.metric].unit
+    worst: tuple[WorstContext, ...] = ()
+    if constraint.probability is None:
+        found = [_worst_context(cuts, constraint, confidence) for cuts in evidence.repeated]
+        # A context without a whole cut has no mean; nothing is worse.
+        worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(w.mean.value, nan=np.inf)))
+        passed, reason = _worst_case(constraint, draws, events, worst, unit)
+    else:
+        passed, reason = _chance(constraint, draws, events, confidence)
+    return ConstraintVerdict(
+        name=constraint.name,
+        kind=constraint.kind,
+        metric=constraint.metric,
+        unit=unit,
+        limit=constraint.upper,
+        allowed=0.0 if constraint.probability is None else 1.0 - constraint.probability,
+        draws=draws,
+        violations=violations,
+        failures=failures,
+        violation_bound=probability_bound(events, draws, confidence),
+        largest=float(values.max()) if len(values) else float("nan"),
+        tail=conditional_value_at_risk(values, TAIL),
+        worst=worst,
+        passed=passed,
+        reason=reason,
+    )
+
+
+def _chance(constraint: Constraint, draws: int, events: int, confidence: float) -> tuple[bool, str]:
+    allowed = 1.0 - (constraint.probability or 0.0)
+    bound = probability_bound(events, draws, confidence)
+    passed = is_shown(events, draws, allowed, confidence)
+    most = most_events(draws, allowed, confidence)
+    if most >= 0:
+        rule = f"at most {most} may"
+    else:
+        rule = f"{draws_needed(allowed, confidence)} draws without any are needed"
+    return passed, (
+        f"{events} of {draws} draws violate the limit or fail ({rule}): violation probability "
+        f"{'at most' if passed else 'may be'} {bound:.4f}, allowed {allowed:.4g}"
+    )
+
+
+def _worst_case(
+    constraint: Constraint,
+    draws: int,
+    events: int,
+    worst: Sequence[WorstContext],
+    unit: str,
+) -> tuple[bool, str]:
+    if events:
+        return False, f"{events} of {draws} draws violate the limit or fail, none may"
+    if not worst:
+        return False, "no context was looked at closely"
+    if failures := sum(w.failures for w in worst):
+        return False, f"{failures} cuts failed in the worst contexts, none may"
+    # That the mean of another context is larger does not make its bound the larger one.
+    top = max(worst, key=lambda w: w.mean.upper)
+    passed = top.mean.upper <= constraint.upper
+    where = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items()) or "always"
+    return passed, (
+        f"none of {draws} draws violates the limit; mean over noise in the worst context ({where}) "
+        f"{'at most' if passed else 'may be'} {top.mean.upper:.4g}, limit {constraint.upper:g} "
+        f"{unit}".rstrip()
+    )
+
+
+def _worst_context(cuts: Sequence[Cut], constraint: Constraint, confidence: float) -> WorstContext:
+    values = _values(cuts, constraint.metric)
+    return WorstContext(
+        context=dict(cuts[0].context),
+        mean=mean_of(values, confidence),
+        largest=float(values.max()) if len(values) else float("nan"),
+        cuts=len(values),
+        above=int(np.sum(values > constraint.upper)),
+        failures=len(cuts) - len(values),
+    )
+
+
+def _values(cuts: Sequence[Cut], metric: str) -> Array:
+    return np.array(
+        [cut.outcome.metrics[metric] for cut in cuts if cut.outcome.state is CutState.COMPLETE]
+    )
+
+
+def _failure(cut: Cut) -> str:
+    context = ", ".join(f"{name} {value:.4g}" for name, value in cut.context.items())
+    return f"{cut.outcome.reason} (context {context or 'none'}; seed {cut.seed})"

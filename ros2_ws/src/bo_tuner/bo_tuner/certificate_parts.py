@@ -1,0 +1,143 @@
+"""What a certificate is made of: the cuts, and what they show of each limit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bo_tuner.risk import Mean
+from bo_tuner.trials import Cut, Value
+
+TAIL = 0.95
+"""Level of the conditional value at risk: it is the mean of the worst twentieth of the draws."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The cuts of one parametrization.
+
+    Attributes
+    ----------
+    parameters
+        The parametrization.
+    drawn
+        In independent draws of context and noise.
+    search
+        Of the search of the worst context.
+    repeated
+        For each context that the search found, cuts with fresh noise in it.
+    """
+
+    parameters: Mapping[str, Value]
+    drawn: tuple[Cut, ...]
+    search: tuple[Cut, ...] = ()
+    repeated: tuple[tuple[Cut, ...], ...] = ()
+
+    @property
+    def cuts(self) -> tuple[Cut, ...]:
+        """All of them."""
+        return (*self.drawn, *self.search, *(cut for cuts in self.repeated for cut in cuts))
+
+
+@dataclass(frozen=True)
+class WorstContext:
+    """Cuts with fresh noise in a context that may be the worst.
+
+    Attributes
+    ----------
+    context
+        The context.
+    mean
+        Of the metric over noise.
+    largest
+        Largest single value.
+    cuts, above, failures
+        Number of whole cuts, of those above the limit, and of failed ones.
+    """
+
+    context: Mapping[str, float]
+    mean: Mean
+    largest: float
+    cuts: int
+    above: int
+    failures: int
+
+
+@dataclass(frozen=True)
+class ConstraintVerdict:
+    """How a constraint fared.
+
+    Attributes
+    ----------
+    name, kind, metric, unit, limit
+        As in the study; the limit in `unit`.
+    allowed
+        Largest probability of a violation that the study allows; 0 for a worst case.
+    draws, violations, failures
+        Number of draws, of whole ones above the limit, and of failed ones.
+    violation_bound
+        Upper confidence bound of the probability that a draw violates or fails.
+    largest
+        Largest value of the draws.
+    tail
+        Conditional value at risk of the draws, see `TAIL`.
+    worst
+        For a worst case: the contexts that may be the worst, the largest mean first.
+    passed, reason
+        The verdict, and why.
+    """
+
+    name: str
+    kind: str
+    metric: str
+    unit: str
+    limit: float
+    allowed: float
+    draws: int
+    violations: int
+    failures: int
+    violation_bound: float
+    largest: float
+    tail: float
+    worst: tuple[WorstContext, ...]
+    passed: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What the cuts of a parametrization show.
+
+    Attributes
+    ----------
+    parameters
+        The parametrization.
+    objective
+        Mean of the objective's metric over the draws.
+    tail
+        Its conditional value at risk: the mean over the draws that are worst for the objective.
+    cuts, failures
+        Number of all cuts, and of those that failed, draws or not.
+    first_failure
+        Why the first of them failed, and in which context.
+    constraints
+        One for each constraint of the study.
+    """
+
+    parameters: Mapping[str, Value]
+    objective: Mean
+    tail: float
+    cuts: int
+    failures: int
+    first_failure: str
+    constraints: tuple[ConstraintVerdict, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every constraint is shown to hold and no cut failed."""
+        return self.failures == 0 and all(c.passed for c in self.constraints)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why this does not pass; empty if it does."""
+        failed = (f"{self.failures} of {self.cuts} cuts failed, first: {self.first_failure}",)
+        of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
+        return (failed if self.failures else ()) + of_constraints

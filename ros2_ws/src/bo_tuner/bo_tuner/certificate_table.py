@@ -1,0 +1,121 @@
+"""A certificate as a table in the terminal."""
+
+from collections.abc import Iterator
+
+from rich.table import Table
+
+from bo_tuner.certificate_parts import TAIL, ConstraintVerdict, Findings, WorstContext
+from bo_tuner.certificate_record import Certificate
+from bo_tuner.risk import Mean
+from bo_tuner.robustness import CREDIBLE, ContextTolerance, Drift, VariableTolerance
+
+
+def certificate_table(certificate: Certificate) -> Table:
+    """Lay out the default against the tuned parametrization, limit by limit."""
+    study = certificate.study
+    both = (certificate.default, certificate.tuned)
+    table = Table(
+        title=f"{study.name}, trial {certificate.trial}: the same {certificate.draws} fresh draws",
+        title_justify="left",
+    )
+    table.add_column("")
+    table.add_column("unit")
+    table.add_column("default", justify="right")
+    table.add_column("tuned", justify="right")
+    for name, item in study.parameters.items():
+        table.add_row(name, item.unit, *[f"{f.parameters[name]:.4g}" for f in both])
+    table.add_section()
+    metric = study.metrics[study.objective.metric]
+    table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])
+    table.add_row(_tail(), metric.unit, *[f"{f.tail:.4g}" for f in both])
+    for default, tuned in zip(
+        certificate.default.constraints, certificate.tuned.constraints, strict=True
+    ):
+        table.add_section()
+        for row in _constraint_rows(default, tuned, certificate.confidence):
+            table.add_row(*row)
+    table.add_section()
+    table.add_row("failed cuts", "", *[f"{f.failures} of {f.cuts}" for f in both])
+    table.add_row("verdict", "", *[_verdict(f) for f in both])
+    return table
+
+
+def certificate_lines(certificate: Certificate) -> Iterator[str]:
+    """Tell in lines what the table leaves out: reasons, training, and robustness."""
+    for constraint in certificate.tuned.constraints:
+        shown = "shown" if constraint.passed else "NOT shown"
+        yield f"{constraint.name}: {shown}: {constraint.reason}"
+    for gap in certificate.gaps:
+        unit = f" {gap.unit}" if gap.unit else ""
+        yield (
+            f"training against validation, {gap.name}: shown {gap.shown:.4g}, predicted "
+            f"{gap.predicted:.4g}, validated {gap.validated:.4g}{unit} "
+            f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
+        )
+    if certificate.context is not None:
+        yield from _context(certificate.context)
+    for warning in certificate.warnings:
+        yield f"warning: {warning}"
+
+
+def _constraint_rows(
+    default: ConstraintVerdict, tuned: ConstraintVerdict, confidence: float
+) -> Iterator[list[str]]:
+    both = (default, tuned)
+    metric, unit = tuned.metric, tuned.unit
+    yield [f"largest {metric}", unit, *[f"{c.largest:.4g}" for c in both]]
+    yield [_tail(), unit, *[f"{c.tail:.4g}" for c in both]]
+    yield [f"  draws above {tuned.limit:g}", "", *[str(c.violations) for c in both]]
+    bound = f"  P(violation), {100.0 * confidence:g} % bound"
+    yield [bound, "", *[f"{c.violation_bound:.4f}" for c in both]]
+    if tuned.allowed > 0.0:
+        yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
+    if tuned.worst and default.worst:
+        worst = (default.worst[0], tuned.worst[0])
+        yield [f"worst-case {metric}, mean", unit, *[_mean(w.mean) for w in worst]]
+        yield [f"  {100.0 * confidence:g} % bound", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
+        for k, name in enumerate(tuned.worst[0].context):
+            yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
+        yield ["  single cuts above there", "", *[_above(w) for w in worst]]
+
+
+def _context(tolerance: ContextTolerance) -> Iterator[str]:
+    first = tolerance.variables[0]
+    unit = f" {tolerance.unit}" if tolerance.unit else ""
+    yield (
+        f"hurts {tolerance.metric} most: {first.name}; at its nominal value the worst case would "
+        f"be lower by {first.relief.median:.2g}{unit} "
+        f"({first.relief.low:.2g} to {first.relief.high:.2g})"
+    )
+    for variable in tolerance.variables:
+        yield f"{variable.name}: {_tolerated(variable)}"
+
+
+def _tolerated(variable: VariableTolerance) -> str:
+    unit = f" {variable.unit}" if variable.unit else ""
+    alone = f"from {_end(variable.down)} to {_end(variable.up)}"
+    worst = f"from {_end(variable.worst_down)} to {_end(variable.worst_up)}"
+    return f"may drift{unit} {alone} alone, {worst} with all others at their worst"
+
+
+def _end(drift: Drift) -> str:
+    """Value that is tolerated; its band where the limit breaks on the way to the bound."""
+    if drift.breaks <= 0.5 * (1.0 - CREDIBLE):
+        return f"{drift.bound:.4g} (end of the range)"
+    return f"{drift.limit.median:.4g} ({drift.limit.low:.4g} to {drift.limit.high:.4g})"
+
+
+def _mean(mean: Mean) -> str:
+    return f"{mean.value:.4g} ± {mean.standard_error:.2g}"
+
+
+def _above(worst: WorstContext) -> str:
+    return f"{worst.above} of {worst.cuts}"
+
+
+def _tail() -> str:
+    return f"  CVaR, worst {100.0 * (1.0 - TAIL):.3g} %"
+
+
+def _verdict(findings: Findings) -> str:
+    return "PASS" if findings.passed else "FAIL"

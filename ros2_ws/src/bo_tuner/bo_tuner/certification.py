@@ -1,0 +1,151 @@
+"""The cuts of a certificate: fresh draws for all alike, then the worst contexts of each."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from bo_tuner.backends import Backend
+from bo_tuner.certificate_parts import Evidence
+from bo_tuner.errors import RunError
+from bo_tuner.seeds import Stream, generator, noise_seed
+from bo_tuner.study import Study
+from bo_tuner.trials import Cut, CutState, Stage, Value
+from bo_tuner.tuning import LOST_IN_A_ROW, CutObserver, run_cut
+from bo_tuner.worst_case_search import CANDIDATES, find_worst_contexts, most_cuts
+
+REPEATS = 20
+"""Cuts with fresh noise in each context that may be the worst."""
+
+DRAWN, SEARCHED, REPEATED = 0, 1, 2
+"""What noise is for, in its seed."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A parametrization to be looked at.
+
+    Attributes
+    ----------
+    name
+        What it is called in the progress.
+    parameters
+        The parametrization.
+    suspected
+        Contexts that are taken for its worst ones.
+    """
+
+    name: str
+    parameters: Mapping[str, Value]
+    suspected: tuple[Mapping[str, float], ...] = ()
+
+
+class Certification:
+    """Collects the evidence for a certificate.
+
+    Parameters
+    ----------
+    study
+        The study.
+    backend
+        Runs the cuts; open.
+    observe
+        Called after each cut.
+    begin
+        Called with the name and the number of steps of each phase, for progress.
+    advance
+        Called after each step.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        backend: Backend,
+        *,
+        observe: CutObserver = lambda cut, parameters: None,
+        begin: Callable[[str, int], None] = lambda phase, steps: None,
+        advance: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._study = study
+        self._backend = backend
+        self._observe = observe
+        self._begin = begin
+        self._advance = advance
+        self._contexts = study.context_space()
+        self._lost = 0
+
+    def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
+        """Cut each subject in the same independent draws, and search its worst contexts.
+
+        The search needs a worst-case constraint; each subject has one of its own.
+
+        Raises
+        ------
+        RunError
+            If three cuts in a row were lost with their nodes.
+        """
+        drawn = self._draw(subjects, draws)
+        return [
+            self._look_closely(number, subject, drawn[number])
+            for number, subject in enumerate(subjects)
+        ]
+
+    def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Cut]]:
+        self._begin("draws", draws)
+        rows = self._contexts.draw(draws, generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS))
+        cuts: list[list[Cut]] = [[] for _ in subjects]
+        for k, row in enumerate(rows):
+            seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, DRAWN, k)
+            context = self._contexts.to_dict(row)
+            for number, subject in enumerate(subjects):
+                planned = Cut(number, k, Stage.VALIDATION, context, seed)
+                cuts[number].append(self._run(subject, planned))
+            self._advance()
+        return cuts
+
+    def _look_closely(self, number: int, subject: Subject, drawn: Sequence[Cut]) -> Evidence:
+        constraint = self._study.worst_case_constraint
+        if constraint is None:
+            return Evidence(subject.parameters, tuple(drawn))
+        search: list[Cut] = []
+
+        def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Cut:
+            # The same for all subjects, as far as they are cut in the same contexts.
+            seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, *key)
+            cut = self._run(subject, Cut(number, index, stage, context, seed))
+            self._advance()
+            return cut
+
+        def evaluate(context: Mapping[str, float]) -> float | None:
+            cut = run(Stage.SEARCH, context, len(search), SEARCHED, len(search))
+            search.append(cut)
+            return cut.outcome.metrics.get(constraint.metric)
+
+        self._begin(
+            f"worst case of {subject.name}",
+            most_cuts(self._contexts, len(subject.suspected)) + CANDIDATES * REPEATS,
+        )
+        candidates = find_worst_contexts(
+            self._contexts,
+            evaluate,
+            [
+                (cut.context, cut.outcome.metrics[constraint.metric])
+                for cut in drawn
+                if cut.outcome.state is CutState.COMPLETE
+            ],
+            subject.suspected,
+            generator(self._study.seed, Stream.CERTIFICATE_SEARCH, number),
+        )
+        repeated = [
+            tuple(run(Stage.CHECK_WORST, context, k, REPEATED, place, k) for k in range(REPEATS))
+            for place, context in enumerate(candidates)
+        ]
+        return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
+
+    def _run(self, subject: Subject, planned: Cut) -> Cut:
+        cut = run_cut(self._study, self._backend, subject.parameters, planned)
+        self._observe(cut, subject.parameters)
+        self._lost = self._lost + 1 if cut.outcome.state is CutState.LOST else 0
+        if self._lost >= LOST_IN_A_ROW:
+            raise RunError(
+                f"{self._lost} cuts in a row were lost with their nodes: {cut.outcome.reason}"
+            )
+        return cut

@@ -1,0 +1,1 @@
+"""Figures described once, without a plotting library, and their renderers."""

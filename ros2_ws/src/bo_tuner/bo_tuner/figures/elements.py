@@ -1,0 +1,299 @@
+"""What is drawn on the axes of a panel: lines, points, fields, limits, and their looks.
+
+Series (n,) are sequences or arrays of floats; NaN leaves a gap. Grids z (rows, columns) have a
+row for each y and a column for each x.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = Sequence[float] | NDArray[np.float64]
+Grid = NDArray[np.float64]
+
+TEXTS = ("hover", "labels")
+"""Series that may be left empty."""
+
+
+class Color(StrEnum):
+    """Colours by name, after Okabe and Ito (2008), "Color Universal Design".
+
+    Ink is that of text. Paper is the ground: what is shaded with it looks faded.
+    """
+
+    BLUE = "blue"
+    ORANGE = "orange"
+    GREEN = "green"
+    VERMILION = "vermilion"
+    PURPLE = "purple"
+    SKY = "sky"
+    GRAY = "gray"
+    INK = "ink"
+    PAPER = "paper"
+
+
+class Marker(StrEnum):
+    """Shapes of points."""
+
+    CIRCLE = "circle"
+    SQUARE = "square"
+    DIAMOND = "diamond"
+    TRIANGLE = "triangle"
+    CROSS = "cross"
+    PLUS = "plus"
+    STAR = "star"
+
+
+class Dash(StrEnum):
+    """Kinds of lines."""
+
+    SOLID = "solid"
+    DASHED = "dashed"
+    DOTTED = "dotted"
+    DASH_DOT = "dash-dot"
+
+
+class Scale(StrEnum):
+    """Scale of an axis or of colours."""
+
+    LINEAR = "linear"
+    LOG = "log"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColorScale:
+    """Values as colours, with a bar that explains them.
+
+    Attributes
+    ----------
+    label, unit
+        Of the bar, shown as ``label [unit]``.
+    low, high
+        Values at the ends; those beyond have the colour of the end.
+    middle
+        A value between them, such as a limit, at which the colour turns from blue to red; if not
+        given, the colours go from dark to bright.
+    scale
+        Linear or logarithmic; with a `middle`, linear.
+    """
+
+    label: str
+    low: float
+    high: float
+    unit: str = ""
+    middle: float | None = None
+    scale: Scale = Scale.LINEAR
+
+    def __post_init__(self) -> None:
+        """Check the ends, and the middle."""
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(f"colours need low < high, found {self.low} and {self.high}")
+        if self.middle is not None and not self.low < self.middle < self.high:
+            raise ValueError(f"colours: {self.middle} is not between {self.low} and {self.high}")
+        if self.scale is Scale.LOG and self.low <= 0.0:
+            raise ValueError(f"colours on a log scale need positive ends, found {self.low}")
+
+    @property
+    def title(self) -> str:
+        """The label with its unit in brackets."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A line through the points x (n,), y (n,); as steps if `step`.
+
+    A `name` gives an entry in the legend. `hover` (n,) is what a pointer on a point shows.
+    """
+
+    x: Values
+    y: Values
+    name: str = ""
+    color: Color = Color.BLUE
+    dash: Dash = Dash.SOLID
+    width: float = 2.0
+    step: bool = False
+    hover: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Check the lengths."""
+        _same_length(self, len(self.x), y=self.y, hover=self.hover)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """The area between `lower` (n,) and `upper` (n,) over x (n,)."""
+
+    x: Values
+    lower: Values
+    upper: Values
+    name: str = ""
+    color: Color = Color.BLUE
+
+    def __post_init__(self) -> None:
+        """Check the lengths."""
+        _same_length(self, len(self.x), lower=self.lower, upper=self.upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Points x (n,), y (n,).
+
+    Attributes
+    ----------
+    name
+        Entry in the legend.
+    color, marker, size, filled
+        How they look; the size is a diameter [pt].
+    values, colors
+        Values (n,) shown by `colors` in place of `color`.
+    low, high
+        Ends (n,) of vertical error bars, on the axis.
+    hover
+        What a pointer on a point shows (n,).
+    labels
+        Texts (n,) beside the points.
+    """
+
+    x: Values
+    y: Values
+    name: str = ""
+    color: Color = Color.BLUE
+    marker: Marker = Marker.CIRCLE
+    size: float = 7.0
+    filled: bool = True
+    values: Values | None = None
+    colors: ColorScale | None = None
+    low: Values | None = None
+    high: Values | None = None
+    hover: Sequence[str] = ()
+    labels: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Check the lengths, and that parts that need each other are there."""
+        _same_length(
+            self,
+            len(self.x),
+            y=self.y,
+            values=self.values,
+            low=self.low,
+            high=self.high,
+            hover=self.hover,
+            labels=self.labels,
+        )
+        if (self.values is None) != (self.colors is None):
+            raise ValueError("Points: values need colors, and colors values")
+        if (self.low is None) != (self.high is None):
+            raise ValueError("Points: error bars need low and high")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bars:
+    """Bars of height y (n,) at x (n,), standing on `base` (n,), or on 0.
+
+    Bars of one panel stand beside each other unless they have a base.
+    """
+
+    x: Values
+    y: Values
+    name: str = ""
+    color: Color = Color.BLUE
+    base: Values | None = None
+    width: float = 0.8
+    low: Values | None = None
+    high: Values | None = None
+    hover: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Check the lengths."""
+        _same_length(
+            self,
+            len(self.x),
+            y=self.y,
+            base=self.base,
+            low=self.low,
+            high=self.high,
+            hover=self.hover,
+        )
+        if (self.low is None) != (self.high is None):
+            raise ValueError("Bars: error bars need low and high")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heatmap:
+    """A field z (rows, columns) over x (columns,) and y (rows,), by colour; a log axis is fine."""
+
+    x: Values
+    y: Values
+    z: Grid
+    colors: ColorScale
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        _grid(self, self.x, self.y, self.z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contour:
+    """Lines along which a field z (rows, columns) over x and y has one of the `levels`."""
+
+    x: Values
+    y: Values
+    z: Grid
+    levels: Sequence[float]
+    name: str = ""
+    color: Color = Color.INK
+    dash: Dash = Dash.SOLID
+    width: float = 1.5
+    labelled: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        _grid(self, self.x, self.y, self.z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Region:
+    """The area where a field z (rows, columns) over x and y exceeds `above`, shaded."""
+
+    x: Values
+    y: Values
+    z: Grid
+    above: float
+    name: str = ""
+    color: Color = Color.PAPER
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        _grid(self, self.x, self.y, self.z)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """A line across the panel at `value`: of y, or of x if `vertical`."""
+
+    value: float
+    name: str = ""
+    vertical: bool = False
+    color: Color = Color.VERMILION
+    dash: Dash = Dash.DASHED
+
+
+Element = Line | Band | Points | Bars | Heatmap | Contour | Region | Limit
+
+
+def _same_length(element: object, n: int, **series: Sequence[object] | Values | None) -> None:
+    for name, values in series.items():
+        if values is not None and len(values) not in ((n, 0) if name in TEXTS else (n,)):
+            kind = type(element).__name__
+            raise ValueError(f"{kind}: expected {n} values in {name} as in x, found {len(values)}")
+
+
+def _grid(element: object, x: Values, y: Values, z: Grid) -> None:
+    if z.shape != (len(y), len(x)):
+        kind = type(element).__name__
+        raise ValueError(f"{kind}: expected z of shape {(len(y), len(x))}, found {z.shape}")

@@ -1,0 +1,300 @@
+"""Figures as PNG and SVG files, by Matplotlib.
+
+No window system is needed, and the same figure gives the same bytes: no date, fixed identifiers.
+"""
+
+import io
+import math
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, TwoSlopeNorm, to_rgba
+from matplotlib.figure import Figure as Sheet
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from bo_tuner.errors import OutputError
+from bo_tuner.figures.figure import (
+    Axis,
+    Band,
+    Bars,
+    Color,
+    ColorScale,
+    Contour,
+    Dash,
+    Element,
+    Figure,
+    Heatmap,
+    Limit,
+    Line,
+    Marker,
+    Panel,
+    Points,
+    Region,
+    Scale,
+)
+from bo_tuner.figures.palette import DIVERGING, LIGHT, SEQUENTIAL
+
+FORMATS = ("png", "svg")
+
+PANEL_WIDTH = 5.2
+"""Width of a panel [inch]."""
+
+RESOLUTION = 150
+"""Of PNG files [dots per inch]."""
+
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dfe3e7",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "text.parse_math": False,  # names hold $ and _ as they are
+    "text.usetex": False,
+    "svg.hashsalt": "bo_tuner",
+    "svg.fonttype": "path",
+}
+
+MARKERS = {
+    Marker.CIRCLE: "o",
+    Marker.SQUARE: "s",
+    Marker.DIAMOND: "D",
+    Marker.TRIANGLE: "^",
+    Marker.CROSS: "x",
+    Marker.PLUS: "+",
+    Marker.STAR: "*",
+}
+DASHES: Mapping[Dash, Any] = {
+    Dash.SOLID: "-",
+    Dash.DASHED: "--",
+    Dash.DOTTED: ":",
+    Dash.DASH_DOT: "-.",
+}
+PLAIN = FuncFormatter(lambda value, _: f"{value:.4g}")
+"""Numbers as they are: a power of ten needs the markup that names must not have."""
+
+UNFILLED = (Marker.CROSS, Marker.PLUS)
+
+
+def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Write ``<folder>/<name>.<format>`` for each of the formats and return the paths.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    paths = []
+    for kind in formats:
+        path = folder / f"{figure.name}.{kind}"
+        content = render(figure, kind)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        paths.append(path)
+    return paths
+
+
+def render(figure: Figure, kind: str) -> bytes:
+    """Draw a figure; `kind` is one of `FORMATS`."""
+    # Without a date, which would differ from call to call.
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    buffer = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        sheet = draw(figure)
+        sheet.savefig(buffer, format=kind, dpi=RESOLUTION, metadata=metadata)
+    return buffer.getvalue()
+
+
+def draw(figure: Figure) -> Sheet:
+    """Draw a figure on a sheet of Matplotlib's."""
+    height = figure.panel_height / 96.0
+    sheet = Sheet(
+        figsize=(PANEL_WIDTH * figure.columns, height * figure.rows + 0.8), layout="constrained"
+    )
+    FigureCanvasAgg(sheet)
+    axes = sheet.subplots(figure.rows, figure.columns, squeeze=False).ravel()
+    legend: dict[str, Any] = {}
+    bars: dict[ColorScale, tuple[Any, list[Any]]] = {}
+    for ax, panel in zip(axes, figure.panels, strict=False):
+        _panel(ax, panel, legend)
+        for element in panel.elements:
+            scale = getattr(element, "colors", None)
+            if scale is not None:
+                bars.setdefault(scale, (_mappable(scale), []))[1].append(ax)
+    for ax in axes[len(figure.panels) :]:
+        ax.set_axis_off()
+    for scale, (mappable, of_axes) in bars.items():
+        bar = sheet.colorbar(mappable, ax=of_axes, label=scale.title, format=PLAIN)
+        if scale.scale is Scale.LOG:
+            bar.set_ticks(np.geomspace(scale.low, scale.high, 5).tolist())
+            bar.minorticks_off()
+    sheet.suptitle(
+        "\n".join(textwrap.wrap(figure.title, 46 * figure.columns)), fontweight="bold", fontsize=11
+    )
+    if legend:
+        sheet.legend(
+            list(legend.values()),
+            list(legend),
+            loc="outside lower center",
+            ncols=min(len(legend), 2 * figure.columns + 1),
+        )
+    return sheet
+
+
+def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
+    _axis(panel.x, ax.xaxis, ax.set_xscale, ax.set_xlabel, ax.set_xlim, ax.set_xticks)
+    _axis(panel.y, ax.yaxis, ax.set_yscale, ax.set_ylabel, ax.set_ylim, ax.set_yticks)
+    ax.set_title(panel.title, loc="left")
+    together = [e for e in panel.elements if isinstance(e, Bars) and e.base is None]
+    for order, element in enumerate(panel.elements):
+        handle = _element(ax, element, together, order + 2)
+        name = getattr(element, "name", "")
+        if name and handle is not None:
+            legend.setdefault(name, handle)
+
+
+def _axis(
+    axis: Axis,
+    ticks: Any,
+    set_scale: Callable[..., Any],
+    set_label: Callable[..., Any],
+    set_limits: Callable[..., Any],
+    set_ticks: Callable[..., Any],
+) -> None:
+    set_scale(axis.scale.value)
+    set_label(axis.title)
+    if axis.scale is Scale.LOG:
+        ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ticks.set_major_formatter(PLAIN)
+        ticks.set_minor_formatter(NullFormatter())
+    if axis.ticks:
+        set_ticks([position for position, _ in axis.ticks], [text for _, text in axis.ticks])
+    if axis.limits is not None:
+        set_limits(*axis.limits)
+
+
+def _element(ax: Any, element: Element, together: Sequence[Bars], order: int) -> Any:
+    """Draw an element and return what stands for it in the legend."""
+    match element:
+        case Line():
+            style = "steps-post" if element.step else "default"
+            (handle,) = ax.plot(
+                element.x, element.y, DASHES[element.dash], color=LIGHT[element.color],
+                linewidth=element.width, drawstyle=style, zorder=order,
+            )  # fmt: skip
+            return handle
+        case Band():
+            return ax.fill_between(
+                element.x, element.lower, element.upper, color=LIGHT[element.color], alpha=0.2,
+                linewidth=0.0, zorder=order,
+            )  # fmt: skip
+        case Points():
+            return _points(ax, element, order)
+        case Bars():
+            return _bars(ax, element, together, order)
+        case Heatmap():
+            return _heatmap(ax, element)
+        case Contour():
+            return _contour(ax, element, order)
+        case Region():
+            color = to_rgba(LIGHT[element.color], 0.6)
+            if np.nanmax(element.z) > element.above:
+                ax.contourf(
+                    element.x, element.y, element.z, levels=[element.above, math.inf],
+                    colors=[color], zorder=order,
+                )  # fmt: skip
+            return mpl.patches.Patch(facecolor=color, edgecolor=LIGHT[Color.GRAY])
+        case Limit():
+            across = ax.axvline if element.vertical else ax.axhline
+            return across(
+                element.value, color=LIGHT[element.color], linestyle=DASHES[element.dash],
+                linewidth=1.3, zorder=order,
+            )  # fmt: skip
+
+
+def _points(ax: Any, points: Points, order: int) -> Any:
+    color = LIGHT[points.color]
+    if points.low is not None and points.high is not None:
+        ax.vlines(points.x, points.low, points.high, color=color, linewidth=1.2, zorder=order)
+    style: dict[str, Any] = {
+        "marker": MARKERS[points.marker],
+        "s": points.size**2 * (1.8 if points.marker is Marker.STAR else 1.0),
+        "zorder": order + 0.5,
+        "clip_on": False,
+    }
+    if points.values is not None and points.colors is not None:
+        scale = points.colors
+        style |= {"c": np.asarray(points.values), "cmap": _colormap(scale), "norm": _norm(scale)}
+        style |= {} if points.marker in UNFILLED else {"edgecolors": "#1c232b", "linewidths": 0.5}
+    elif points.marker in UNFILLED:
+        style |= {"c": color, "linewidths": 1.8}
+    else:
+        edge = LIGHT[Color.PAPER] if points.filled else color
+        style |= {"facecolors": color if points.filled else "none", "edgecolors": edge}
+    handle = ax.scatter(points.x, points.y, **style)
+    for x, y, text in zip(points.x, points.y, points.labels, strict=False):
+        ax.annotate(text, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=8)
+    return handle
+
+
+def _bars(ax: Any, bars: Bars, together: Sequence[Bars], order: int) -> Any:
+    x, width = np.asarray(bars.x, dtype=float), bars.width
+    if bars.base is None:
+        width = bars.width / len(together)
+        # By identity: two series of bars may be equal.
+        place = next(k for k, other in enumerate(together) if other is bars)
+        x = x + width * (place - (len(together) - 1) / 2.0)
+    bottom = 0.0 if bars.base is None else np.asarray(bars.base, dtype=float)
+    handle = ax.bar(x, bars.y, width, bottom, color=LIGHT[bars.color], zorder=order)
+    if bars.low is not None and bars.high is not None:
+        ax.vlines(x, bars.low, bars.high, color=LIGHT[Color.INK], linewidth=1.2, zorder=order + 0.5)
+    return handle
+
+
+def _heatmap(ax: Any, heatmap: Heatmap) -> None:
+    ax.pcolormesh(
+        heatmap.x, heatmap.y, heatmap.z, cmap=_colormap(heatmap.colors),
+        norm=_norm(heatmap.colors), shading="nearest", rasterized=True,
+    )  # fmt: skip
+    ax.grid(visible=False)
+
+
+def _contour(ax: Any, contour: Contour, order: int) -> Any:
+    color, dash = LIGHT[contour.color], DASHES[contour.dash]
+    within = [v for v in contour.levels if np.nanmin(contour.z) < v < np.nanmax(contour.z)]
+    if within:
+        lines = ax.contour(
+            contour.x, contour.y, contour.z, levels=sorted(within), colors=color,
+            linestyles=dash, linewidths=contour.width, zorder=order,
+        )  # fmt: skip
+        if contour.labelled:
+            ax.clabel(lines, fontsize=7)
+    return mpl.lines.Line2D([], [], color=color, linestyle=dash, linewidth=contour.width)
+
+
+def _colormap(scale: ColorScale) -> LinearSegmentedColormap:
+    stops = SEQUENTIAL if scale.middle is None else DIVERGING
+    return LinearSegmentedColormap.from_list("scale", list(stops))
+
+
+def _norm(scale: ColorScale) -> Normalize:
+    if scale.middle is not None:
+        return TwoSlopeNorm(scale.middle, scale.low, scale.high)
+    kind = LogNorm if scale.scale is Scale.LOG else Normalize
+    return kind(scale.low, scale.high)
+
+
+def _mappable(scale: ColorScale) -> mpl.cm.ScalarMappable:
+    return mpl.cm.ScalarMappable(_norm(scale), _colormap(scale))

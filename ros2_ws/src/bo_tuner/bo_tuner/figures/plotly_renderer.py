@@ -1,0 +1,114 @@
+"""Figures as data for Plotly, which draws them in a browser.
+
+A panel becomes a Plotly figure of its own, so that a page can put panels beside or below one
+another as its width permits. Colours stay names with an ``@`` in front, such as ``@blue``, or
+``@blue/0.2`` with an opacity; `resolve` puts in the shades of a palette, and a page does the same
+when the reader changes between light and dark. Legends and colour bars are the page's, see `keys`:
+they belong to all panels of a figure.
+"""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from bo_tuner.figures.figure import Axis, Bars, Color, Limit, Panel, Scale
+from bo_tuner.figures.plotly_traces import DASHES, Trace, text_of, traces
+
+CHARACTER = 7.0
+"""Mean width of a character [px]."""
+
+LONG = 80
+"""Texts of ticks with more characters in all do not fit beside one another."""
+
+MARGINS = 78
+"""Above and below a panel [px]."""
+
+
+def panel_data(panel: Panel, height: int) -> dict[str, Any]:
+    """Return ``data`` and ``layout`` of a panel for Plotly, ready for JSON."""
+    drawn: list[Trace] = []
+    shapes: list[dict[str, Any]] = []
+    beside = any(isinstance(e, Bars) and e.base is None for e in panel.elements)
+    for element in panel.elements:
+        if isinstance(element, Limit):
+            shapes.append(_limit(element))
+        else:
+            drawn += traces(element)
+    layout: dict[str, Any] = {
+        "height": height,
+        "margin": {"l": 52, "r": 12, "t": 34, "b": 44},
+        "paper_bgcolor": "@none",
+        "plot_bgcolor": "@none",
+        "font": {"family": "system-ui, sans-serif", "size": 12, "color": "@ink"},
+        "hoverlabel": {"align": "left", "namelength": 40},
+        "hovermode": "closest",
+        "showlegend": False,
+        "barmode": "group" if beside else "overlay",
+        "bargap": 0.2,
+        "dragmode": "zoom",
+        "shapes": shapes,
+        "xaxis": _axis(panel.x) | {"title": {"text": text_of(panel.x.title), "standoff": 4}},
+        "yaxis": _axis(panel.y),
+    }
+    title, label = text_of(panel.title), text_of(panel.y.title)
+    if len(panel.y.title) * CHARACTER > height - MARGINS:
+        # Beside so low a panel the label of y would be cut off.
+        title, label = ": ".join(part for part in (title, label) if part), ""
+    layout["title"] = {"text": title, "x": 0.01, "y": 0.98, "yanchor": "top", "font": {"size": 12}}
+    layout["yaxis"]["title"] = {"text": label, "standoff": 4}
+    return {"data": drawn, "layout": layout}
+
+
+def resolve(data: Mapping[str, Any], shades: Mapping[Color, str]) -> dict[str, Any]:
+    """Put the shades of a palette in the place of the names of colours."""
+
+    def shade(match: re.Match[str]) -> str:
+        name, opacity = match.groups()
+        if name == "none":
+            return '"rgba(0,0,0,0)"'
+        color = shades[Color.GRAY if name == "grid" else Color(name)]
+        red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+        return f'"rgba({red},{green},{blue},{opacity or (0.25 if name == "grid" else 1)})"'
+
+    text = re.sub(r'"@([a-z]+)(?:/([0-9.]+))?"', shade, json.dumps(data))
+    resolved: dict[str, Any] = json.loads(text)
+    return resolved
+
+
+def _axis(axis: Axis) -> dict[str, Any]:
+    layout: dict[str, Any] = {
+        "type": axis.scale.value,
+        "automargin": True,
+        "gridcolor": "@grid",
+        "linecolor": "@gray",
+        "zeroline": False,
+        "hoverformat": ".4g",
+    }
+    if axis.scale is Scale.LOG:
+        # 1, 2 and 5 of each decade, in full.
+        layout |= {"dtick": "D2", "tickformat": "~g"}
+    if axis.limits is not None:
+        ends = [math.log10(v) if axis.scale is Scale.LOG else v for v in axis.limits]
+        layout["range"] = ends
+    if axis.ticks:
+        layout["tickvals"] = [position for position, _ in axis.ticks]
+        layout["ticktext"] = [text_of(text) for _, text in axis.ticks]
+        if sum(len(text) for _, text in axis.ticks) > LONG:
+            layout["tickangle"] = -30
+    return layout
+
+
+def _limit(limit: Limit) -> dict[str, Any]:
+    along, across = ("y", "x") if limit.vertical else ("x", "y")
+    return {
+        "type": "line",
+        "name": text_of(limit.name),
+        f"{along}ref": "paper",
+        f"{along}0": 0,
+        f"{along}1": 1,
+        f"{across}0": limit.value,
+        f"{across}1": limit.value,
+        "line": {"color": f"@{limit.color}", "dash": DASHES[limit.dash], "width": 1.6},
+    }

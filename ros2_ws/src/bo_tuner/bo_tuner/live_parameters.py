@@ -1,0 +1,185 @@
+"""Parameters of nodes that run already, by the standard services."""
+
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.signals import SignalHandlerOptions
+
+from bo_tuner.apply import NodeError, RefusedError
+from bo_tuner.backends.collect import one_line
+from bo_tuner.backends.isolation import DomainClaim
+from bo_tuner.errors import BackendError
+
+NODE_NAME = "bo_tuner_apply"
+DISCOVERY_TIMEOUT = 10.0
+CALL_TIMEOUT = 5.0
+ATTEMPT = 1.0
+"""Time [s] after which a question that changes nothing is asked again: a server may take it before
+it has discovered where the answer goes."""
+SPIN_PERIOD = 0.1
+
+
+class LiveParameters:
+    """A ROS node that reads and sets parameters of others; use it in a ``with`` block.
+
+    Domain and discovery are those of the environment. A tuner of this machine keeps out of the
+    domain meanwhile.
+
+    Parameters
+    ----------
+    nodes
+        Names of the nodes, relative to the namespace.
+    ros_arguments
+        ``--ros-args`` of this node.
+    watch
+        Called at least every `SPIN_PERIOD` seconds while waiting for the nodes to appear; raises
+        what shall end the wait.
+
+    Raises
+    ------
+    BackendError
+        If ROS does not take the arguments, a tuner is at work in this domain, or a node is not
+        there.
+    """
+
+    def __init__(
+        self, nodes: list[str], ros_arguments: list[str], watch: Callable[[], None]
+    ) -> None:
+        self._context = Context()
+        self._claim: DomainClaim | None = None
+        try:
+            rclpy.init(
+                args=ros_arguments,
+                context=self._context,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            self._node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
+        except (RuntimeError, ValueError) as error:
+            self._context.try_shutdown()
+            # rcl adds where in its own sources it found the mistake.
+            reason = str(error).split(", at /")[0]
+            raise BackendError(f"cannot use --ros-args or ROS_DOMAIN_ID: {reason}") from error
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        try:
+            self._claim = DomainClaim(self._node.get_namespace(), self._context.get_domain_id())
+            self._getters = {
+                node: self._node.create_client(GetParameters, f"{node}/get_parameters")
+                for node in nodes
+            }
+            self._setters = {
+                node: self._node.create_client(
+                    SetParametersAtomically, f"{node}/set_parameters_atomically"
+                )
+                for node in nodes
+            }
+            self._wait_for_nodes(watch)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+        if self._claim is not None:
+            self._claim.release()
+
+    def get(self, node: str, names: list[str]) -> dict[str, object]:
+        """Read parameters of a node.
+
+        Raises
+        ------
+        NodeError
+            If the node does not answer, or does not have one of them.
+        """
+        values = self._values(node, names)
+        if len(values) != len(names) or None in values:
+            # A node may answer nothing at all for the want of one.
+            missing = [name for name in names if self._values(node, [name]) in ([], [None])]
+            raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
+        return dict(zip(names, values, strict=True))
+
+    def set(self, node: str, values: Mapping[str, object]) -> None:
+        """Set parameters of a node, all of them or none.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them.
+        NodeError
+            If the node does not answer: it may have taken them.
+        """
+        request = SetParametersAtomically.Request(
+            parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
+        )
+        response = self._call(self._setters[node], request, CALL_TIMEOUT)
+        if response is None:
+            raise _silent(node, CALL_TIMEOUT)
+        if not response.result.successful:
+            reason = one_line(str(response.result.reason)) or "no reason given"
+            raise RefusedError(f"{node} refuses: {reason}")
+
+    def _values(self, node: str, names: list[str]) -> list[object]:
+        """Ask for parameters; None stands for one that is not set, or not declared."""
+        response = self._ask(node, self._getters[node], GetParameters.Request(names=names))
+        return [parameter_value_to_python(value) for value in response.values]
+
+    def _wait_for_nodes(self, watch: Callable[[], None]) -> None:
+        deadline = time.monotonic() + DISCOVERY_TIMEOUT
+        for node, setter in self._setters.items():
+            while not (setter.service_is_ready() and self._getters[node].service_is_ready()):
+                if time.monotonic() > deadline:
+                    raise BackendError(
+                        f"{node}: no such node in ROS domain {self._context.get_domain_id()} "
+                        f"after {DISCOVERY_TIMEOUT:g} s"
+                    )
+                watch()
+                self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+            # What shall change something is sent once only, so its way is tried out first.
+            try:
+                self._ask(node, setter, SetParametersAtomically.Request())
+            except NodeError as error:
+                raise BackendError(str(error)) from error
+
+    def _ask(self, node: str, client: Client, request: Any) -> Any:
+        for _ in range(round(CALL_TIMEOUT / ATTEMPT)):
+            response = self._call(client, request, ATTEMPT)
+            if response is not None:
+                return response
+        raise _silent(node, CALL_TIMEOUT)
+
+    def _call(self, client: Client, request: Any, timeout: float) -> Any:
+        future = client.call_async(request)
+        deadline = time.monotonic() + timeout
+        while not future.done():
+            if time.monotonic() > deadline:
+                client.remove_pending_request(future)
+                return None
+            self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+        return future.result()
+
+
+def _silent(node: str, timeout: float) -> NodeError:
+    return NodeError(f"{node}: does not answer within {timeout:g} s")

@@ -1,0 +1,205 @@
+"""Running a recorded cut again, and telling whether it comes out the same."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bo_tuner import checks
+from bo_tuner.backends import Backend
+from bo_tuner.bundle import result_of
+from bo_tuner.errors import RunRecordError
+from bo_tuner.journal_reader import RecordedCut
+from bo_tuner.methods import METHODS
+from bo_tuner.recommendation import rank
+from bo_tuner.recording.retention import badness
+from bo_tuner.run_record import RunRecord
+from bo_tuner.study import Metric, Study
+from bo_tuner.trials import TUNING, Cut, CutState, Stage, TrialState
+from bo_tuner.tuning import run_cut
+
+BEST, WORST = "best", "worst"
+IN_PROCESS = "inprocess"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A metric of a cut, on record and run again.
+
+    Attributes
+    ----------
+    metric
+        The metric.
+    recorded, replayed
+        Its values; None for a cut that is not complete.
+    judged
+        Whether they have to be equal.
+    """
+
+    metric: Metric
+    recorded: float | None
+    replayed: float | None
+    judged: bool
+
+    @property
+    def equal(self) -> bool:
+        """Whether they are equal to the last bit."""
+        return self.recorded == self.replayed
+
+    @property
+    def difference(self) -> float | None:
+        """By how much the replay exceeds the record."""
+        if self.recorded is None or self.replayed is None:
+            return None
+        return self.replayed - self.recorded
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recorded cut and what came of it when it was run again.
+
+    Attributes
+    ----------
+    recorded, replayed
+        The cut.
+    metrics
+        Of both.
+    """
+
+    recorded: Cut
+    replayed: Cut
+    metrics: tuple[Comparison, ...]
+
+    @property
+    def same_end(self) -> bool:
+        """Whether both ended in the same way, for the same reason if they failed."""
+        one, other = self.recorded.outcome, self.replayed.outcome
+        return (one.state, one.reason) == (other.state, other.reason)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the replay is equal to the record in all that has to be."""
+        return self.same_end and all(row.equal for row in self.metrics if row.judged)
+
+
+def replay(record: RunRecord, recorded: RecordedCut, backend: Backend) -> Replay:
+    """Run a recorded cut again: the same parametrization, context and seed.
+
+    What a clock measures differs from run to run. Such a metric is judged only where nothing is
+    measured, which is when both the record and the replay are in process.
+
+    Parameters
+    ----------
+    record
+        The run.
+    recorded
+        One of its cuts.
+    backend
+        Runs the cut; open.
+    """
+    old = recorded.cut
+    new = run_cut(record.study, backend, recorded.parameters, old)
+    exact = record.backend == backend.name == IN_PROCESS
+    rows = tuple(
+        Comparison(
+            metric,
+            old.outcome.metrics.get(name),
+            new.outcome.metrics.get(name),
+            metric.reproducible or exact,
+        )
+        for name, metric in record.study.metrics.items()
+    )
+    return Replay(old, new, rows)
+
+
+def find_trial(record: RunRecord, which: str) -> int:
+    """Return the number of a trial.
+
+    Parameters
+    ----------
+    record
+        The run.
+    which
+        Its number; or `BEST`, the result, or what would be the result so far; or `WORST`, the
+        complete trial with the largest worst case (in a study without one: objective).
+
+    Raises
+    ------
+    RunRecordError
+        If there is no such trial.
+    """
+    if which == BEST:
+        if record.summary is not None:
+            return result_of(record).number
+        ranked = rank(record.study, record.trials, METHODS[record.algorithm].models)
+        if not ranked:
+            raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
+        return ranked[0].trial.number
+    if which == WORST:
+        complete = [trial for trial in record.trials if trial.state is TrialState.COMPLETE]
+        if not complete:
+            raise RunRecordError(f"{record.path}: no trial is complete yet, so none is worst")
+        return max(complete, key=lambda trial: badness(record.study, trial)).number
+    numbers = {str(item.cut.trial): item.cut.trial for item in record.cuts if _is_of_trial(item)}
+    if which not in numbers:
+        there = numbers.values()
+        trials = f"trials {min(there)} to {max(there)}" if there else "no trials yet"
+        raise RunRecordError(
+            f"{record.path}: no trial {checks.quoted(which)}; expected {BEST}, {WORST} or a "
+            f"number, and the run has {trials}"
+        )
+    return numbers[which]
+
+
+def find_cut(record: RunRecord, trial: int, index: int | None) -> RecordedCut:
+    """Return a cut of a trial, with those that checked it as a candidate.
+
+    Parameters
+    ----------
+    record
+        The run.
+    trial
+        Number of the trial.
+    index
+        Of the cut within the trial; None for its worst one: the one that failed, or else has the
+        largest value of the worst-case metric (in a study without one: the worst objective).
+
+    Raises
+    ------
+    RunRecordError
+        If there is no such cut.
+    """
+    # A later one of the same place takes the place of one that a kill left behind.
+    cuts = {
+        item.cut.index: item
+        for item in record.cuts
+        if item.cut.trial == trial and _is_of_trial(item)
+    }
+    if index is None:
+        return max(cuts.values(), key=lambda item: _badness(record.study, item.cut))
+    if index not in cuts:
+        raise RunRecordError(
+            f"{record.path}: trial {trial} has no cut {index}, only {min(cuts)} to {max(cuts)}"
+        )
+    return cuts[index]
+
+
+def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
+    """List what else the record was made with, as ``name then -> now``."""
+    of_the_moment = ("started", "process", "backend", "salvaged", "salvaged_from")
+    return [
+        f"{name} {then} -> {now[name]}"
+        for name, then in record.provenance.items()
+        if name in now and name not in of_the_moment and now[name] != then
+    ]
+
+
+def _is_of_trial(item: RecordedCut) -> bool:
+    return item.cut.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
+
+
+def _badness(study: Study, cut: Cut) -> tuple[bool, float]:
+    metrics = cut.outcome.metrics
+    if cut.outcome.state is not CutState.COMPLETE:
+        return True, 0.0
+    if study.worst_case_constraint is not None:
+        return False, metrics[study.worst_case_constraint.metric]
+    return False, float(study.objective.to_cost(metrics[study.objective.metric]))

@@ -1,0 +1,203 @@
+"""What a report says of a run is taken from here: trials, models, and the answer."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.methods import METHODS
+from bo_tuner.recommendation import Candidate, rank
+from bo_tuner.recording.retention import verdict
+from bo_tuner.report.certified import CertificateFile, certificate
+from bo_tuner.run_record import RunRecord
+from bo_tuner.seeds import Stream, generator
+from bo_tuner.study import Study
+from bo_tuner.surrogates import Surrogates
+from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState, Value
+from bo_tuner.validation import ConstraintCheck, Validation
+
+CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
+
+
+class Outcome:
+    """How a trial is shown."""
+
+    WITHIN = "within the limits"
+    VIOLATES = "violating a limit"
+    OUTLIER = "taken for an outlier"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A run with the models of all its trials.
+
+    Attributes
+    ----------
+    record
+        The run.
+    """
+
+    record: RunRecord
+
+    @property
+    def study(self) -> Study:
+        """The study as run."""
+        return self.record.study
+
+    @cached_property
+    def trials(self) -> tuple[Trial, ...]:
+        """The trials, each with the cuts that checked it as a candidate."""
+        checks: dict[int, list[Cut]] = {}
+        for recorded in self.record.cuts:
+            if recorded.cut.stage in CHECKS:
+                checks.setdefault(recorded.cut.trial, []).append(recorded.cut)
+        return tuple(
+            _with_checks(trial, checks.get(trial.number, []), self.study)
+            for trial in self.record.trials
+        )
+
+    @cached_property
+    def models(self) -> Surrogates:
+        """Surrogates of all trials, those by which `rank` decides."""
+        rng = generator(self.study.seed, Stream.ACQUISITION, 2**31, len(self.trials))
+        options = METHODS[self.record.algorithm].models
+        return Surrogates.fit(self.study, self.trials, rng=rng, options=options)
+
+    @cached_property
+    def ranked(self) -> list[Candidate]:
+        """Complete trials, the recommended one first."""
+        return rank(self.study, self.trials, METHODS[self.record.algorithm].models)
+
+    @cached_property
+    def certificate(self) -> CertificateFile | None:
+        """What `validate` found, if it was asked."""
+        return certificate(self.record)
+
+    @cached_property
+    def answer(self) -> Trial | None:
+        """The trial of the result; while there is none, the one recommended so far."""
+        if self.record.summary is None:
+            return self.ranked[0].trial if self.ranked else None
+        number = self.record.summary.get("trial")
+        for trial in self.trials:
+            if trial.number == number:
+                return trial
+        raise RunRecordError(f"{self.record.path}: its summary names trial {number}, not on record")
+
+    @property
+    def believed_feasible(self) -> bool:
+        """Whether the answer is believed to keep the limits, and did so in the validation."""
+        if self.record.summary is not None:
+            return self.record.summary.get("feasible") is True
+        return bool(self.ranked) and self.ranked[0].believed_feasible
+
+    @property
+    def defaults(self) -> Mapping[str, Value]:
+        """The hand-tuned parametrization."""
+        return self.study.search_space().defaults
+
+    @cached_property
+    def validations(self) -> tuple[Validation, Validation] | None:
+        """Default and tuned parametrization on the same fresh draws; None without a result."""
+        if self.record.summary is None:
+            return None
+        try:
+            default, tuned = (_validation(self.record.summary[key]) for key in ("default", "tuned"))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise RunRecordError(
+                f"{self.record.path}: its summary is not one of tune's: {error!r}"
+            ) from error
+        return default, tuned
+
+    def outcome(self, trial: Trial) -> str:
+        """Tell by one of `Outcome` how a trial is shown."""
+        if trial.state is TrialState.FAILED:
+            return Outcome.FAILED
+        if trial.number in self.models.outliers:
+            return Outcome.OUTLIER
+        within = verdict(self.study, trial) == "within limits"
+        return Outcome.WITHIN if within else Outcome.VIOLATES
+
+    def mean_objective(self, trial: Trial) -> float:
+        """Mean of the objective's metric over the cuts that estimate it; NaN without any."""
+        seen = trial.observations(self.study.objective.metric)
+        return sum(seen) / len(seen) if seen else math.nan
+
+    def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the tuned ones among `parameters`."""
+        return {name: parameters[name] for name in self.study.search_space().names}
+
+    def paired_difference(self) -> tuple[float, float] | None:
+        """Mean difference of the objective, tuned minus default, and its standard error.
+
+        Over the draws of the validation that both completed; None without two of them.
+        """
+        seen: dict[int, dict[int, float]] = {}
+        for recorded in self.record.cuts:
+            cut = recorded.cut
+            if cut.stage is Stage.VALIDATION and cut.outcome.state is CutState.COMPLETE:
+                value = cut.outcome.metrics[self.study.objective.metric]
+                # Of a validation, 0 is the default and 1 the tuned parametrization.
+                seen.setdefault(cut.index, {})[cut.trial] = value
+        pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
+        if len(pairs) < 2:
+            return None
+        return float(pairs.mean()), float(pairs.std(ddof=1) / np.sqrt(len(pairs)))
+
+    def cuts_of(self, parameters: Mapping[str, Value]) -> list[Cut]:
+        """Whole cuts of a parametrization, whatever they were run for."""
+        space = self.study.search_space()
+        key = space.key(self.tuned_values(parameters))
+        return [
+            recorded.cut
+            for recorded in self.record.cuts
+            if recorded.cut.outcome.state is CutState.COMPLETE
+            and space.key(self.tuned_values(recorded.parameters)) == key
+        ]
+
+
+def _with_checks(trial: Trial, checks: Sequence[Cut], study: Study) -> Trial:
+    """Return a trial with its checks and, as they found it, its worst case."""
+    extended = replace(trial, cuts=trial.cuts + tuple(checks))
+    constraint, worst = study.worst_case_constraint, trial.worst_case
+    again = [
+        cut.outcome.metrics[constraint.metric]
+        for cut in checks
+        if constraint is not None
+        and cut.stage is Stage.CHECK_WORST
+        and cut.outcome.state is CutState.COMPLETE
+    ]
+    if worst is None or not again:
+        return extended
+    found = replace(worst, value=float(np.mean(again)), observed=max(worst.observed, *again))
+    return replace(extended, worst_case=found)
+
+
+def _validation(entry: object) -> Validation:
+    if not isinstance(entry, Mapping):
+        raise TypeError(f"expected an object, found {entry!r}")
+    return Validation(
+        parameters=dict(entry["parameters"]),
+        draws=int(entry["draws"]),
+        failures=int(entry["failures"]),
+        objective=_number(entry["objective"]),
+        deviation=_number(entry["deviation"]),
+        constraints=tuple(
+            ConstraintCheck(
+                name=str(check["name"]),
+                worst=_number(check["worst"]),
+                violations=int(check["violations"]),
+                holds=bool(check["holds"]),
+            )
+            for check in entry["constraints"]
+        ),
+    )
+
+
+def _number(value: object) -> float:
+    """Read a number of the summary, where null stands for NaN."""
+    return math.nan if value is None else float(str(value))

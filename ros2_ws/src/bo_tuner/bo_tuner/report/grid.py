@@ -1,0 +1,73 @@
+"""Grids over tuned parameters, in their own units and in the unit cube."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.figures.figure import Axis, Scale
+from bo_tuner.special import Array
+from bo_tuner.study import Study
+from bo_tuner.study_parts import LOG
+from bo_tuner.trials import Value
+
+POINTS = 41
+"""Most points along an axis of a contour plot."""
+
+FINE = 81
+"""Most points along a slice."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterGrid:
+    """Values of one tuned parameter, all others as they are.
+
+    Attributes
+    ----------
+    name
+        The parameter.
+    column
+        Its column in the unit cube.
+    values
+        Values (n,) in its unit.
+    cube
+        Their cube coordinates (n,).
+    axis
+        The axis that shows them.
+    """
+
+    name: str
+    column: int
+    values: Array
+    cube: Array
+    axis: Axis
+
+
+def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) -> ParameterGrid:
+    """Make a grid of at most `most` values between the bounds; `at` has the tuned parameters."""
+    space = study.search_space()
+    item = study.parameters[name]
+    column = space.names.index(name)
+    lower, upper = float(space.lower[column]), float(space.upper[column])
+    log = item.scale == LOG
+    values = np.geomspace(lower, upper, most) if log else np.linspace(lower, upper, most)
+    if item.is_integer:
+        values = np.unique(np.round(values))
+    # Rounding must not leave the bounds.
+    values = np.clip(values, lower, upper)
+    kind = int if item.is_integer else float
+    cube = [space.to_cube(dict(at) | {name: kind(value)})[column] for value in values]
+    axis = Axis(
+        label=name,
+        unit=item.unit,
+        scale=Scale.LOG if log else Scale.LINEAR,
+        limits=(lower, upper),
+    )
+    return ParameterGrid(name, column, values, np.array(cube), axis)
+
+
+def permitted(study: Study, points: Array) -> np.ndarray:
+    """Tell which points (n, d) of the cube keep the study's order of parameters, shape (n,)."""
+    moved = np.abs(study.search_space().repair(points) - points)
+    kept: np.ndarray = moved.max(axis=1) < 1e-9
+    return kept

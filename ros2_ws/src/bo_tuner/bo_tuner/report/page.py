@@ -1,0 +1,141 @@
+"""The report as one HTML file that needs nothing else: no network, no other file."""
+
+import base64
+import hashlib
+import importlib.resources
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from bo_tuner.errors import OutputError
+from bo_tuner.figures.figure import Figure
+from bo_tuner.figures.keys import color_bars, legend
+from bo_tuner.figures.palette import DARK, LIGHT
+from bo_tuner.figures.plotly_renderer import panel_data
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.answer import answer
+from bo_tuner.report.content import Section
+from bo_tuner.report.contexts import contexts
+from bo_tuner.report.convergence import convergence
+from bo_tuner.report.drift import drift
+from bo_tuner.report.faults import faults
+from bo_tuner.report.landscape import landscape
+from bo_tuner.report.listing import all_trials, provenance
+from bo_tuner.report.neighbours import neighbours
+from bo_tuner.report.timing import timing
+from bo_tuner.report.trajectories import trajectories
+from bo_tuner.run_record import RunRecord
+
+NAME = "report.html"
+"""File name of a report in its run folder."""
+
+
+def sections(analysis: Analysis) -> list[Section]:
+    """Make the sections of a run's report, in order; what a run cannot show is left out."""
+    made = [
+        None if analysis.certificate is None else analysis.certificate.section,
+        convergence(analysis),
+        contexts(analysis),
+        drift(analysis),
+        trajectories(analysis),
+        landscape(analysis),
+        neighbours(analysis),
+        timing(analysis),
+        faults(analysis),
+        all_trials(analysis),
+        provenance(analysis),
+    ]
+    return [section for section in made if section is not None]
+
+
+def figures(parts: Sequence[Section]) -> list[Figure]:
+    """List the figures of sections."""
+    return [figure for section in parts for figure in section.figures]
+
+
+def write_report(run: RunRecord, path: Path) -> Path:
+    """Write the report of a run to `path` and return it.
+
+    Parameters
+    ----------
+    run
+        The run, which may be going on.
+    path
+        The HTML file, replaced if it exists; its folder is made.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    RunRecordError
+        If summary or certificate do not fit the record.
+    """
+    analysis = Analysis(run)
+    return write_page(analysis, sections(analysis), path)
+
+
+def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path:
+    """Write a page with given sections.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    text = render(analysis, parts)
+    # Whole or not at all: a reader may reload while a run writes it again.
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    return path
+
+
+def render(analysis: Analysis, parts: Sequence[Section]) -> str:
+    """Return the page as text."""
+    environment = Environment(
+        loader=PackageLoader("bo_tuner.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["legend"] = legend
+    environment.filters["color_bars"] = color_bars
+    environment.filters["panels"] = _panels
+    scripts = [_plotly(), _template("report.js")]
+    return environment.get_template("report.html").render(
+        study=analysis.study,
+        record=analysis.record,
+        answer=answer(analysis),
+        sections=parts,
+        style=_template("report.css"),
+        light=LIGHT,
+        dark=DARK,
+        scripts=scripts,
+        policy=" ".join(f"'sha256-{_digest(script)}'" for script in scripts),
+    )
+
+
+def _panels(figure: Figure) -> list[dict[str, Any]]:
+    return [panel_data(panel, figure.panel_height) for panel in figure.panels]
+
+
+def _plotly() -> str:
+    """Return Plotly's library, by its file: all of the package takes a second to import."""
+    path = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
+    return path.read_text(encoding="utf-8").strip()
+
+
+def _template(name: str) -> str:
+    path = importlib.resources.files("bo_tuner.report") / "templates" / name
+    return path.read_text(encoding="utf-8").strip()
+
+
+def _digest(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()

@@ -1,0 +1,133 @@
+"""What a sample of cuts shows of a probability, of a mean, and of the tail.
+
+References
+----------
+Clopper and Pearson (1934). The use of confidence or fiducial limits illustrated in the case of the
+binomial. Biometrika 26(4).
+Rockafellar and Uryasev (2000). Optimization of conditional value-at-risk. Journal of Risk 2(3).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, log, sqrt
+
+import numpy as np
+from scipy import stats
+from scipy.special import betaincinv
+
+from bo_tuner.special import Array
+
+ROUNDING = 1e-12
+"""A bound that exceeds a probability by this much only is taken for equal to it."""
+
+
+def probability_bound(events: int, draws: int, confidence: float) -> float:
+    """Return the exact upper confidence bound of a probability (Clopper and Pearson 1934).
+
+    It is the p with P(X <= events) = 1 - confidence for X ~ Binomial(draws, p): whatever the true
+    probability is, the bound lies below it in at most 1 - confidence of all samples.
+
+    Parameters
+    ----------
+    events, draws
+        Number of draws in which the event happened, and of all draws, at least 1.
+    confidence
+        Between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If the numbers do not fit each other.
+    """
+    if not (0 <= events <= draws and draws >= 1):
+        raise ValueError(f"expected 0 <= events <= draws >= 1, found {events} of {draws}")
+    if events == draws:
+        return 1.0
+    return float(betaincinv(events + 1, draws - events, confidence))
+
+
+def draws_needed(allowed: float, confidence: float) -> int:
+    """Return the smallest number of draws that, without any event, bound its probability so.
+
+    Parameters
+    ----------
+    allowed
+        The probability that the bound must not exceed, between 0 and 1.
+    confidence
+        As `probability_bound`.
+    """
+    needed = max(1, ceil(log(1.0 - confidence) / log(1.0 - allowed) - 1e-9))
+    while not is_shown(0, needed, allowed, confidence):
+        needed += 1
+    return needed
+
+
+def is_shown(events: int, draws: int, allowed: float, confidence: float) -> bool:
+    """Tell whether a sample shows, with confidence, that a probability is at most `allowed`."""
+    return probability_bound(events, draws, confidence) <= allowed + ROUNDING
+
+
+def most_events(draws: int, allowed: float, confidence: float) -> int:
+    """Return the most events with which `is_shown` still holds; -1 if it never does."""
+    events = 0
+    while events <= draws and is_shown(events, draws, allowed, confidence):
+        events += 1
+    return events - 1
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean and what is known of it.
+
+    Attributes
+    ----------
+    value
+        Of the sample.
+    standard_error
+        Of `value`; NaN for fewer than two values.
+    upper
+        Upper confidence bound of the true mean by Student's t; infinite for fewer than two values.
+    """
+
+    value: float
+    standard_error: float
+    upper: float
+
+
+def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
+    """Return the mean of independent values, with its error and its upper bound.
+
+    Parameters
+    ----------
+    values
+        Shape (n,).
+    confidence
+        Of the bound, between 0 and 1.
+    """
+    sample = np.asarray(values, dtype=np.float64)
+    count = len(sample)
+    if count < 2:
+        return Mean(float(sample[0]) if count else float("nan"), float("nan"), float("inf"))
+    value, error = float(sample.mean()), float(sample.std(ddof=1)) / sqrt(count)
+    return Mean(value, error, value + float(stats.t.ppf(confidence, count - 1)) * error)
+
+
+def conditional_value_at_risk(values: Sequence[float] | Array, level: float) -> float:
+    """Return the mean of the largest values, which make up the part 1 - level of the sample.
+
+    Where that part is no whole number of values, the last one counts in part (Rockafellar and
+    Uryasev 2000, for a discrete distribution).
+
+    Parameters
+    ----------
+    values
+        Shape (n,); the larger the worse. NaN is returned without any.
+    level
+        Between 0 and 1; 0.95 looks at the worst twentieth.
+    """
+    sample = np.sort(np.asarray(values, dtype=np.float64))[::-1]
+    if not len(sample):
+        return float("nan")
+    size = (1.0 - level) * len(sample)
+    weights = np.clip(size - np.arange(len(sample)), 0.0, 1.0)
+    return float(weights @ sample / size)

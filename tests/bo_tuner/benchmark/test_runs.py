@@ -1,0 +1,94 @@
+import pytest
+
+from bo_tuner.benchmark.experiment_parts import Row
+from bo_tuner.benchmark.runs import RunSize, run, tune
+from bo_tuner.trials import Stage
+
+JUDGE = "valley:Judge"
+IV = Row(name="IV", algorithm="IV")
+LENT = Row(name="lent", optimizer="valley:Draws")
+DRAWN = Row(name="drawn", optimizer="valley:Draws", protocol="random", contexts=6)
+
+
+def trials_of(study, row, size, seed=1):
+    _, _, backend, tuning, budget = tune(study, row, seed, size)
+    for _ in tuning:
+        if backend.cuts >= budget:
+            break
+    return tuning.trials, budget
+
+
+@pytest.fixture(scope="module", params=[IV, LENT, DRAWN, Row(name="I", algorithm="I")], ids=str)
+def result(request, study):
+    return run(study, request.param, 1, RunSize(40, 20, 3), JUDGE)
+
+
+def test_a_run_ends_with_the_trial_that_reaches_its_cuts(study, small):
+    for row, expected in ((IV, 40), (LENT, 60), (DRAWN, 60)):
+        trials, budget = trials_of(study, row, small)
+        used = sum(len(t.cuts) for t in trials)
+        assert budget == expected
+        assert used - len(trials[-1].cuts) < budget <= used
+
+
+def test_rows_of_a_seed_share_the_initial_samples(study, small):
+    designs = []
+    for row in (IV, LENT, DRAWN, Row(name="II", algorithm="II")):
+        trials, _ = trials_of(study, row, small, seed=3)
+        designs.append([dict(t.parameters) for t in trials[:3]])
+    assert all(design == designs[0] for design in designs)
+    other, _ = trials_of(study, IV, small, seed=4)
+    assert [dict(t.parameters) for t in other[:3]] != designs[0]
+
+
+def test_lent_trials_are_cut_as_the_products_own(study, small):
+    ours, _ = trials_of(study, IV, small)
+    lent, _ = trials_of(study, LENT, small)
+    for a, b in zip(ours[:3], lent[:3], strict=True):
+        assert a.cuts == b.cuts
+
+
+def test_random_contexts_are_the_whole_trial(study, small):
+    trials, _ = trials_of(study, DRAWN, small)
+    assert {len(t.cuts) for t in trials} == {6}
+    assert {cut.stage for t in trials for cut in t.cuts} == {Stage.DRAWN}
+    for trial in trials:
+        seen = [cut.outcome.metrics["peak"] for cut in trial.cuts]
+        assert trial.worst_case.value == max(seen)
+        assert trial.worst_case.noise == 0.0
+
+
+def test_a_run_repeats_itself(study, small, without_times):
+    once, again = (run(study, IV, 2, small, JUDGE) for _ in range(2))
+    assert without_times(once) == without_times(again)
+
+
+def test_the_way_of_a_run_leads_to_its_answer(result):
+    cuts = [used for used, _ in result["trajectory"]]
+    assert cuts == sorted(cuts)
+    assert cuts[-1] == result["cuts"] + result["check_cuts"]
+    assert {str(n) for _, n in result["trajectory"] if n is not None} == set(result["incumbents"])
+    if result["answer"]["believed"]:
+        assert result["trajectory"][-1][1] == result["answer"]["trial"]
+        incumbent = result["incumbents"][str(result["answer"]["trial"])]
+        assert incumbent["objective"] == result["answer"]["truth"]["objective"]
+
+
+def test_training_is_what_the_tuning_saw(study, small):
+    result = run(study, IV, 1, small, JUDGE)
+    trials, _ = trials_of(study, IV, small)
+    trial = trials[result["answer"]["trial"]]
+    seen = [c.outcome.metrics["error"] for c in trial.cuts if c.stage is Stage.DRAWN]
+    assert result["answer"]["training"] == pytest.approx(sum(seen) / len(seen))
+    assert result["check_cuts"] > 0
+
+
+def test_an_optimizer_without_an_answer_is_on_record(study):
+    limited = study.replace(trials=3)
+    row = Row(name="none", optimizer="valley:Draws", protocol="random", contexts=2)
+    hard = {n: c.__class__(**{**c.__dict__, "upper": -1.0}) for n, c in limited.constraints.items()}
+    found = run(limited.__class__(**{**limited.__dict__, "constraints": hard}), row, 1,
+                RunSize(8, 0, 2), JUDGE)  # fmt: skip
+    assert found["answer"] is None
+    assert found["incumbents"] == {}
+    assert all(trial is None for _, trial in found["trajectory"])

@@ -1,0 +1,58 @@
+"""PNG and SVG files: whole, repeatable, and with texts as they are."""
+
+import itertools
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from bo_tuner.errors import OutputError
+from bo_tuner.figures.figure import Axis, Bars, Figure, Panel
+from bo_tuner.figures.matplotlib_renderer import draw, render, write_figure
+
+
+def figure_of(*elements):
+    panel = Panel(x=Axis(label="x"), y=Axis(label="y"), elements=elements)
+    return Figure(name="one", title="t", caption="", alternative="", panels=[panel])
+
+
+def test_files_are_whole(full_figure, tmp_path):
+    png, svg = write_figure(full_figure, tmp_path / "new" / "folder")
+    assert (png.name, svg.name) == ("full.png", "full.svg")
+    assert png.read_bytes().startswith(b"\x89PNG\r\n")
+    assert ElementTree.parse(svg).getroot().tag.endswith("svg")
+
+
+@pytest.mark.parametrize("kind", ["png", "svg"])
+def test_a_figure_gives_the_same_bytes_again(full_figure, kind):
+    assert render(full_figure, kind) == render(full_figure, kind)
+
+
+def test_texts_hold_no_markup(full_figure):
+    sheet = draw(full_figure)
+    assert sheet.axes[0].get_title(loc="left") == "fields, $a_1$ & <b>"
+    # With formulas on, this text would be refused.
+    panel = Panel(x=Axis(label="$\\broken{"), y=Axis(label="y"), elements=[])
+    assert render(Figure(name="a", title="", caption="", alternative="", panels=[panel]), "svg")
+
+
+def test_the_legend_names_each_element_once(full_figure):
+    (legend,) = draw(full_figure).legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["out", "edge", "cut", "band", "line", "points", "limit", "here", "a", "b"]
+
+
+def test_bars_stand_beside_each_other_or_on_their_base():
+    x = [0.0, 1.0]
+    (ax,) = draw(figure_of(Bars(x=x, y=[2.0, 3.0]), Bars(x=x, y=[1.0, 5.0]))).axes
+    edges = sorted((p.get_x(), p.get_x() + p.get_width()) for p in ax.patches)
+    assert all(end <= begin + 1e-12 for (_, end), (begin, _) in itertools.pairwise(edges))
+    (ax,) = draw(figure_of(Bars(x=x, y=[2.0, 3.0], base=[1.0, 4.0]))).axes
+    tops = [(p.get_y(), p.get_y() + p.get_height()) for p in ax.patches]
+    np.testing.assert_allclose(tops, [(1.0, 3.0), (4.0, 7.0)])
+
+
+def test_a_folder_that_cannot_be_made_is_an_output_error(full_figure, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_figure(full_figure, tmp_path / "file" / "folder", ["svg"])

@@ -1,0 +1,114 @@
+"""A run with a certificate shows it, and a refused one before all else."""
+
+import json
+
+import pytest
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.answer import Status, answer
+from bo_tuner.report.certified import certificate
+
+
+def findings(violations, passed):
+    constraint = {
+        "name": "peak",
+        "metric": "peak",
+        "unit": "N",
+        "limit": 1.0,
+        "largest": 0.9,
+        "tail": 0.8,
+        "violations": violations,
+        "violation_bound": 0.0123,
+        "worst": [
+            {
+                "context": {"load": 2.0},
+                "mean": {"value": 0.75, "standard_error": 0.01, "upper": 0.77},
+            }
+        ],
+        "passed": passed,
+    }
+    mean = {"value": 1.5, "standard_error": 0.02, "upper": 1.54}
+    return {
+        "objective": mean, "tail": 1.9, "cuts": 320, "failures": 0, "constraints": [constraint]
+    }  # fmt: skip
+
+
+def content(verdict):
+    return {
+        "verdict": verdict,
+        "reasons": [] if verdict == "PASS" else ["peak: <b>not</b> shown"],
+        "warnings": ["narrow optimum"],
+        "trial": 3,
+        "draws": 300,
+        "confidence": 0.95,
+        "tail_level": 0.95,
+        "objective": {"metric": "error", "unit": "s"},
+        "tuned": findings(0, verdict == "PASS"),
+        "default": findings(8, False),
+        "training_gaps": [
+            {
+                "name": "mean error", "unit": "s", "shown": 1.2, "predicted": 1.3,
+                "validated": 1.5, "gap": 0.3, "standard_error": 0.1,
+            }
+        ],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def certified(tuned, tmp_path):
+    """Function that gives the run a certificate with some content."""
+    import dataclasses
+
+    def give(text):
+        (tmp_path / "certificate.json").write_text(text)
+        return dataclasses.replace(tuned, path=tmp_path)
+
+    return give
+
+
+def test_a_run_without_a_certificate_has_none(tuned):
+    assert certificate(tuned) is None
+
+
+def test_its_numbers_are_shown(certified):
+    found = certificate(certified(json.dumps(content("PASS"))))
+    assert found.passed
+    assert found.scope == "300 fresh draws, 95 % confidence"
+    limits, gaps = found.section.tables
+    rows = {row[0].strip(): row[1:] for row in limits.rows}
+    assert rows["mean error"] == ["1.5 ± 0.02", "1.5 ± 0.02", "s"]
+    assert rows["draws above 1"] == ["8", "0", ""]
+    assert rows["probability of a violation, 95 % bound"] == ["0.0123", "0.0123", ""]
+    assert rows["95 % bound"] == ["0.77", "0.77", "N"]
+    assert rows["at load"] == ["2", "2", ""]
+    assert rows["peak"] == ["not shown", "shown to hold", ""]
+    assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
+    assert "narrow optimum" in found.section.notes
+
+
+@pytest.mark.parametrize(("verdict", "status"), [("PASS", Status.GOOD), ("FAIL", Status.BAD)])
+def test_the_answer_begins_with_it(certified, tuned, verdict, status):
+    ours = content(verdict) | {"trial": tuned.summary["trial"]}
+    found = answer(Analysis(certified(json.dumps(ours))))
+    assert (found.tiles[0].label, found.tiles[0].value) == ("certificate", verdict)
+    assert found.tiles[0].status is status
+    refused = [s for s in found.sentences if s.startswith("The certificate is refused")]
+    assert len(refused) == (verdict == "FAIL")
+    if verdict == "FAIL":
+        assert found.status is Status.BAD
+
+
+def test_one_of_another_trial_does_not_count(certified, tuned):
+    other = content("FAIL") | {"trial": tuned.summary["trial"] + 1}
+    found = answer(Analysis(certified(json.dumps(other))))
+    assert found.tiles[0].status is Status.WARNING
+    assert "not the result" in found.tiles[0].remark
+    assert found.status is not Status.BAD
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])
+def test_a_broken_one_is_one_line(certified, text):
+    with pytest.raises(RunRecordError, match=r"certificate.json: no certificate") as error:
+        certificate(certified(text))
+    assert "\n" not in str(error.value)

@@ -1,0 +1,276 @@
+"""The page: whole, on its own, true to the journal, and harmless."""
+
+import base64
+import dataclasses
+import hashlib
+import itertools
+import math
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.report.page import write_report
+from bo_tuner.run_record import read_run
+from bo_tuner.trials import CutState, Stage
+
+# Elements without an end.
+VOID = {"meta", "link", "img", "br", "input"}
+
+
+class Page(HTMLParser):
+    """Elements of a page, scripts, tables by caption, and what is not balanced."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.scripts, self.tables, self.open = [], [], {}, []
+        self.caption = self.cell = None
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "script":
+            self.scripts.append((dict(attributes).get("type"), ""))
+        elif tag == "caption":
+            self.caption = ""
+        elif tag == "tr":
+            self.rows.append([])
+        elif tag == "table":
+            self.rows = []
+        elif tag in ("td", "th"):
+            self.cell = ""
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        if tag == "caption":
+            self.tables[self.caption], self.caption = self.rows, None
+        elif tag in ("td", "th"):
+            self.rows[-1].append(self.cell.strip())
+            self.cell = None
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            kind, text = self.scripts[-1]
+            self.scripts[-1] = kind, text + data
+        elif self.caption is not None:
+            self.caption += data
+        elif self.cell is not None:
+            self.cell += data
+
+
+def page_of(record, folder):
+    return Page(write_report(record, folder / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def page(tuned, tmp_path_factory):
+    return page_of(tuned, tmp_path_factory.mktemp("page"))
+
+
+def table(page, beginning):
+    (rows,) = [rows for name, rows in page.tables.items() if name.startswith(beginning)]
+    return {row[0]: row[1:] for row in rows}
+
+
+def test_the_answer_is_that_of_the_journal(page, tuned):
+    rows = table(page, "Default and tuned")
+    for column in (0, 1):
+        cuts = [
+            recorded.cut.outcome.metrics
+            for recorded in tuned.cuts
+            if recorded.cut.stage is Stage.VALIDATION and recorded.cut.trial == column
+        ]
+        errors = [metrics["error"] for metrics in cuts]
+        mean = math.fsum(errors) / len(errors)
+        spread = math.sqrt(math.fsum((e - mean) ** 2 for e in errors) / (len(errors) - 1))
+        assert rows["mean error"][column] == f"{mean:.4g}"
+        shown = rows["standard error of the mean error"][column]
+        assert shown == f"{spread / math.sqrt(len(errors)):.4g}"
+        assert rows["largest peak"][column] == f"{max(m['peak'] for m in cuts):.4g}"
+        above = sum(metrics["peak"] > 1.0 for metrics in cuts)
+        assert rows["draws above 1"][column] == f"{above} of {len(cuts)}"
+    best = tuned.trials[tuned.summary["trial"]].parameters["gain"]
+    assert rows["gain"][:2] == ["0.5", f"{best:.4g}"]
+
+
+def test_every_trial_is_listed_with_its_values(page, tuned):
+    rows = table(page, f"{len(tuned.trials)} trials")
+    for trial in tuned.trials:
+        origin, gain, mean, worst, cuts, outcome = rows[str(trial.number)]
+        assert (origin, gain) == (trial.origin, f"{trial.parameters['gain']:.4g}")
+        values = trial.observations("error")
+        if trial.parameters["gain"] > 0.6:
+            assert (mean, worst, outcome) == ("–", "–", "failed")
+        else:
+            checked = [
+                recorded.cut.outcome.metrics["error"]
+                for recorded in tuned.cuts
+                if recorded.cut.stage is Stage.CHECK_DRAWN and recorded.cut.trial == trial.number
+            ]
+            every = [*values, *checked]
+            assert mean == f"{math.fsum(every) / len(every):.4g}"
+            assert int(cuts) >= len(trial.cuts)
+
+
+def test_failures_are_listed_with_what_repeats_them(page, tuned):
+    (rows,) = [rows for name, rows in page.tables.items() if name.startswith("Cuts that failed")]
+    failed = [r.cut for r in tuned.cuts if r.cut.outcome.state is not CutState.COMPLETE]
+    assert failed
+    assert [row[0] for row in rows[1:]] == [str(cut.trial) for cut in failed]
+    for row, cut in zip(rows[1:], failed, strict=True):
+        assert row[3] == cut.outcome.reason
+        assert row[5] == f"load {cut.context['load']:.4g}"
+        assert row[6] == str(cut.seed)
+
+
+def test_the_page_needs_nothing_else(page):
+    for tag, attributes in page.elements:
+        for name in ("src", "href", "srcset", "data", "action"):
+            if name in attributes:
+                assert attributes[name].startswith(("#", "data:")), (tag, attributes)
+    assert {tag for tag, _ in page.elements}.isdisjoint({"iframe", "object", "embed", "base"})
+
+
+def test_only_our_scripts_may_run(page):
+    policies = [a["content"] for t, a in page.elements if a.get("http-equiv")]
+    (policy,) = policies
+    allowed = set(re.search("script-src ([^;]*);", policy).group(1).split())
+    running = [text for kind, text in page.scripts if kind != "application/json"]
+    digests = [hashlib.sha256(text.encode()).digest() for text in running]
+    assert {f"'sha256-{base64.b64encode(d).decode()}'" for d in digests} == allowed
+    assert len(running) == 2
+    assert "default-src 'none'" in policy
+
+
+def test_texts_of_a_study_stay_texts(page, tuned):
+    from report_runs import HARM
+
+    # The study's texts have scripts and images in them; the page has none but its own.
+    assert HARM in tuned.study.description
+    assert not [attributes for tag, attributes in page.elements if tag == "img"]
+    assert not [a for _, a in page.elements if any(name.startswith("on") for name in a)]
+    assert any(HARM in cell for rows in page.tables.values() for row in rows for cell in row)
+
+
+def test_headings_go_down_step_by_step(page):
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch("h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in itertools.pairwise(levels))
+
+
+def test_every_table_has_a_caption_and_every_figure_a_text(page):
+    assert len(page.tables) == sum(tag == "table" for tag, _ in page.elements)
+    described = [a["aria-label"] for _, a in page.elements if a.get("role") == "img"]
+    assert len(described) == sum(tag == "figure" for tag, _ in page.elements) > 5
+    assert all(described)
+
+
+def test_a_run_in_progress_has_a_report(tuned, tmp_path):
+    going_on = dataclasses.replace(
+        tuned,
+        summary=None,
+        trials=tuned.trials[:4],
+        cuts=tuple(recorded for recorded in tuned.cuts if recorded.cut.trial < 4),
+    )
+    page = page_of(going_on, tmp_path)
+    assert "Default and best parametrization so far" in page.tables
+    assert "4 trials" in page.tables
+
+
+def test_a_run_without_any_trial_has_a_report(tuned, tmp_path):
+    page = page_of(dataclasses.replace(tuned, summary=None, trials=(), cuts=()), tmp_path)
+    assert "0 trials" in page.tables
+
+
+def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
+    from report_runs import with_ends
+
+    run = axis_run(**with_ends(-1.0))
+    page = page_of(run, tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "No result: no trial is complete" in text
+    assert len(page.tables["Cuts that failed, in the order in which they ran"]) == 1 + 7
+
+
+def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
+    limit = {"peak": {"kind": "worst_case", "metric": "peak", "upper": -1.0}}
+    page_of(axis_run(constraints=limit), tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "do not use it as it is" in text
+
+
+def test_a_study_without_contexts_and_limits_has_a_report(axis_run, tmp_path):
+    page = page_of(axis_run(contexts={}, constraints={}), tmp_path)
+    assert "largest peak" not in table(page, "Default and tuned")
+    ids = [attributes.get("id") for _, attributes in page.elements]
+    assert "contexts" not in ids
+    assert "figure-slices" in ids
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"objective": {"metric": "error", "direction": "maximize", "scale": "log"}},
+        {
+            "constraints": {
+                "often": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.8}
+            }
+        },
+        {
+            "contexts": {
+                name: {"node": "axis", "distribution": "uniform", "bounds": [1.0, 2.0]}
+                for name in ("load", "mass", "stiffness")
+            }
+        },
+    ],
+    ids=["maximized", "chance", "three contexts"],
+)
+def test_other_studies_have_a_report(axis_run, tmp_path, changes):
+    page = page_of(axis_run(**changes), tmp_path)
+    assert any(a.get("id") == "figure-slices" for _, a in page.elements)
+
+
+def test_damage_is_told(tuned, tmp_path):
+    write_report(dataclasses.replace(tuned, damage="cut 7 is <damaged>"), tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert "The record is damaged: cut 7 is &lt;damaged&gt;" in text
+
+
+def test_a_report_replaces_the_one_before(tuned, tmp_path):
+    path = tmp_path / "new" / "report.html"
+    assert write_report(tuned, path) == path
+    first = path.read_bytes()
+    path.write_text("old")
+    write_report(tuned, path)
+    assert path.read_bytes() == first
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_file_that_cannot_be_written_is_an_output_error(tuned, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match=r"report.html: cannot be written"):
+        write_report(tuned, tmp_path / "file" / "report.html")
+
+
+@pytest.mark.parametrize(
+    "summary", [{"trial": 99}, {"trial": 1}, {"trial": 1, "default": {}, "tuned": None}]
+)
+def test_a_summary_of_another_program_is_refused(tuned, tmp_path, summary):
+    with pytest.raises(RunRecordError, match="summary"):
+        write_report(dataclasses.replace(tuned, summary=summary), tmp_path / "report.html")
+
+
+def test_the_run_folder_stays_as_it_was(tuned, tmp_path):
+    def content():
+        # SQLite's index of its log notes who reads.
+        files = [p for p in tuned.path.iterdir() if p.is_file() and not p.name.endswith("-shm")]
+        return {path.name: path.read_bytes() for path in files}
+
+    before = content()
+    write_report(read_run(tuned.path), tmp_path / "report.html")
+    assert content() == before

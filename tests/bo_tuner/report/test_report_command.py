@@ -1,0 +1,84 @@
+"""The command: what it writes, its exit codes, and one line for each mistake."""
+
+import pytest
+
+from bo_tuner.commands import report as report_command
+from bo_tuner.interruption import Interruption
+
+
+@pytest.fixture
+def report(capsys):
+    """Function that runs the command; returns its exit code, output and errors."""
+
+    def run(*arguments):
+        try:
+            code = report_command.run([str(a) for a in arguments], Interruption())
+        except SystemExit as left:
+            code = left.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+def test_the_report_goes_into_the_run_folder(report, tuned):
+    code, out, err = report(tuned.path)
+    path = tuned.path / "report.html"
+    assert (code, out, err) == (0, f"report: {path}\n", "")
+    assert path.stat().st_size < 8e6
+    path.unlink()
+
+
+def test_output_and_figures_go_where_they_are_told(report, tuned, tmp_path, importable):
+    page, plots = tmp_path / "a" / "page.html", tmp_path / "plots"
+    code, out, _ = report(tuned.path, "--output", page, "--figures", plots, "--format", "svg")
+    assert code == 0
+    assert page.is_file()
+    names = sorted(path.name for path in plots.iterdir())
+    assert "convergence.svg" in names
+    assert "trajectories.svg" in names
+    assert all(name.endswith(".svg") for name in names)
+    written = [line.removeprefix("figure: ") for line in out.splitlines()[1:]]
+    assert sorted(written) == [str(plots / name) for name in names]
+
+
+def test_latest_is_the_last_run(report, tuned, tmp_path, monkeypatch):
+    (tmp_path / "runs").symlink_to(tuned.path.parent)
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = report("latest", "--output", "page.html")
+    assert (code, out) == (0, "report: page.html\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere"], "nowhere: no such run folder"),
+        (["latest"], "runs/latest: no such run folder"),
+        (["."], "no run folder"),
+        ([], "the following arguments are required: RUN"),
+        ([".", "--format", "gif"], "argument --format: gif: expected one or more of png, svg"),
+        ([".", "--colour"], "unrecognized arguments: --colour"),
+    ],
+)
+def test_a_mistake_is_one_line(report, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = report(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_file_in_the_way_is_one_line(report, tuned, tmp_path):
+    (tmp_path / "file").write_text("")
+    code, _, err = report(tuned.path, "--output", tmp_path / "file" / "page.html")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "cannot be written" in err
+
+
+def test_help_shows_examples_and_exit_codes(report):
+    code, out, _ = report("--help")
+    assert code == 0
+    assert "exit codes:" in out
+    assert "report latest --figures" in out

@@ -1,0 +1,209 @@
+"""Sections: what they say follows from the record, by other means than theirs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
+from bo_tuner.methods import METHODS
+from bo_tuner.recommendation import rank
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.contexts import contexts
+from bo_tuner.report.contours import contours
+from bo_tuner.report.convergence import convergence
+from bo_tuner.report.drift import drift
+from bo_tuner.report.grid import parameter_grid, permitted
+from bo_tuner.report.landscape import landscape
+from bo_tuner.report.neighbours import neighbours
+from bo_tuner.report.slices import slices
+from bo_tuner.report.timing import timing
+from bo_tuner.study_file import study_from_mapping
+from bo_tuner.trials import Stage
+
+
+def named(panel, name, kind):
+    found = [e for e in panel.elements if isinstance(e, kind) and e.name == name]
+    return found[0] if found else None
+
+
+def test_the_incumbent_is_the_one_that_rank_names(analysis):
+    figure, _ = convergence(analysis).figures
+    over_trials, over_cuts = figure.panels
+    line = named(over_trials, "incumbent", Line)
+    trials = analysis.record.trials
+    expected = {}
+    for n in range(1, len(trials) + 1):
+        ranked = rank(analysis.study, trials[:n], METHODS[analysis.record.algorithm].models)
+        if ranked:
+            first = ranked[0]
+            expected[n - 1.0] = first.objective if first.believed_feasible else math.nan
+    np.testing.assert_array_equal(line.x, list(expected))
+    np.testing.assert_array_equal(line.y, list(expected.values()))
+    cuts = np.cumsum([len(trial.cuts) for trial in trials])
+    np.testing.assert_array_equal(
+        named(over_cuts, "incumbent", Line).x, [cuts[int(k)] for k in expected]
+    )
+
+
+def test_every_trial_is_a_point_of_its_kind(analysis):
+    figure, _ = convergence(analysis).figures
+    places = {}
+    for kind in (Outcome.WITHIN, Outcome.VIOLATES, Outcome.FAILED):
+        points = named(figure.panels[0], kind, Points)
+        places |= dict.fromkeys([] if points is None else list(points.x), kind)
+    for number, trial in enumerate(analysis.record.trials):
+        gain = trial.parameters["gain"]
+        if gain > 0.6:
+            assert places[number] == Outcome.FAILED
+        else:
+            # The worst load is 2, so the peak is 4 gain at most.
+            worst = trial.worst_case.value
+            assert places[number] == (Outcome.VIOLATES if worst > 1.0 else Outcome.WITHIN)
+    assert len(places) == len(analysis.record.trials)
+
+
+def test_failed_trials_are_above_all_others(analysis):
+    figure, _ = convergence(analysis).figures
+    failed = named(figure.panels[0], Outcome.FAILED, Points)
+    others = [
+        value
+        for kind in (Outcome.WITHIN, Outcome.VIOLATES)
+        if (points := named(figure.panels[0], kind, Points)) is not None
+        for value in points.y
+    ]
+    assert min(failed.y) >= max(others)
+
+
+def test_the_slice_is_the_surrogate(analysis):
+    figure = slices(analysis, analysis.answer)
+    objective, peak = figure.panels
+    line = named(objective, "posterior mean", Line)
+    space = analysis.study.search_space()
+    for k in (0, 17, 80):
+        x = space.to_cube({"gain": float(line.x[k])})[None]
+        assert line.y[k] == pytest.approx(float(analysis.models.objective.predict(x)[0][0]))
+    tuned = named(objective, "tuned", Limit)
+    assert tuned.value == analysis.answer.parameters["gain"]
+    assert named(objective, "default", Limit).value == 0.5
+    # A worst case has no margin for the noise of single cuts.
+    assert named(peak, "limit", Limit).value == 1.0
+
+
+def two_parameters():
+    from report_runs import NODE, axis_study
+
+    return study_from_mapping(
+        axis_study(
+            parameters={
+                "first": NODE | {"type": "integer", "bounds": [1, 6], "default": 2},
+                "second": NODE | {"type": "integer", "bounds": [1, 9], "default": 3},
+            },
+            order=[["first", "second"]],
+        )
+    )
+
+
+def test_a_grid_keeps_the_order_of_parameters():
+    study = two_parameters()
+    space = study.search_space()
+    at = {"first": 2, "second": 3}
+    first = parameter_grid(study, "first", at, 41)
+    second = parameter_grid(study, "second", at, 41)
+    assert first.values.tolist() == [1, 2, 3, 4, 5, 6]
+    points = np.array([[a, b] for b in second.cube for a in first.cube])
+    expected = [a <= b for b in second.values for a in first.values]
+    assert permitted(study, points).tolist() == expected
+    for a, x in zip(first.values, first.cube, strict=True):
+        assert space.to_cube({"first": int(a), "second": 9})[0] == x
+
+
+def test_contours_show_what_the_models_say(axis_run):
+    from report_runs import NODE
+
+    run = axis_run(
+        parameters={
+            name: NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+            for name in ("gain", "other")
+        }
+    )
+    analysis = Analysis(run)
+    (panel,) = contours(analysis, analysis.answer).panels
+    (heatmap,) = [e for e in panel.elements if isinstance(e, Heatmap)]
+    edge = named(panel, "edge of the feasible area", Contour)
+    x = analysis.study.search_space().to_cube(
+        {"gain": float(heatmap.x[7]), "other": float(heatmap.y[11])}
+    )[None]
+    assert heatmap.z[11, 7] == pytest.approx(analysis.models.objective.predict_mean(x)[0])
+    assert edge.z[11, 7] == pytest.approx(np.exp(analysis.models.log_feasibility(x)[0]))
+    assert edge.levels == [0.5]
+    assert "contours" in [figure.name for figure in landscape(analysis).figures]
+
+
+def test_the_map_has_every_cut_of_both(analysis):
+    (figure,) = contexts(analysis).figures
+    default, tuned = figure.panels
+    best = analysis.answer.parameters["gain"]
+    for panel, gain in ((default, 0.5), (tuned, best)):
+        cuts = [r.cut for r in analysis.record.cuts if r.parameters["gain"] == gain]
+        points = named(panel, "cut", Points)
+        assert sorted(points.x) == sorted(cut.context["load"] for cut in cuts)
+        np.testing.assert_allclose(points.y, 2.0 * gain * np.array(points.x))
+        assert named(panel, "limit", Limit).value == 1.0
+
+
+def test_neighbours_are_a_step_away(analysis):
+    section = neighbours(analysis)
+    (table,) = section.tables
+    assert [row[0] for row in table.rows] == ["tuned", "gain -0.05", "gain +0.05"]
+    for row, step in zip(table.rows, (0.0, -0.05, 0.05), strict=True):
+        x = np.array([[analysis.answer.parameters["gain"] + step]])
+        assert row[1] == f"{analysis.models.objective.predict_mean(x)[0]:.4g}"
+
+
+def test_the_variable_that_hurts_is_named(analysis):
+    assert drift(analysis).lead.startswith("load hurts peak most")
+
+
+def test_times_add_up(analysis):
+    trials = tuple(
+        replace(
+            trial,
+            seconds=2.0,
+            cuts=tuple(replace(cut, seconds=0.5) for cut in trial.cuts),
+        )
+        for trial in analysis.record.trials
+    )
+    section = timing(Analysis(replace(analysis.record, trials=trials)))
+    n, cuts = len(trials), sum(len(trial.cuts) for trial in trials)
+    share = 100.0 * 2.0 * n / (2.0 * n + 0.5 * cuts)
+    assert f"took {0.5 * cuts:.4g} s, proposals {2.0 * n:.4g} s ({share:.0f} %" in section.lead
+
+
+def test_a_record_without_times_is_told():
+    # As of a journal before times were recorded: the section says so instead of dividing by 0.
+    class Untimed:
+        def __init__(self, record):
+            self.record = record
+
+    class Record:
+        cuts = ()
+
+    from bo_tuner.trials import Trial, TrialState
+
+    record = Record()
+    record.trials = (Trial(0, {"gain": 0.5}, "", TrialState.COMPLETE),)
+    assert timing(Untimed(record)).lead == "The record holds no times."
+
+
+def test_paired_differences_are_of_equal_draws(analysis):
+    seen = {0: {}, 1: {}}
+    for recorded in analysis.record.cuts:
+        cut = recorded.cut
+        if cut.stage is Stage.VALIDATION:
+            seen[cut.trial][cut.index] = cut.outcome.metrics["error"]
+    differences = np.array([seen[1][k] - seen[0][k] for k in sorted(seen[0])])
+    mean, error = analysis.paired_difference()
+    assert mean == pytest.approx(differences.mean())
+    assert error == pytest.approx(differences.std(ddof=1) / math.sqrt(len(differences)))

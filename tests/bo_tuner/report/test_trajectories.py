@@ -1,0 +1,62 @@
+"""Trajectories: what the trigger's object traces, and what is said if it does not."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.trajectories import trajectories
+
+
+@pytest.fixture
+def section_of(axis_run, monkeypatch):
+    """Function that makes the section of a run on another object."""
+    from report_runs import with_ends
+
+    def make(name):
+        run = axis_run(**with_ends(2.0, object=f"report_objects:{name}"))
+        monkeypatch.syspath_prepend(str(run.path.parents[1]))
+        return Analysis(run), trajectories(Analysis(run))
+
+    return make
+
+
+def test_signals_of_a_group_share_a_panel(section_of):
+    analysis, section = section_of("Traced")
+    (figure,) = section.figures
+    assert figure.columns == 2  # nominal and worst context
+    titles = [(panel.title, panel.y.title) for panel in figure.panels]
+    assert titles == [
+        ("nominal context", "position [m]"),
+        ("worst context", "position [m]"),
+        ("nominal context", "force [N]"),
+        ("worst context", "force [N]"),
+    ]
+    reference, default, tuned = figure.panels[0].elements
+    # What is equal for both is drawn once.
+    assert (reference.name, default.name, tuned.name) == ("reference", "default", "tuned")
+    np.testing.assert_allclose(default.y, 0.5 * np.arange(5))
+    gain = analysis.answer.parameters["gain"]
+    np.testing.assert_allclose(tuned.y, gain * np.arange(5))
+    np.testing.assert_allclose(tuned.x, 0.1 * np.arange(5))
+
+
+def test_an_object_without_signals_is_told(section_of):
+    _, section = section_of("Axis")
+    assert section.figures == ()
+    assert "the object of node 'axis' has no trace()" in section.lead
+
+
+def test_signals_without_a_time_are_told(section_of):
+    _, section = section_of("Untold")
+    assert section.figures == ()
+    assert "expected 'time' and other signals of its length" in section.lead
+
+
+def test_an_object_that_cannot_be_had_is_told(section_of, monkeypatch, analysis):
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if "axis" not in p])
+    monkeypatch.delitem(sys.modules, "report_objects", raising=False)
+    section = trajectories(analysis)
+    assert section.figures == ()
+    assert "cannot load report_objects:Traced" in section.lead

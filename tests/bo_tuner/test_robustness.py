@@ -1,0 +1,286 @@
+"""Robustness: drifts against responses whose breaking point is known, and narrow optima."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bo_tuner.neighbourhood import look_around, neighbours
+from bo_tuner.recommendation import TOLERABLE
+from bo_tuner.robustness import CREDIBLE, context_tolerance, posterior_samples
+from bo_tuner.study_file import load_study
+from bo_tuner.surrogate.gaussian_process import GaussianProcess
+from bo_tuner.surrogate.kernel import latent_covariance
+from bo_tuner.surrogates import Surrogates
+from bo_tuner.trials import Cut, CutOutcome, CutState, Stage, Trial, TrialState, WorstCase
+
+LIMIT = 1.0
+NODE = {"node": "axis"}
+UNIFORM = NODE | {"distribution": "uniform"}
+
+
+def plane(make_study, **contexts):
+    variables = {"load": UNIFORM | {"bounds": [0.0, 2.0]}, "wear": UNIFORM | {"bounds": [0.0, 1.0]}}
+    return make_study(contexts=variables | contexts)
+
+
+def cuts_of(study, function, count=40, noise=0.0, seed=0):
+    """Cuts in contexts all over the box, whose peak is a function of the context plus noise."""
+    rng = np.random.default_rng(seed)
+    space = study.context_space()
+    cuts = []
+    for row in space.to_contexts(rng.random((count, space.dimension))):
+        context = space.to_dict(row)
+        peak = float(function(**context) + noise * rng.standard_normal())
+        outcome = CutOutcome(CutState.COMPLETE, {"error": 1.0, "peak": peak})
+        cuts.append(Cut(0, 0, Stage.SEARCH, context, 0, outcome))
+    return cuts
+
+
+def by_name(tolerance):
+    return {variable.name: variable for variable in tolerance.variables}
+
+
+class TestDrift:
+    """Nominal is the middle of the box, (1, 0.5)."""
+
+    def test_a_line(self, make_study):
+        """0.5 + 0.4 (load - 1) + 0.6 (wear - 0.5) breaks at load 2.25, and wear 1.33 alone."""
+        study = plane(make_study, load=UNIFORM | {"bounds": [-1.0, 3.0]})
+        found = context_tolerance(
+            study, cuts_of(study, lambda load, wear: 0.5 + 0.4 * (load - 1) + 0.6 * (wear - 0.5))
+        )
+        assert found.limit == LIMIT
+        assert found.worst_context == {"load": pytest.approx(3.0), "wear": pytest.approx(1.0)}
+        assert found.nominal.median == pytest.approx(0.5, abs=0.01)
+        assert found.worst.median == pytest.approx(1.6, abs=0.02)
+        load, wear = (by_name(found)[name] for name in ("load", "wear"))
+        assert found.variables == (load, wear)
+        assert load.relief.median == pytest.approx(0.8, abs=0.02)
+        assert wear.relief.median == pytest.approx(0.3, abs=0.02)
+        assert load.up.limit.median == pytest.approx(2.25, abs=0.03)
+        assert load.up.breaks == 1.0
+        # With wear at its worst, 0.8 + 0.4 (load - 1) breaks at 1.5.
+        assert load.worst_up.limit.median == pytest.approx(1.5, abs=0.03)
+        # With load at its worst, 1.3 + 0.6 (wear - 0.5), the limit is broken where it starts.
+        assert wear.worst_up.limit.median == wear.nominal == 0.5
+        assert wear.worst_down.limit.high == 0.5
+        # Alone, wear never breaks it, and neither does a smaller load.
+        for drift, bound in ((wear.up, 1.0), (wear.down, 0.0), (load.down, -1.0)):
+            assert drift.breaks == 0.0
+            assert (drift.bound, drift.limit.low, drift.limit.high) == (bound, bound, bound)
+
+    def test_a_curve_downwards(self, make_study):
+        """0.2 + 2 (wear - 0.5)^2 + 1.2 (1 - load)^2 below 1: load may fall to 1 - sqrt(2/3)."""
+        study = plane(make_study)
+        found = context_tolerance(
+            study,
+            cuts_of(
+                study, lambda load, wear: 0.2 + 2 * (wear - 0.5) ** 2 + 1.2 * (1 - load) ** 2, 60
+            ),
+        )
+        load = by_name(found)["load"]
+        assert load.down.limit.median == pytest.approx(1 - math.sqrt(2 / 3), abs=0.02)
+        assert load.up.limit.median == pytest.approx(1 + math.sqrt(2 / 3), abs=0.02)
+        assert found.variables[0] is load
+
+    def test_how_often_the_band_holds_the_truth(self, make_study):
+        """The band should hold it in 90 % of data sets; that the fit is taken for true costs."""
+        study = plane(make_study)
+        held, runs = 0, 50
+        for seed in range(runs):
+            cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1), 25, 0.1, seed)
+            band = by_name(context_tolerance(study, cuts))["load"].up.limit
+            held += band.low <= 1.5 <= band.high
+        # Fewer would come about by chance once in a thousand times if it held it in 80 %.
+        assert held >= stats.binom.ppf(1e-3, runs, CREDIBLE - 0.1)
+
+    def test_more_cuts_make_a_narrower_band(self, make_study):
+        study = plane(make_study)
+        widths = []
+        for count in (12, 150):
+            cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1), count, 0.1)
+            band = by_name(context_tolerance(study, cuts))["load"].up.limit
+            widths.append(band.high - band.low)
+        assert widths[1] < 0.6 * widths[0]
+
+    def test_noise_alone_breaks_nothing(self, make_study):
+        """The limit is on the expectation: single cuts beyond it are noise."""
+        study = plane(make_study)
+        cuts = cuts_of(study, lambda load, wear: 0.7, 200, 0.2)
+        assert max(cut.outcome.metrics["peak"] for cut in cuts) > LIMIT
+        found = context_tolerance(study, cuts)
+        assert all(v.up.breaks < 0.05 and v.down.breaks < 0.05 for v in found.variables)
+
+    def test_a_metric_that_never_changes(self, make_study):
+        found = context_tolerance(
+            plane(make_study), cuts_of(plane(make_study), lambda load, wear: 0.0)
+        )
+        assert found.worst.median == pytest.approx(0.0, abs=1e-3)
+        assert all(v.up.breaks == v.worst_down.breaks == 0.0 for v in found.variables)
+
+    def test_a_discrete_variable_stays_at_its_values(self, make_study):
+        """Tools 1, 2, 5 and 8, nominal 2: the limit breaks between 5 and 8."""
+        tool = NODE | {
+            "distribution": "discrete",
+            "values": [1.0, 2.0, 5.0, 8.0],
+            "probabilities": [0.2, 0.4, 0.2, 0.2],
+        }
+        study = plane(make_study, load=tool)
+        found = context_tolerance(study, cuts_of(study, lambda load, wear: 0.15 * load))
+        up = by_name(found)["load"].up
+        assert (up.bound, up.limit.low, up.limit.median, up.limit.high) == (8.0, 5.0, 5.0, 5.0)
+        assert by_name(found)["load"].down.limit.median == 1.0
+
+    def test_a_nominal_value_at_its_bound(self, make_study):
+        study = plane(make_study, wear=UNIFORM | {"bounds": [0.0, 1.0], "nominal": 0.0})
+        found = context_tolerance(study, cuts_of(study, lambda load, wear: 0.5 + wear))
+        wear = by_name(found)["wear"]
+        assert wear.down.limit.median == wear.down.bound == 0.0
+        assert wear.down.breaks == 0.0
+        assert wear.up.limit.median == pytest.approx(0.5, abs=0.02)
+
+    def test_nothing_to_tell(self, make_study):
+        study = plane(make_study)
+        assert context_tolerance(study, []) is None
+        assert context_tolerance(study, cuts_of(study, lambda load, wear: load, 4)) is None
+        assert context_tolerance(make_study(contexts={}), [make_cut({}) for _ in range(9)]) is None
+        free = make_study(contexts=None, constraints={})
+        assert context_tolerance(free, [make_cut({}) for _ in range(9)]) is None
+
+    def test_failed_cuts_are_left_out(self, make_study):
+        study = plane(make_study)
+        cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1))
+        failed = [Cut(0, 0, Stage.SEARCH, cut.context, 0) for cut in cuts]
+        assert context_tolerance(study, [*failed, *cuts]) == context_tolerance(study, cuts)
+
+
+def make_cut(context):
+    outcome = CutOutcome(CutState.COMPLETE, {"error": 1.0, "peak": 0.5})
+    return Cut(0, 0, Stage.SEARCH, context, 0, outcome)
+
+
+def test_posterior_samples_have_the_moments_of_the_posterior():
+    rng = np.random.default_rng(2)
+    x = rng.random((15, 2))
+    model = GaussianProcess.fit(x, np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=15), rng=rng)
+    at = np.vstack([rng.random((6, 2)), x[:2]])
+    mean, variance = model.predict(at)
+    sampled = posterior_samples(model, at, 20_000, rng)
+    assert np.abs(sampled.mean(axis=0) - mean).max() < 5 * np.sqrt(variance.max() / 20_000)
+    assert sampled.var(axis=0) == pytest.approx(variance, rel=0.06)
+    # The covariances by conditioning a normal vector with a plain inverse.
+    theta = model.hyperparameters
+    prior = latent_covariance(theta, np.vstack([x, at]), np.vstack([x, at]))
+    noisy = prior[:15, :15] + theta.noise**2 * np.eye(15)
+    expected = prior[15:, 15:] - prior[15:, :15] @ np.linalg.inv(noisy) @ prior[:15, 15:]
+    found = np.cov(sampled.T) / model.standardisation.scale**2
+    spread = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert np.abs(found - expected).max() < 0.05 * spread.max()
+
+
+def trial(number, parameters, objective, worst):
+    """A trial with five equal cuts, and its worst case."""
+    outcome = CutOutcome(
+        CutState.COMPLETE, {"tracking_error": objective, "overshoot": worst, "return_time": 0.001}
+    )
+    context = {"stiffness_factor": 1.0, "damping_factor": 1.0}
+    cuts = tuple(Cut(number, k, Stage.DRAWN, context, k, outcome) for k in range(5))
+    return Trial(
+        number, parameters, "", TrialState.COMPLETE, cuts=cuts,
+        worst_case=WorstCase(worst, context, worst),
+    )  # fmt: skip
+
+
+# Expected tracking error and worst overshoot of the milling scenario, from an independent
+# prototype: docs/method.md, "The scenario's map".
+TABLE = {
+    (1, 4, -3.9, 2.0): (0.165, 0.089),
+    (1, 3, -3.9, 2.0): (0.140, 0.125),
+    (1, 5, -3.9, 2.0): (0.222, 0.055),
+    (2, 4, -3.9, 2.0): (0.247, 0.144),
+    (15, 15, -3.0, -1.0): (0.206, 0.146),
+    (5, 5, -2.0, -1.0): (0.144, 0.143),
+    (8, 8, -1.0, -1.0): (0.162, 0.096),
+    (8, 8, -0.75, -1.0): (0.174, 0.084),
+}
+NAMES = ("control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf")
+
+
+class TestNeighbourhood:
+    def test_the_narrow_optimum_of_the_paper(self):
+        """Around (1, 4, -3.9, 2) each step of a horizon costs a lot (Table 3)."""
+        study = load_study("full")
+        points = [dict(zip(NAMES, key, strict=True)) for key in TABLE]
+        trials = [
+            trial(k, point, *figures)
+            for k, (point, figures) in enumerate(zip(points, TABLE.values(), strict=True))
+        ]
+        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        narrow = look_around(study, points[0], models)
+        assert narrow.score > 0.0
+        changed = [set(n.changed.items()) for n in narrow.narrow]
+        assert {("prediction_horizon", 3)} in changed
+        assert {("control_horizon", 2)} in changed
+        assert narrow.warning.startswith("narrow optimum: ")
+        assert "prediction_horizon 3" in narrow.warning
+        # What the table has there.
+        (three,) = [n for n in narrow.neighbours if n.changed == {"prediction_horizon": 3}]
+        assert three.excess == pytest.approx(0.125 / 0.09 - 1.0, abs=0.15)
+        assert three.loss == pytest.approx(math.log(0.140 / 0.165), abs=0.15)
+
+    def test_a_calm_one(self, make_study, make_trial):
+        study = make_study(objective={"metric": "error", "scale": "log"})
+        trials = [
+            make_trial(k, {"gain": g}, [1.0 + (g - 0.5) ** 2], worst=0.5 + 0.2 * g)
+            for k, g in enumerate(np.linspace(0.0, 1.0, 12).tolist())
+        ]
+        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        around = look_around(study, {"gain": 0.5}, models)
+        assert (around.score, around.narrow, around.warning) == (0.0, (), "")
+        assert [n.changed["gain"] for n in around.neighbours] == pytest.approx([0.45, 0.55])
+        assert around.optimum.loss == 0.0
+        assert around.optimum.excess == pytest.approx(0.6 - 1.0, abs=0.02)
+        assert around.optimum.objective == pytest.approx(1.0, rel=0.02)
+        assert around.optimum.feasibility == pytest.approx(1.0, abs=0.01)
+
+    @pytest.mark.parametrize("slope", [1.0, 2.0, 8.0])
+    def test_the_score_of_a_slope(self, make_study, make_trial, slope):
+        """On the log scale a step of 0.05 costs 0.05 times the slope, and gains it backwards."""
+        study = make_study(objective={"metric": "error", "scale": "log"}, constraints={})
+        trials = [
+            make_trial(k, {"gain": g}, [math.exp(slope * g)])
+            for k, g in enumerate(np.linspace(0.0, 1.0, 15).tolist())
+        ]
+        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        around = look_around(study, {"gain": 0.5}, models)
+        down, up = around.neighbours
+        assert up.loss == pytest.approx(0.05 * slope, rel=0.05)
+        assert down.loss == pytest.approx(-0.05 * slope, rel=0.05)
+        assert around.score == pytest.approx(max(0.05 * slope - TOLERABLE, 0.0) / 2, abs=0.02)
+        assert bool(around.narrow) is (0.05 * slope > TOLERABLE)
+
+    def test_neighbours_at_bounds_and_in_order(self):
+        space = load_study("full").search_space()
+        at = dict(zip(NAMES, (1, 1, -5.0, 2.0), strict=True))
+        found = neighbours(space, at)
+        steps = [{n: p[n] for n in NAMES if p[n] != at[n]} for p in found]
+        # The control horizon may not grow beyond the prediction horizon, and nothing beyond bounds.
+        assert steps == [
+            {"prediction_horizon": 2},
+            {"lambda_mpc": pytest.approx(-4.7)},
+            {"lambda_kf": pytest.approx(1.65)},
+        ]
+
+    def test_tied_parameters_follow(self):
+        space = load_study("benchmark").search_space()
+        at = space.defaults
+        assert [(p["control_horizon"], p["prediction_horizon"]) for p in neighbours(space, at)][
+            :2
+        ] == [(14, 14), (16, 16)]
+
+    def test_no_model(self, make_study, make_trial):
+        study = make_study()
+        models = Surrogates.fit(study, [make_trial(0, {"gain": 0.5})], rng=np.random.default_rng(0))
+        assert look_around(study, {"gain": 0.5}, models) is None

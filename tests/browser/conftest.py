@@ -1,0 +1,47 @@
+"""A browser, and reports to look at."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+sys.path.append(str(Path(__file__).parent))
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory):
+    from chromium import Chromium, find_chromium
+
+    if find_chromium() is None:
+        pytest.skip("no Chromium is installed")
+    with Chromium(tmp_path_factory.mktemp("profile")) as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def feed_axis_run(tmp_path_factory):
+    from report_runs import feed_axis_study, run_study
+
+    return run_study(tmp_path_factory.mktemp("feed_axis"), feed_axis_study())
+
+
+@pytest.fixture(scope="session")
+def feed_axis_page(feed_axis_run, tmp_path_factory):
+    return _page(feed_axis_run, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def harmful_page(tmp_path_factory):
+    from report_runs import axis_study, run_study, with_ends
+
+    text = yaml.safe_dump(axis_study(**with_ends(0.6)))
+    run = run_study(tmp_path_factory.mktemp("harmful"), text)
+    return _page(run, tmp_path_factory)
+
+
+def _page(run, tmp_path_factory):
+    from bo_tuner.report.page import write_report
+    from bo_tuner.run_record import read_run
+
+    return write_report(read_run(run), tmp_path_factory.mktemp("page") / "report.html")

@@ -1,0 +1,105 @@
+"""Small runs to report on: of the feed axis, and of an object with texts that would do harm."""
+
+import sys
+from pathlib import Path
+
+from bo_tuner.commands import tune
+from bo_tuner.interruption import Interruption
+from bo_tuner.study_file import load_study, study_to_yaml
+
+HARM = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>&\"$x$"
+"""In a page of which a part is not escaped, this leaves a mark on `window`."""
+
+OBJECTS = f"""\
+class Axis:
+    def __init__(self):
+        self.values = {{"ends": 2.0, "load": 1.0}}
+
+    def set_parameters(self, values):
+        self.values |= values
+
+    def run_cut(self):
+        gain, load = self.values["gain"], self.values["load"]
+        if gain > self.values["ends"]:
+            return {{"status": "failed", "reason": {HARM!r}}}
+        error = 1.0 + load * (gain - 0.3) ** 2
+        return {{"status": "ok", "error": error, "peak": 2.0 * gain * load}}
+
+
+class Traced(Axis):
+    def trace(self):
+        steps = range(5)
+        gain = self.values["gain"]
+        return {{
+            "time": ("s", [0.1 * k for k in steps]),
+            "position/reference": ("m", [1.0 for k in steps]),
+            "position/actual": ("m", [gain * k for k in steps]),
+            "force": ("N", [gain for k in steps]),
+        }}
+
+
+class Untold(Axis):
+    def trace(self):
+        return {{"force": ("N", [1.0])}}
+"""
+
+NODE = {"node": "axis"}
+
+
+def axis_study(**sections):
+    """Study of the object, with harmful texts wherever a study takes a text."""
+    mapping = {
+        "name": "axis",
+        "description": HARM,
+        "nodes": {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Traced"}},
+        "parameters": {
+            "gain": NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5, "unit": HARM}
+        },
+        "contexts": {"load": NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}},
+        "seed_parameter": NODE | {"parameter": "seed"},
+        "trigger": NODE | {"service": "~/run"},
+        "metrics": {"error": NODE | {"unit": HARM}, "peak": NODE | {"unit": "N"}},
+        "objective": {"metric": "error"},
+        "constraints": {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}},
+        "budget": {
+            "trials": 7,
+            "initial_trials": 5,
+            "drawn_contexts": 2,
+            "search_cuts": 2,
+            "validation_draws": 5,
+        },
+    } | sections
+    return {key: value for key, value in mapping.items() if value}
+
+
+def with_ends(ends, **node):
+    """Sections of a study whose cuts fail if the gain exceeds `ends`."""
+    of_node = NODE | {"result": "~/cut_result", "object": "report_objects:Traced"} | node
+    return {"nodes": {"axis": of_node | {"parameters": {"ends": ends}}}}
+
+
+def feed_axis_study(**budget):
+    """The shipped benchmark study with a smaller budget, as text."""
+    small = {
+        "trials": 7,
+        "initial_trials": 5,
+        "drawn_contexts": 3,
+        "search_cuts": 3,
+        "validation_draws": 6,
+    }
+    return study_to_yaml(load_study("benchmark").replace(**small | budget))
+
+
+def run_study(folder: Path, text: str) -> Path:
+    """Run a study in this process and return its run folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "report_objects.py").write_text(OBJECTS, encoding="utf-8")
+    (folder / "study.yaml").write_text(text, encoding="utf-8")
+    arguments = ["--study", folder / "study.yaml", "--output", folder / "runs"]
+    # Every folder holds the same objects, so it does not matter which one is found first.
+    sys.path.append(str(folder))
+    try:
+        tune.run([*map(str, arguments), "--backend", "inprocess"], Interruption())
+    finally:
+        sys.path.remove(str(folder))
+    return (folder / "runs" / "latest").resolve()

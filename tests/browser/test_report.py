@@ -1,0 +1,152 @@
+"""The report as a reader sees it: in a browser, on a phone, in the dark, on paper."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.run_record import read_run
+from bo_tuner.trials import Stage
+
+DRAWN = "document.documentElement.dataset.drawn === 'all'"
+INK = """
+    getComputedStyle(document.querySelector('.plot .xtitle')).fill.match(/[0-9]+/g)
+        .slice(0, 3).map(Number).reduce((a, b) => a + b)
+"""
+
+
+@pytest.fixture(scope="session")
+def axe():
+    spec = importlib.util.find_spec("axe_core_python")
+    if spec is None or spec.origin is None:
+        pytest.skip("axe-core-python is not installed")
+    return Path(spec.origin).with_name("axe.min.js").read_text(encoding="utf-8")
+
+
+def opened(chromium, page, *, theme="light", width=1280):
+    chromium.open(page, theme=theme, width=width)
+    chromium.wait_for(DRAWN)
+    return chromium
+
+
+def requests_elsewhere(browser):
+    return [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_panel_is_drawn_without_an_error(chromium, feed_axis_page, theme):
+    browser = opened(chromium, feed_axis_page, theme=theme)
+    drawn = browser.evaluate(
+        "[...document.querySelectorAll('figure')].map(f => [f.id, "
+        "JSON.parse(f.querySelector('script').textContent).length, "
+        "f.querySelectorAll('.plot .plot-container').length])"
+    )
+    names = {name.removeprefix("figure-") for name, _, _ in drawn}
+    assert names >= {
+        "convergence", "worst-cases", "contexts", "trajectories", "slices", "contours",
+        "neighbours", "time",
+    }  # fmt: skip
+    assert all(panels == plots > 0 for _, panels, plots in drawn)
+    assert browser.errors == []
+    assert requests_elsewhere(browser) == []
+
+
+def test_the_numbers_shown_are_those_of_the_journal(chromium, feed_axis_page, feed_axis_run):
+    browser = opened(chromium, feed_axis_page)
+    cells = browser.evaluate(
+        "Object.fromEntries([...document.querySelectorAll('#answer tbody tr')].map(row => "
+        "[row.cells[0].textContent.trim(), [row.cells[1].textContent, row.cells[2].textContent]]))"
+    )
+    record = read_run(feed_axis_run)
+    cuts = [r.cut for r in record.cuts if r.cut.stage is Stage.VALIDATION]
+    for column in (0, 1):
+        of_column = [cut.outcome.metrics for cut in cuts if cut.trial == column]
+        assert len(of_column) == record.study.budget.validation_draws
+        errors = [metrics["tracking_error"] for metrics in of_column]
+        overshoots = [metrics["overshoot"] for metrics in of_column]
+        assert cells["mean tracking_error"][column] == f"{sum(errors) / len(errors):.4g}"
+        assert cells["largest overshoot"][column] == f"{max(overshoots):.4g}"
+        above = sum(overshoot > 0.09 for overshoot in overshoots)
+        assert cells["draws above 0.09"][column] == f"{above} of {len(overshoots)}"
+    best = record.trials[record.summary["trial"]].parameters
+    assert cells["lambda_mpc"][1] == f"{best['lambda_mpc']:.4g}"
+    assert cells["control_horizon"][1] == str(best["control_horizon"])
+
+
+def test_a_legend_hides_and_shows(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page)
+    button = "document.querySelector('#figure-trajectories button[data-name=tuned]')"
+    lines = "document.querySelectorAll('#figure-trajectories .scatterlayer .trace').length"
+    before = browser.evaluate(lines)
+    browser.evaluate(f"{button}.click()")
+    assert browser.evaluate(f"{button}.getAttribute('aria-pressed')") == "false"
+    # One line of the tuned parametrization in each panel.
+    panels = browser.evaluate("document.querySelectorAll('#figure-trajectories .plot').length")
+    assert browser.evaluate(lines) == before - panels
+    browser.evaluate(f"{button}.click()")
+    assert browser.evaluate(lines) == before
+
+
+def test_texts_of_a_study_do_no_harm(chromium, harmful_page):
+    browser = opened(chromium, harmful_page)
+    browser.wait_for("document.querySelector('#failures table') !== null")
+    assert browser.evaluate("'harmed' in window") is False
+    assert browser.errors == []
+    assert requests_elsewhere(browser) == []
+    # Shown as it is, in the page and in a figure.
+    harm = "<script>window.harmed = 1</script>"
+    assert harm in browser.evaluate("document.querySelector('#failures table').textContent")
+    assert harm in browser.evaluate("document.querySelector('#figure-slices').textContent")
+
+
+def test_a_phone_needs_no_sideways_scrolling(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page, width=390)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+    ends = browser.evaluate(
+        "[...document.querySelectorAll('.main-svg')].map(s => s.getBoundingClientRect().right)"
+    )
+    assert max(ends) <= 390
+
+
+def test_the_figures_follow_the_theme(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page, theme="light")
+    light = browser.evaluate(INK)
+    browser.set_theme("dark")
+    browser.wait_for(f"({INK}) !== {light}")
+    dark = browser.evaluate(INK)
+    assert light < 3 * 100 < 3 * 150 < dark
+
+
+def test_it_prints(chromium, feed_axis_page, tmp_path):
+    browser = opened(chromium, feed_axis_page, theme="dark")
+    inks = "window.inks = []; addEventListener('beforeprint', () => setTimeout(() => 0));"
+    browser.evaluate(f"{inks} addEventListener('beforeprint', () => window.inks.push({INK}))")
+    browser.print_pdf(tmp_path / "report.pdf")
+    content = (tmp_path / "report.pdf").read_bytes()
+    assert content.startswith(b"%PDF")
+    assert len(re.findall(rb"/Type\s*/Page\b", content)) >= 3
+    # Dark ink on paper, whatever the screen is like.
+    assert browser.evaluate("window.inks")[0] < 3 * 100
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
+def test_axe_finds_nothing_serious(chromium, feed_axis_page, axe, theme, width):
+    browser = opened(chromium, feed_axis_page, theme=theme, width=width)
+    found = findings(browser, axe)
+    assert [name for name, impact in found if impact in ("serious", "critical")] == []
+
+
+def test_axe_finds_a_fault(chromium, axe, tmp_path):
+    page = tmp_path / "faulty.html"
+    page.write_text("<!doctype html><html><body><img></body></html>")
+    chromium.open(page)
+    assert ("image-alt", "critical") in findings(chromium, axe)
+
+
+def findings(browser, axe):
+    """Rules that the page breaks, each with its impact."""
+    browser.evaluate(f"{axe}; 0")
+    found = browser.evaluate("axe.run().then(r => r.violations.map(v => [v.id, v.impact]))")
+    return [tuple(item) for item in found]

@@ -1,0 +1,96 @@
+"""A backend on nodes that it has not started: restarted by others, and spoken over by others."""
+
+import signal
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import String
+
+from bo_tuner.backends.ros import RosBackend
+from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.trials import CutState
+
+pytestmark = pytest.mark.ros
+
+PACKAGES = ("milling_plant", "mpc_controller")
+
+
+@pytest.fixture
+def nodes(start_node):
+    return {package: start_node(package) for package in PACKAGES}
+
+
+@pytest.fixture
+def run_cut(nodes, tmp_path):
+    """Function that runs a cut on the nodes, other values each time, and returns its outcome."""
+    mapping = study_to_mapping(load_study("benchmark"))
+    mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
+    mapping["nodes"]["plant"]["parameters"] = {"samples_per_level": 20, "command_timeout": 1.0}
+    study = study_from_mapping(mapping)
+    backend = RosBackend(study, tmp_path, attach=True)
+    backend.open()
+    parameters = study.search_space().defaults
+    context = {"stiffness_factor": 1.125, "damping_factor": 0.875}
+
+    def run(seed):
+        return backend.run_cut(study.assignments(parameters, context, seed))
+
+    yield run
+    backend.close()
+
+
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_node_restarted_between_cuts_is_told_everything_again(
+    nodes, run_cut, start_node, peer, package, signum
+):
+    """It is back before it could be missed, but has forgotten all it was told."""
+    before = run_cut(seed=1)
+    assert before.state is CutState.COMPLETE
+    node = nodes[package]
+    node.expected_code = 0 if signum == signal.SIGTERM else -signum
+    node.send(signum)
+    node.wait()
+    start_node(package)
+    peer.get_parameters(package, ["gain"])
+    # A killed node may still get the first call, in place of the new one.
+    outcomes = [run_cut(seed=1) for _ in range(3)]
+    complete = [outcome for outcome in outcomes if outcome.state is CutState.COMPLETE]
+    assert len(complete) >= 2
+    for outcome in outcomes:
+        assert (outcome.state is CutState.COMPLETE) == (outcome.reason == "")
+    for outcome in complete:
+        assert outcome.metrics == before.metrics
+        assert outcome.details["controller.return_time_source"] == "modelled"
+        assert outcome.details["plant.samples"] == "120"
+        assert outcome.details["plant.stiffness_factor"] == "1.125"
+
+
+def test_results_of_others_are_ignored_and_counted(nodes, run_cut, peer):
+    """Of a foreign publisher: other cuts, no cut, huge texts, no number, and another type."""
+    before = run_cut(seed=3)
+    assert before.details["ignored_results"] == "0"
+    publisher = peer.node.create_publisher(DiagnosticArray, "milling_plant/cut_result", 100)
+    other_type = peer.node.create_publisher(String, "mpc_controller/cut_result", 10)
+    peer.spin_until(lambda: publisher.get_subscription_count() > 0, "the tuner")
+
+    def say(*pairs, level=DiagnosticStatus.OK):
+        values = [KeyValue(key=key, value=value) for key, value in pairs]
+        status = DiagnosticStatus(level=level, name="x", message="\x1b[2J", values=values)
+        publisher.publish(DiagnosticArray(status=[status]))
+
+    say(("cut", "1.000000000"), ("tracking_error", "0.0"), ("overshoot", "0.0"))
+    say(("cut", "1.000000000"), ("status", "failed"), level=DiagnosticStatus.ERROR)
+    say(("cut", ""), ("tracking_error", "nan"))
+    say(("tracking_error", "-inf"), level=b"\xff")
+    say(("cut", "9" * 1_000_000), ("x" * 1_000_000, "\0\n\x1b"))
+    publisher.publish(DiagnosticArray())
+    publisher.publish(DiagnosticArray(status=[DiagnosticStatus()] * 20))
+    other_type.publish(String(data="no result"))
+    peer.spin_for(0.5)
+    after = run_cut(seed=3)
+    assert after.state is CutState.COMPLETE
+    # The return time is measured; the rest of the result depends on nothing but the seed.
+    assert after.metrics == before.metrics
+    assert after.details["ignored_results"] == "25"
+    assert run_cut(seed=3).details["ignored_results"] == "0"

@@ -1,0 +1,225 @@
+"""Runs that are cut short, by a kill or a full disk, and go on; a wall clock that jumps."""
+
+import dataclasses
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.methods import METHODS
+from bo_tuner.run_record import read_run
+from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.trials import CutState, TrialState
+from bo_tuner.tuning import Tuning
+
+pytestmark = pytest.mark.ros
+
+DEADLINE = 100.0
+EXIT_DONE = (0, 3)
+
+
+def small_study(trials=7):
+    """The benchmark without any measured time, so that the backends agree bit for bit."""
+    study = study_to_mapping(
+        load_study("benchmark").replace(
+            trials=trials,
+            initial_trials=min(trials, 5),
+            drawn_contexts=2,
+            search_cuts=1,
+            validation_draws=1,
+        )
+    )
+    study["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
+    return json.loads(json.dumps(study))
+
+
+def uninterrupted(study):
+    """Trials of the same run without ROS and without faults."""
+    backend = InProcessBackend(study_from_mapping(study))
+    backend.open()
+    return list(Tuning(study_from_mapping(study), backend, METHODS["IV"]))
+
+
+def figures(trials):
+    """All of trials but what only nodes tell of their cuts, such as when they ran."""
+    plain = []
+    for trial in trials:
+        outcomes = [dataclasses.replace(cut.outcome, details={}) for cut in trial.cuts]
+        pairs = zip(trial.cuts, outcomes, strict=True)
+        cuts = tuple(dataclasses.replace(cut, outcome=outcome) for cut, outcome in pairs)
+        plain.append(dataclasses.replace(trial, cuts=cuts))
+    return plain
+
+
+class Run:
+    """A run in a folder, and the command that is at work on it."""
+
+    def __init__(self, folder, study, output="runs", **environment):
+        self.folder = folder
+        self.output = folder / output
+        (folder / "study.yaml").write_text(json.dumps(study))
+        own = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+        self._environment = {k: v for k, v in os.environ.items() if k not in own}
+        self._environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "HOME": str(folder)}
+        self._environment |= environment
+        self.process = None
+
+    def start(self):
+        self._tune("--study", "study.yaml", "--output", str(self.output), "--record", "none")
+
+    def resume(self):
+        self._tune("--resume", str(self.output / "latest"), "--record", "none")
+
+    def _tune(self, *arguments):
+        with (self.folder / "out").open("a") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "bo_tuner", "tune", *arguments],
+                cwd=self.folder,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+            )
+
+    @property
+    def said(self):
+        return (self.folder / "out").read_text()
+
+    def record(self):
+        return read_run(self.output / "latest")
+
+    def wait_for(self, condition, what):
+        end = time.monotonic() + DEADLINE
+        while not condition():
+            assert self.process.poll() is None, self.said
+            assert time.monotonic() < end, f"waited for {what}: {self.said}"
+            time.sleep(0.1)
+
+    def wait_for_cuts(self, count):
+        """Wait until more cuts than `count` are on record."""
+        latest = self.output / "latest" / "journal.sqlite"
+        self.wait_for(lambda: latest.exists() and len(self.record().cuts) > count, "more cuts")
+
+    def wait_for_trials(self, count):
+        self.wait_for(lambda: len(self.record().trials) >= count, f"{count} trials")
+
+    def interrupt(self):
+        """End it as by Ctrl-C; what follows the trials takes long and is tested elsewhere."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(DEADLINE) == 130, self.said
+        assert "Traceback" not in self.said, self.said
+
+    def close(self):
+        if self.process is not None and self.process.poll() is None:
+            self.process.terminate()
+            self.process.wait(DEADLINE)
+
+
+@pytest.fixture
+def make_run(tmp_path):
+    runs = []
+
+    def make(*arguments, **options):
+        runs.append(Run(tmp_path, *arguments, **options))
+        return runs[-1]
+
+    yield make
+    for run in runs:
+        run.close()
+
+
+def starts_with(record, before):
+    """Whether a record holds all of an earlier one, unchanged."""
+    return (
+        record.cuts[: len(before.cuts)] == before.cuts
+        and record.trials[: len(before.trials)] == before.trials
+        and not record.damage
+    )
+
+
+@pytest.mark.timeout(400)
+def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
+    """Killed at any moment, while cuts run and while it thinks; nothing on record is lost."""
+    study = small_study()
+    run = make_run(study)
+    rng = random.Random(2)
+    run.start()
+    for _ in range(3):
+        on_record = len(run.record().cuts) if run.output.exists() else 0
+        run.wait_for_cuts(on_record)
+        time.sleep(rng.uniform(0.0, 1.0))
+        before = run.record()
+        run.process.kill()
+        run.process.wait()
+        assert starts_with(run.record(), before)
+        run.resume()
+    run.wait_for_trials(study["budget"]["trials"])
+    run.interrupt()
+    assert figures(run.record().trials) == figures(uninterrupted(study))
+
+
+def limit_file_size(run):
+    """No file of the tuner may grow beyond what its journal has now."""
+    (log,) = run.output.glob("latest/journal.sqlite-wal")
+    limit = log.stat().st_size + 100
+    resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+
+
+@pytest.mark.timeout(400)
+def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
+    study = small_study(trials=4)
+    run = make_run(study)
+    run.start()
+    run.wait_for_cuts(3)
+    limit_file_size(run)
+    before = run.record()
+    assert run.process.wait(DEADLINE) == 1, run.said
+    assert "Traceback" not in run.said
+    last = run.said.splitlines()[-1]
+    assert last.startswith("error: ")
+    assert "journal.sqlite" in last
+    assert "go on by: tune --resume" in last
+    assert starts_with(run.record(), before)
+    run.resume()
+    run.wait_for_trials(4)
+    run.interrupt()
+    assert figures(run.record().trials) == figures(uninterrupted(study))
+
+
+CLOCK = """\
+import random
+import time
+real = time.time
+# By up to twelve days forth or back, at each look.
+time.time = lambda: real() + random.uniform(-1e6, 1e6)
+time.time_ns = lambda: int(time.time() * 1e9)
+"""
+
+
+@pytest.mark.timeout(400)
+def test_no_wall_clock_decides_anything(make_run, tmp_path):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    (folder / "sitecustomize.py").write_text(CLOCK)
+    study = small_study(trials=4)
+    run = make_run(study, PYTHONPATH=os.pathsep.join([str(folder), *sys.path]))
+    jumps = "import time; a = time.time(); print(any(abs(time.time() - a) > 1e3 for _ in range(9)))"
+    done = subprocess.run(
+        [sys.executable, "-c", jumps], env=run._environment, capture_output=True, text=True
+    )
+    assert done.stdout == "True\n"
+    run.start()
+    run.wait_for(lambda: (run.output / "latest").exists(), "the run")
+    run.wait_for_trials(4)
+    run.interrupt()
+    record = run.record()
+    assert {trial.state for trial in record.trials} == {TrialState.COMPLETE}
+    assert {recorded.cut.outcome.state for recorded in record.cuts} == {CutState.COMPLETE}
+    assert figures(record.trials) == figures(uninterrupted(study))

@@ -1,0 +1,160 @@
+"""Who hears our nodes: this machine only, unless told otherwise; and DDS security, which is not."""
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.backends.isolation import isolated_environment
+
+pytestmark = pytest.mark.ros
+
+OTHER_MACHINE = """\
+import sys
+import time
+
+import rclpy
+
+rclpy.init()
+node = rclpy.create_node("other_machine")
+end = time.monotonic() + float(sys.argv[1])
+found = set()
+while time.monotonic() < end and "milling_plant" not in found:
+    rclpy.spin_once(node, timeout_sec=0.1)
+    found = set(node.get_node_names())
+print("milling_plant" in found)
+"""
+# What the test and the nodes' own environment have chosen for the network.
+NETWORK = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+)
+ADDRESSES = ("10.213.77.1/24", "10.213.77.2/24")
+LINK = f"ours{os.getpid() % 100_000}"
+
+
+def ip(*arguments):
+    subprocess.run(["ip", *arguments], check=True, capture_output=True)
+
+
+def wait_for_namespace(holder):
+    """Wait until a process is in a network namespace of its own."""
+    ours = Path("/proc/self/ns/net").readlink()
+    end = time.monotonic() + 10.0
+    while Path(f"/proc/{holder.pid}/ns/net").readlink() == ours:
+        if holder.poll() is not None or time.monotonic() > end:
+            raise OSError("unshare failed")
+        time.sleep(0.01)
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """A network namespace, linked to ours as another machine would be; the way to start in it."""
+    if os.geteuid() != 0:
+        pytest.skip("network namespaces can be made by root only")
+    holder = subprocess.Popen(["unshare", "--net", "sleep", "600"], stderr=subprocess.DEVNULL)
+    try:
+        wait_for_namespace(holder)
+        ip("link", "add", LINK, "type", "veth", "peer", "name", "theirs", "netns", str(holder.pid))
+        inside = ("nsenter", "--target", str(holder.pid), "--net")
+        ip("address", "add", ADDRESSES[0], "dev", LINK)
+        ip("link", "set", LINK, "up")
+        for command in (
+            ("address", "add", ADDRESSES[1], "dev", "theirs"),
+            ("link", "set", "theirs", "up"),
+            ("link", "set", "lo", "up"),
+        ):
+            subprocess.run([*inside, "ip", *command], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        holder.kill()
+        holder.wait()
+        pytest.skip(f"no network namespace can be made here: {error}")
+    yield inside
+    with contextlib.suppress(subprocess.CalledProcessError):
+        ip("link", "delete", LINK)
+    holder.kill()
+    holder.wait()
+
+
+def is_seen_from(machine, seconds):
+    """Whether a node on the other machine, open to the network, discovers the plant."""
+    environment = {k: v for k, v in os.environ.items() if k not in NETWORK}
+    environment |= {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        # As between machines: nothing goes through a memory that both see.
+        "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    }
+    done = subprocess.run(
+        [*machine, sys.executable, "-c", OTHER_MACHINE, str(seconds)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    assert done.stdout in ("True\n", "False\n"), done.stderr
+    return done.stdout == "True\n"
+
+
+class TestNetwork:
+    def test_nodes_that_are_open_to_the_network_are_seen(self, machine, start_node, monkeypatch):
+        """Without this the next test would prove nothing."""
+        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        start_node("milling_plant")
+        assert is_seen_from(machine, 30.0)
+
+    def test_nodes_as_the_tuner_starts_them_are_not(self, machine, start_node, peer, monkeypatch):
+        for name in NETWORK:
+            monkeypatch.delenv(name)
+        for name, value in isolated_environment(int(os.environ["ROS_DOMAIN_ID"])).items():
+            monkeypatch.setenv(name, value)
+        start_node("milling_plant")
+        peer.get_parameters("milling_plant", ["gain"])
+        assert not is_seen_from(machine, 5.0)
+
+
+class TestSecurity:
+    """The Fast DDS of the wheels is built without it: what asks for it must not run without."""
+
+    @pytest.fixture
+    def keystore(self, tmp_path):
+        (tmp_path / "keystore" / "enclaves" / "axis").mkdir(parents=True)
+        return tmp_path / "keystore"
+
+    @pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])
+    def test_a_node_with_an_enclave_does_not_start(
+        self, start_node, monkeypatch, keystore, strategy
+    ):
+        monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+        monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
+        monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(keystore))
+        node = start_node("milling_plant", "--enclave", "/axis")
+        node.expected_code = 2
+        assert node.wait() == 2
+        (line,) = [text for text in node.output.splitlines() if text.startswith("error: ")]
+        assert "doesn't have the security libraries" in line
+
+    def test_a_node_without_its_enclave_does_not_start(self, start_node, monkeypatch, keystore):
+        monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+        monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+        monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(keystore))
+        node = start_node("mpc_controller", "--enclave", "/other")
+        node.expected_code = 2
+        assert node.wait() == 2
+        (line,) = [text for text in node.output.splitlines() if text.startswith("error: ")]
+        assert "SECURITY ERROR" in line
+
+    def test_neither_does_the_tuner(self, tune, keystore):
+        line = tune(
+            *("--ros-args", "--enclave", "/axis"),
+            ROS_SECURITY_ENABLE="true",
+            ROS_SECURITY_STRATEGY="Enforce",
+            ROS_SECURITY_KEYSTORE=str(keystore),
+        )
+        assert line.finish() == 2
+        (refusal,) = [text for text in line.err.splitlines() if text.startswith("error: ")]
+        assert "doesn't have the security libraries" in refusal

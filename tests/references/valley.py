@@ -1,0 +1,73 @@
+"""The valley of `bo_tuner.benchmark.cost` in closed form: its truth, and optimizers for it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LARGEST_LOAD = 1.2
+MEAN_NOISE = 0.01 * np.sqrt(2.0 / np.pi)
+"""Expectation of the magnitude of the noise on the error."""
+
+
+def true_objective(gains, load=1.0):
+    return 0.1 + float(np.mean((np.asarray(gains) - 0.7) ** 2)) * load + MEAN_NOISE
+
+
+def true_worst(gains):
+    return float(np.mean(gains)) * LARGEST_LOAD
+
+
+@dataclass
+class Judged:
+    objective: float
+    standard_error: float
+    worst: float
+    worst_index: int
+    single: np.ndarray
+
+
+class Judge:
+    def __init__(self, constants, drawn, grid, corners, seed):
+        if "valley" not in constants:
+            raise ValueError("no valley")
+        self.drawn, self.grid, self.corners = drawn["load"], grid["load"], corners
+
+    def judge(self, values):
+        gains = [v for name, v in sorted(values["valley"].items()) if name[0] == "g"]
+        means = np.mean(gains) * self.grid
+        return Judged(
+            true_objective(gains, self.drawn.mean()),
+            0.0,
+            float(means.max()),
+            int(means.argmax()),
+            np.mean(gains) * self.drawn,
+        )
+
+
+class Draws:
+    """Random draws; recommends the best that it saw keep all limits."""
+
+    def __init__(self, study, seed):
+        self.space = study.search_space()
+        self.rng = np.random.default_rng(seed)
+        self.told = []
+
+    def ask(self):
+        parameters = self.space.to_parameters(self.rng.random(self.space.dimension))
+        return {name: parameters[name] for name in self.space.names}
+
+    def tell(self, observation):
+        self.told.append(observation)
+
+    def recommend(self):
+        held = [
+            (seen.objective, index)
+            for index, seen in enumerate(self.told)
+            if not seen.failed and max(seen.constraints.values()) <= 0.0
+        ]
+        return min(held)[1] if held else None
+
+
+class Broken(Draws):
+    def ask(self):
+        raise RuntimeError("out of\nideas")

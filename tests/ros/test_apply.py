@@ -1,0 +1,249 @@
+"""A result set on real nodes, read back, refused, and taken back."""
+
+import os
+import pty
+import select
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+import yaml
+from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.commands import apply as command
+from bo_tuner.study_file import study_from_mapping
+
+pytestmark = pytest.mark.ros
+
+DEADLINE = 60.0
+NAMES = ("control_horizon", "prediction_horizon", "lambda_mpc", "input_upper")
+
+
+def make_study(**sections):
+    """Tune the controller, and with it one parameter of the plant."""
+    node = {"node": "controller"}
+    mapping = {
+        "name": "two_nodes",
+        "nodes": {
+            "plant": {
+                "node": "milling_plant",
+                "result": "~/cut_result",
+                "object": "milling_plant.cut:MillingPlant",
+            },
+            "controller": {
+                "node": "mpc_controller",
+                "result": "~/cut_result",
+                "object": "mpc_controller.controller:MpcController",
+                "parameters": {"input_upper": 1.1},
+                "inprocess_parameters": {"return_time": "modelled"},
+            },
+        },
+        "parameters": {
+            "window": {
+                "node": "plant", "type": "integer", "bounds": [2, 9], "default": 5,
+                "parameter": "overshoot_window", "unit": "samples",
+            },
+            "control_horizon": node | {"type": "integer", "bounds": [1, 20], "default": 15},
+            "prediction_horizon": node | {"type": "integer", "tied_to": "control_horizon"},
+            "lambda_mpc": node | {"type": "double", "bounds": [-5.0, 1.0], "default": -3.0},
+        },
+        "seed_parameter": {"node": "plant", "parameter": "seed"},
+        "trigger": {"node": "plant", "service": "~/run_cut"},
+        "metrics": {"tracking_error": {"node": "plant"}},
+        "objective": {"metric": "tracking_error"},
+        "seed": 4,
+        "budget": INITIAL | {"trials": 2, "initial_trials": 2, "drawn_contexts": 1},
+    }  # fmt: skip
+    return study_from_mapping(mapping | sections)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A run with a certified result."""
+    study = make_study()
+    folder = tmp_path_factory.mktemp("apply") / "run"
+    record = make_run(folder, study, InProcessBackend(study), result=1)
+    write_certificate(record, record.trials[1])
+    return record
+
+
+@pytest.fixture
+def record(made):
+    """The same, as nobody has applied it yet."""
+    for path in (made.path / "deploy").glob("*"):
+        path.unlink()
+    return made
+
+
+@pytest.fixture
+def now(client):
+    """Function that reads what the two nodes run."""
+
+    def read():
+        values = dict(zip(NAMES, client.get_parameters("mpc_controller", NAMES), strict=True))
+        (values["window"],) = client.get_parameters("milling_plant", ("overshoot_window",))
+        return values
+
+    return read
+
+
+def tuned(record):
+    return dict(record.trials[1].parameters) | {"input_upper": 1.1}
+
+
+def apply(capsys, record, *arguments):
+    code = command.run([str(record.path), *arguments], Uninterrupted())
+    said = capsys.readouterr()
+    return code, said.out, said.err
+
+
+def rollback_file(record):
+    values = yaml.safe_load((record.path / "deploy" / "rollback.yaml").read_text())
+    sections = {node: section["ros__parameters"] for node, section in values.items()}
+    controller = sections.pop("/**/mpc_controller")
+    (plant,) = sections.values()
+    return controller | {"window": plant["overshoot_window"]}
+
+
+def test_set_and_back(client, record, now, capsys):
+    """What was there before is neither the default nor the result."""
+    client.set_parameters("mpc_controller", {"lambda_mpc": -2.25, "control_horizon": 7})
+    before = now()
+    code, out, err = apply(capsys, record, "--yes")
+    assert (code, err) == (0, "")
+    assert now() == tuned(record)
+    assert rollback_file(record) == before
+    assert "-2.25" in out
+    assert f"apply {record.path} --rollback" in out.replace("\n", "")
+    # Again: nothing to do, and the way back stays what it is.
+    code, out, _ = apply(capsys, record)
+    assert code == 0
+    assert "in force already" in out
+    assert rollback_file(record) == before
+    code, _, err = apply(capsys, record, "--rollback", "--yes")
+    assert (code, err) == (0, "")
+    assert now() == before
+    assert rollback_file(record) == before
+
+
+def test_without_a_terminal_it_only_shows(record, now, capsys):
+    before = now()
+    code, out, err = apply(capsys, record)
+    assert code == 2
+    assert err == "error: no terminal to ask in; --yes does not ask\n"
+    assert f"{record.trials[1].parameters['lambda_mpc']:.6g}" in out
+    assert now() == before
+
+
+def test_without_a_certificate_only_if_told_so(record, now, capsys):
+    before = now()
+    certificate = record.path / "certificate.json"
+    content = certificate.read_text()
+    certificate.unlink()
+    try:
+        code, out, err = apply(capsys, record, "--yes")
+        assert (code, out) == (3, "")
+        assert "there is no certificate" in err
+        assert now() == before
+        code, out, err = apply(capsys, record, "--yes", "--without-certificate")
+        assert code == 0
+        assert err.startswith("warning: ")
+        assert now() == tuned(record)
+    finally:
+        certificate.write_text(content)
+
+
+def test_one_node_refuses_and_both_stay_as_they_were(client, record, now, capsys):
+    """The upper input limit of the result lies below the lower one that the controller runs."""
+    client.set_parameters("mpc_controller", {"input_lower": 1.15})
+    before = now()
+    assert before["window"] != record.trials[1].parameters["window"]
+    code, _, err = apply(capsys, record, "--yes")
+    assert code == 1
+    (line,) = err.splitlines()
+    assert line.startswith("error: mpc_controller refuses: input_upper: ")
+    assert "; milling_plant set back to what it was; " in line
+    assert now() == before
+    assert rollback_file(record) == before
+
+
+def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):
+    study = make_study()
+    nodes = {key: replace(spec, node="mpc_controller") for key, spec in study.nodes.items()}
+    study = replace(study, nodes=nodes)
+    record = make_run(tmp_path / "run", study, InProcessBackend(study), result=1)
+    write_certificate(record, record.trials[1])
+    code, out, err = apply(capsys, record, "--yes")
+    assert (code, out) == (2, "")
+    assert err == "error: mpc_controller: has no parameter overshoot_window\n"
+
+
+def test_in_a_terminal_it_asks(record, now):
+    """As a user starts it; what counts as a yes is tested without nodes."""
+    before = now()
+    leader, follower = pty.openpty()
+    program = (
+        "import sys; from bo_tuner.interruption import Interruption; stop = Interruption(); "
+        "from bo_tuner.commands import apply; sys.exit(apply.run(sys.argv[1:], stop))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, record.path],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "dumb"},
+    )
+    os.close(follower)
+    said = b""
+    try:
+        while b"[y/N]" not in said:
+            assert select.select([leader], [], [], DEADLINE)[0], said.decode()
+            said += os.read(leader, 4096)
+        assert b"set these on milling_plant, mpc_controller? [y/N]" in said
+        assert now() == before
+        os.write(leader, b"y\n")
+        assert process.wait(DEADLINE) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
+    assert now() == tuned(record)
+
+
+def test_what_changes_while_it_asks_is_not_overwritten(client, record, now, capsys, monkeypatch):
+    def confirmed(question, interruption):
+        client.set_parameters("mpc_controller", {"lambda_mpc": -1.75})
+        return True
+
+    monkeypatch.setattr(command, "_confirmed", confirmed)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    code, _, err = apply(capsys, record)
+    assert (code, err) == (3, "error: the nodes run something else by now\n")
+    assert now()["lambda_mpc"] == -1.75
+    assert now()["window"] != tuned(record)["window"]
+
+
+def test_no_such_node(ros_environment, record, capsys, monkeypatch):
+    monkeypatch.setattr("bo_tuner.live_parameters.DISCOVERY_TIMEOUT", 1.0)
+    code, out, err = apply(capsys, record, "--yes", "--ros-args", "-r", "__ns:=/nowhere")
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith("error: milling_plant: no such node in ROS domain ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "complaint"),
+    [
+        (("--ros-args", "-r", "__ns:=/1x"), {}, "error: cannot use --ros-args"),
+        ((), {"ROS_DOMAIN_ID": "many"}, "error: cannot use --ros-args or ROS_DOMAIN_ID"),
+    ],
+)
+def test_what_ros_does_not_take(record, capsys, monkeypatch, arguments, environment, complaint):
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    code, out, err = apply(capsys, record, "--yes", *arguments)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith(complaint)

@@ -1,0 +1,200 @@
+"""Cuts that were recorded in process, run again on nodes, and the bag of it."""
+
+import json
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import replace
+
+import pytest
+from made_runs import Uninterrupted, make_run
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.commands import replay as command
+from bo_tuner.recording.retention import custom_data
+from bo_tuner.replay import find_cut
+from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from milling_plant.cut import MillingPlant
+from mpc_controller.controller import MpcController
+
+pytestmark = pytest.mark.ros
+
+SAMPLES, PERIOD = 270, 20_000_000
+LOOP = {
+    "joint_states": "measurement",
+    "mpc_controller/command": "command",
+    "mpc_controller/estimated_state": "estimate",
+}
+DEADLINE = 60.0
+
+
+def small_study(**plant_parameters):
+    study = load_study("benchmark").replace(
+        trials=2, initial_trials=2, drawn_contexts=1, search_cuts=1, seed=3
+    )
+    mapping = json.loads(json.dumps(study_to_mapping(study)))
+    mapping["nodes"]["plant"]["parameters"] = plant_parameters
+    return study_from_mapping(mapping)
+
+
+def with_rosbags(bag):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Reader(bag) as reader:
+        for connection, time, data in reader.messages():
+            yield connection.topic, time, store.deserialize_cdr(data, connection.msgtype)
+
+
+def with_mcap(bag):
+    with (bag / f"{bag.name}.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            yield channel.topic, message.log_time, decoded
+
+
+def in_process(parameters, cut):
+    """What passes between plant and controller in this process."""
+    kept = defaultdict(list)
+    plant, controller = MillingPlant(), MpcController()
+
+    class Tap:
+        def start(self, reference):
+            controller.start(reference)
+
+        def step(self, measurement):
+            step = controller.step(measurement)
+            kept["measurement"].append(measurement)
+            kept["command"].append(step.command)
+            kept["estimate"].append(step.estimate)
+            return step
+
+    plant.set_parameters(dict(cut.context) | {"seed": cut.seed})
+    controller.set_parameters(parameters)
+    plant.run_cut(Tap())
+    return kept
+
+
+@pytest.fixture(scope="module")
+def attached(shared_pair, tmp_path_factory):
+    """A run, and what the command says of its trial 1 on nodes that run already."""
+    study = small_study()
+    folder = tmp_path_factory.mktemp("replay") / "run"
+    record = make_run(folder, study, InProcessBackend(study))
+    with pytest.MonkeyPatch.context() as patch:
+        lines = []
+        patch.setattr(command, "_say", lines.append)
+        # They may still be starting, on a busy machine.
+        patch.setattr("bo_tuner.backends.ros.ATTACH_TIMEOUT", DEADLINE)
+        code = command.run(
+            [str(folder), "--trial", "1", "--backend", "ros", "--attach"], Uninterrupted()
+        )
+    return record, code, lines
+
+
+def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attached):
+    record, code, lines = attached
+    assert code == 0
+    assert lines[0] == "measured by the clock, hence not judged: return_time"
+    assert lines[1:3] == ["complete, as recorded", "confirmed"]
+    data = custom_data(bag_of(record))
+    recorded = find_cut(record, 1, None).cut.outcome.metrics
+    replayed = json.loads(data["tuned"])["metrics"]
+    for name in ("tracking_error", "overshoot"):
+        assert replayed[name] == recorded[name]
+
+
+def bag_of(record):
+    cut = find_cut(record, 1, None).cut
+    return record.path / "replay" / f"trial_0001_cut_{cut.index:02d}"
+
+
+@pytest.mark.parametrize("read", [with_rosbags, with_mcap])
+def test_default_and_tuned_run_side_by_side(attached, read):
+    record, _, lines = attached
+    bag = bag_of(record)
+    assert lines[-1] == f"bag of default and tuned: {bag}"
+    recorded = find_cut(record, 1, None)
+    values = defaultdict(dict)
+    times = defaultdict(list)
+    for topic, time, message in read(bag):
+        times[topic].append(time)
+        if topic.endswith(tuple(LOOP)):
+            stamp = message.header.stamp
+            assert time == stamp.sec * 1_000_000_000 + stamp.nanosec
+            values[topic][time] = message.velocity[0]
+    sides = {
+        "default": record.study.search_space().defaults,
+        "tuned": recorded.parameters,
+    }
+    (start,) = {times[f"/{side}/mpc_controller/joint_trajectory"][0] for side in sides}
+    for side, parameters in sides.items():
+        kept = in_process(parameters, recorded.cut)
+        for topic, name in LOOP.items():
+            found = values[f"/{side}/{topic}"]
+            assert [found[start + k * PERIOD] for k in range(SAMPLES)] == kept[name]
+            assert len(found) == SAMPLES
+        for node in ("milling_plant", "mpc_controller"):
+            assert len(times[f"/{side}/{node}/cut_result"]) == 1
+    assert {topic.split("/")[1] for topic in times} == set(sides)
+
+
+def test_the_metadata_tell_both(attached):
+    record, _, _ = attached
+    data = custom_data(bag_of(record))
+    recorded = find_cut(record, 1, None)
+    assert json.loads(data["context"]) == dict(recorded.cut.context)
+    assert (data["trial"], data["seed"]) == ("1", str(recorded.cut.seed))
+    assert data["lost_messages"] == "0"
+    default, tuned = json.loads(data["default"]), json.loads(data["tuned"])
+    assert tuned["parameters"] == dict(recorded.parameters)
+    assert default["parameters"] == dict(record.study.search_space().defaults)
+    assert default["metrics"]["tracking_error"] != tuned["metrics"]["tracking_error"]
+
+
+def test_a_failed_cut_on_nodes_of_its_own(ros_environment, tmp_path):
+    """The command as a process, as a user starts it: nodes, the same failure, and a bag."""
+    study = small_study(velocity_limit=0.6)
+    folder = tmp_path / "run"
+    record = make_run(folder, study, InProcessBackend(study))
+    cut = record.trials[0].cuts[-1]
+    assert "the loop diverged" in cut.outcome.reason
+    code = (
+        "import sys; from bo_tuner.commands import replay; "
+        "from bo_tuner.interruption import Interruption; "
+        "sys.exit(replay.run(sys.argv[1:], Interruption()))"
+    )
+    environment = {key: v for key, v in os.environ.items() if key != "ROS_DOMAIN_ID"}
+    done = subprocess.run(
+        [sys.executable, "-c", code, folder, "0", "--backend", "ros", "--output", "bags"],
+        cwd=tmp_path,
+        env=environment | {"PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "120"},
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"failed, as recorded: {cut.outcome.reason}" in done.stdout
+    bag = tmp_path / "bags" / f"trial_0000_cut_{cut.index:02d}"
+    data = custom_data(bag)
+    assert json.loads(data["tuned"])["reason"] == cut.outcome.reason
+    samples = sum(topic == "/tuned/joint_states" for topic, _, _ in with_rosbags(bag))
+    assert 0 < samples < SAMPLES
+    assert not (folder / "replay").exists()
+
+
+def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("bo_tuner.backends.ros.ATTACH_TIMEOUT", 1.0)
+    study = small_study()
+    nodes = {key: replace(spec, node=f"no_{spec.node}") for key, spec in study.nodes.items()}
+    study = replace(study, nodes=nodes)
+    folder = tmp_path / "run"
+    make_run(folder, study, InProcessBackend(study))
+    code = command.run([str(folder), "0", "--backend", "ros", "--attach"], Uninterrupted())
+    assert code == 2
+    (line,) = capsys.readouterr().err.splitlines()[1:]
+    assert line.startswith("error: no_milling_plant: no such node in ROS domain ")

@@ -1,0 +1,201 @@
+"""A run as other programs of the ROS graph see it, and what they may ask of it."""
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+from bo_tuner.package_files import config_directory
+
+pytestmark = pytest.mark.ros
+
+CONFIG = config_directory()
+HEADLINES = ("objective", "best_objective", "probability_feasible", "worst_case")
+STATUSES = {"tuner: progress", "tuner: surrogate", "tuner: safety"}
+
+
+def values_of(status):
+    return {item.key: item.value for item in status.values}
+
+
+def environment_of(pid):
+    """Environment that a process was started with."""
+    pairs = Path(f"/proc/{pid}/environ").read_text().split("\0")
+    return dict(pair.split("=", 1) for pair in pairs if pair)
+
+
+class Watcher:
+    """A node of the test that hears what the tuner tells from now on, and what it has latched."""
+
+    def __init__(self, peer):
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import Float64
+
+        latched = QoSProfile(depth=10_000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.peer = peer
+        self.received = {}
+        for name, message in [
+            ("tuner/trial_result", DiagnosticArray),
+            *((f"tuner/{name}", Float64) for name in HEADLINES),
+        ]:
+            messages = self.received[name.removeprefix("tuner/")] = []
+            peer.node.create_subscription(message, name, messages.append, latched)
+        self.diagnostics = peer.record(DiagnosticArray, "/diagnostics")
+
+    def results(self):
+        """Statuses of the trials so far, by number."""
+        found = [message.status[0] for message in self.received["trial_result"]]
+        return {int(values_of(status)["trial"]): status for status in found}
+
+    def progress(self):
+        """Details of the latest diagnostics of the progress."""
+        statuses = {status.name: status for status in self.diagnostics[-1].status}
+        return values_of(statuses["tuner: progress"])
+
+    def wait_for_progress(self, what, **expected):
+        self.diagnostics.clear()
+        self.peer.spin_until(
+            lambda: self.diagnostics and self.progress().items() >= expected.items(), what
+        )
+
+    def wait_for_trial(self, number):
+        self.peer.spin_until(lambda: number in self.results(), f"trial {number}")
+
+
+@pytest.fixture
+def watch(make_peer):
+    return lambda: Watcher(make_peer())
+
+
+@pytest.fixture
+def run(tune):
+    """Function that starts the tuner, or lets it go on, in the domain of the test."""
+
+    def start(*arguments):
+        return tune(*arguments, ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+
+    return start
+
+
+def test_a_late_joiner_gets_all_trials_also_of_a_resumed_run(run, watch):
+    command = run("--trials", "1000")
+    command.wait_for_trial(5)
+    environment = environment_of(command.popen.pid)
+    first = watch()
+    first.wait_for_trial(5)
+    assert sorted(first.results()) == list(range(max(first.results()) + 1))
+    first.peer.spin_until(lambda: first.diagnostics, "diagnostics")
+    assert {status.name for status in first.diagnostics[-1].status} == STATUSES
+    assert first.progress()["budget"] == "1000"
+
+    answer = first.peer.trigger("tuner/abort")
+    assert answer.success
+    assert command.finish() == 143, command.err
+    last = command.err.splitlines()[-1]
+    assert last.startswith("interrupted by the service ~/abort; go on by: tune --resume ")
+    assert answer.message.partition("go on by: ")[2] == last.partition("go on by: ")[2]
+    done = command.trials()
+
+    with (command.folder / "err").open("w") as err:
+        command.popen = subprocess.Popen(
+            [sys.executable, "-m", "bo_tuner", "tune", "--resume", command.run_folder],
+            cwd=command.folder,
+            env=environment,
+            stderr=err,
+        )
+    command.wait_for_trial(len(done))
+    second = watch()
+    second.wait_for_trial(len(done))
+    results = second.results()
+    assert sorted(results) == list(range(len(results)))
+    for trial in done:
+        status = results[trial.number]
+        values = values_of(status)
+        assert status.name == "tuner: trial_result"
+        assert float(values["parameters.gain"]) == trial.parameters["gain"]
+        errors = trial.observations("error")
+        assert float(values["metrics.error"]) == sum(errors) / len(errors)
+    # Of the numbers without a stamp only the latest is latched.
+    second.peer.spin_until(lambda: all(second.received.values()), "the headline numbers")
+    assert second.peer.trigger("tuner/abort").success
+    assert command.finish() == 143
+
+
+def test_pause_and_what_is_published(run, watch, shared_pair):
+    from std_srvs.srv import SetBool
+
+    command = run("--trials", "1000")
+    command.wait_for_trial(0)
+    watcher = watch()
+    answer = watcher.peer.call(SetBool, "tuner/pause", SetBool.Request(data=True))
+    assert answer.success
+    watcher.wait_for_progress("the pause", paused="True")
+    cuts = int((command.folder / "cuts").read_text())
+    began, count = time.monotonic(), len(watcher.diagnostics)
+    watcher.peer.spin_for(1.5)
+    # It tells of itself, and not faster than once a second; and no cut is run.
+    assert int((command.folder / "cuts").read_text()) == cuts
+    assert len(watcher.diagnostics) - count <= time.monotonic() - began + 1
+    assert "paused; call ~/pause" in command.err
+
+    layouts_name_what_is_there(watcher.peer.node)
+
+    watcher.peer.call(SetBool, "tuner/pause", SetBool.Request(data=False))
+    watcher.wait_for_progress("the end of the pause", paused="False")
+    command.wait_for(lambda: int((command.folder / "cuts").read_text()) > cuts, "a cut")
+    # A pause does not keep a run from being ended.
+    watcher.peer.call(SetBool, "tuner/pause", SetBool.Request(data=True))
+    watcher.wait_for_progress("the pause", paused="True")
+    assert watcher.peer.trigger("tuner/abort").success
+    assert command.finish() == 143, command.err
+
+
+def layouts_name_what_is_there(node):
+    """Hold each name in the layouts against the graph and the message types."""
+    topics = dict(node.get_topic_names_and_types())
+    services = dict(node.get_service_names_and_types())
+
+    def kind(name):
+        package, _, message = topics[name][0].split("/")
+        return getattr(importlib.import_module(f"{package}.msg"), message)
+
+    layout = json.loads((CONFIG / "foxglove_layout.json").read_text())
+    panels = layout["configById"]
+    placed = re.findall(r"'(\w+!\w+)'", str(layout["layout"]))
+    assert sorted(placed) == sorted(panels)
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    paths += [panel["topicPath"] for panel in panels.values() if "topicPath" in panel]
+    assert len(paths) >= 5
+    for path in paths:
+        topic, _, field = path.partition(".")
+        assert re.match(r"\w+", field)[0] in kind(topic).get_fields_and_field_types()
+    for panel in panels.values():
+        if "serviceName" in panel:
+            assert panel["serviceName"] in services
+            json.loads(panel["requestPayload"])
+        assert panel.get("topicToRender", "/diagnostics") in topics
+
+    root = ElementTree.parse(CONFIG / "plotjuggler_layout.xml").getroot()
+    subscribed = root.find(".//selected_topics").get("list").split(";")
+    assert set(subscribed) <= topics.keys()
+    curves = [curve.get("name") for curve in root.iter("curve")]
+    assert len(curves) >= 5
+    for curve in curves:
+        (topic,) = [name for name in subscribed if curve.startswith(f"{name}/")]
+        # In between stands the joint.
+        field = curve.rpartition("/")[2]
+        assert field in kind(topic).get_fields_and_field_types()
+
+    aggregator = yaml.safe_load((CONFIG / "diagnostics_aggregator.yaml").read_text())
+    tuner = aggregator["analyzers"]["ros__parameters"]["tuner"]
+    assert set(tuner["expected"]) == STATUSES
+    assert all(name.startswith(tuple(tuner["startswith"])) for name in STATUSES)

@@ -1,0 +1,333 @@
+"""The documents: links, code blocks and commands hold, and the example node is really tuned."""
+
+import ast
+import importlib
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bo_tuner.backends.isolation import DomainClaim, isolated_environment
+from bo_tuner.commands.common import split_ros_arguments
+from bo_tuner.executables import COMMANDS
+from bo_tuner.journal_reader import read_journal
+from bo_tuner.study_file import load_study, parse_study, study_to_yaml
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "your_own_node"
+DOCUMENTS = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("examples/**/*.md"),
+    ]
+)
+NODES = ("mpc_controller", "milling_plant")
+# Programs that are not ours; what follows them is not judged.
+OTHERS = {
+    "apt", "cat", "cd", "colcon", "echo", "export", "git", "jq", "kill", "ls", "pip", "plotjuggler",
+    "source",
+}  # fmt: skip
+
+DEADLINE = 60.0
+
+FENCE = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+SPAN = re.compile(r"`([^`\n]+)`")
+
+
+def blocks(languages):
+    """Code blocks in these languages: their text by document and line."""
+    found = []
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        for match in FENCE.finditer(text):
+            if match[2] in languages:
+                line = text.count("\n", 0, match.start()) + 1
+                name = f"{document.relative_to(ROOT)}:{line}"
+                found.append(pytest.param(match[3], id=name))
+    return found
+
+
+def prose(document):
+    return FENCE.sub("", document.read_text(encoding="utf-8"))
+
+
+def anchors(document):
+    """Names by which the headings of a document can be linked, as GitHub makes them."""
+    names = set()
+    for heading in re.findall(r"^#+ +(.*?) *$", prose(document), re.MULTILINE):
+        plain = LINK.sub(lambda m: m[0][m[0].index("[") + 1 : m[0].index("]")], heading)
+        slug = re.sub(r"[^\w\- ]", "", plain.lower()).replace(" ", "-")
+        names.add(next(n for i in range(99) if (n := f"{slug}-{i}" if i else slug) not in names))
+    return names
+
+
+def commands(text):
+    """Command lines of a shell block, as lists of words; a console block's have a prompt."""
+    lines = text.replace("\\\n", " ").splitlines()
+    if any(line.startswith("$ ") for line in lines):
+        lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+    for line in lines:
+        lexer = shlex.shlex(line, posix=True, punctuation_chars="|&;<>")
+        lexer.whitespace_split = True
+        words = []
+        for word in [*lexer, ";"]:
+            if set(word) <= set("|&;<>"):
+                if words:
+                    yield words
+                words = []
+            else:
+                words.append(word)
+
+
+def check_all(text):
+    """Check every command of a text, of which there must be some."""
+    found = list(commands(text))
+    assert found
+    for words in found:
+        check(words)
+
+
+def check(words):
+    """Fail unless a command exists and takes its options."""
+    while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+        words = words[1:]
+    if not words:
+        return
+    program, *arguments = words
+    program = program.removeprefix(".venv/bin/")
+    if program == "ros2" and arguments[0] == "run":
+        package, program, *arguments = arguments[1:]
+        assert program in (COMMANDS if package == "bo_tuner" else NODES), f"{package} {program}"
+        assert package == "bo_tuner" or package == program
+    if program == "ros2":
+        if arguments[0] == "launch":
+            check_launch(*arguments[1:])
+    elif program == "make":
+        check_make(arguments)
+    elif program in ("python", "python3"):
+        if arguments[0] == "-m":
+            assert arguments[1] == "bo_tuner", arguments
+            check(arguments[2:])
+        else:
+            assert (ROOT / arguments[0]).is_file(), arguments
+    elif program in COMMANDS:
+        check_options(program, arguments)
+    elif "/" in program:
+        assert (ROOT / program).is_file(), program
+    elif program not in NODES:
+        assert program in OTHERS, f"unknown program {program}"
+
+
+def check_options(command, arguments):
+    own, _ = split_ros_arguments(arguments)
+    parser = importlib.import_module(f"bo_tuner.commands.{command}").make_parser()
+    assert takes(parser, own), f"{command} does not take {own}"
+
+
+def takes(parser, arguments):
+    try:
+        parser.parse_args(arguments)
+    except SystemExit as end:
+        return end.code == 0
+    return True
+
+
+def check_make(arguments):
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for argument in arguments:
+        if argument.startswith("ARGS="):
+            if "tune" in arguments:
+                check_options("tune", shlex.split(argument.removeprefix("ARGS=")))
+        elif "=" not in argument:
+            assert argument in targets, f"make has no target {argument}"
+
+
+def check_launch(package, file, *arguments):
+    path = ROOT / "ros2_ws" / "src" / package / "launch" / file
+    text = path.read_text(encoding="utf-8")
+    for argument in arguments:
+        assert f'"{argument.partition(":=")[0]}"' in text, f"{file} has no argument {argument}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_and_anchors_resolve(document):
+    for target in LINK.findall(prose(document)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        other = (document.parent / path).resolve() if path else document
+        assert other.exists(), f"{target}: no such file"
+        assert other.is_relative_to(ROOT), f"{target}: outside of the repository"
+        if anchor:
+            assert anchor in anchors(other), f"{target}: no such heading"
+
+
+def test_the_index_names_every_document():
+    index = prose(ROOT / "docs" / "README.md")
+    listed = {target.partition("#")[0] for target in LINK.findall(index)}
+    assert {path.name for path in (ROOT / "docs").glob("*.md")} - {"README.md"} <= listed
+
+
+@pytest.mark.parametrize("text", blocks({"yaml"}))
+def test_yaml_blocks_are_what_they_seem(text):
+    content = yaml.safe_load(text)
+    assert content is not None
+    if {"nodes", "budget"} <= set(content):
+        parse_study(text)
+
+
+def test_excerpts_of_the_example_are_the_example():
+    """Each block of the tutorial that shows the example's code is in its files, word for word."""
+    files = [path.read_text(encoding="utf-8") for path in EXAMPLE.iterdir() if path.is_file()]
+    text = (ROOT / "docs" / "tutorial_your_own_node.md").read_text(encoding="utf-8")
+    excerpts = [m[3] for m in FENCE.finditer(text) if m[2] in ("python", "yaml")]
+    assert excerpts
+    for excerpt in excerpts:
+        assert any(excerpt in file for file in files), excerpt
+
+
+@pytest.mark.parametrize("text", blocks({"python"}))
+def test_python_blocks_compile(text):
+    # An excerpt may be a method, indented as in its class.
+    ast.parse(f"if True:\n{text}" if text.startswith(" ") else text)
+
+
+@pytest.mark.parametrize("text", blocks({"sh", "bash", "console"}))
+def test_commands_exist_and_take_their_options(text):
+    check_all(text)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_options_in_the_text_exist(document):
+    for span in SPAN.findall(prose(document)):
+        command, *rest = span.split()
+        if command in COMMANDS and any(word.startswith("--") for word in rest):
+            module = importlib.import_module(f"bo_tuner.commands.{command}")
+            known = module.make_parser().format_help()
+            for option in re.findall(r"--[a-z-]+", span.partition("--ros-args")[0]):
+                assert re.search(rf"{option}\b", known), f"{span}: {command} has no {option}"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_examples_in_the_help_work(command):
+    epilog = importlib.import_module(f"bo_tuner.commands.{command}").make_parser().epilog
+    examples = epilog.partition("examples:\n")[2].splitlines()
+    assert examples
+    for line in examples:
+        # What follows two spaces or more explains the example.
+        check_all(re.split(r" {2,}", line.strip())[0])
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("tune --trails 3", "does not take"),
+        ("ros2 run bo_tuner tuna", "tuna"),
+        ("make tune ARGS='--study'", "does not take"),
+        ("make tea", "no target"),
+        ("ros2 launch bo_tuner tune.launch.py cups:=3", "no argument"),
+        ("echo yes && rm -rf runs", "unknown program"),
+    ],
+)
+def test_a_wrong_command_is_noticed(line, complaint):
+    with pytest.raises(AssertionError, match=complaint):
+        check_all(line)
+
+
+def tune(folder, *arguments, **environment):
+    """Run tune to its end in a folder; returns the run folder's path."""
+    path = os.pathsep.join([str(EXAMPLE), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-m", "bo_tuner", "tune", *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path} | environment,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+        check=False,
+    )
+    assert "Traceback" not in done.stderr, done.stderr
+    return done, folder / "runs" / "latest"
+
+
+@pytest.fixture
+def hot_plate(monkeypatch):
+    """The example's module."""
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    return importlib.import_module("hot_plate")
+
+
+def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
+    study = EXAMPLE / "study.yaml"
+    done, run = tune(tmp_path, "--study", str(study), "--backend", "inprocess", "--quiet")
+    assert done.returncode == 0, done.stderr
+    found = yaml.safe_load((run / "best.yaml").read_text())["/**/hot_plate"]["ros__parameters"]
+    constraints = load_study(study).constraints
+
+    def metrics(values, load, draught, seed):
+        plate = hot_plate.HotPlate()
+        plate.set_parameters(values | {"load": load, "draught": draught, "seed": seed})
+        return plate.run_cut()
+
+    def mean(name, values, load=1.5, draught=1.0):
+        return sum(metrics(values, load, draught, seed)[name] for seed in range(5)) / 5
+
+    # By the plate itself, on a grid of contexts up to the corners, with noise of our own.
+    grid = [(load, draught) for load in (1.0, 1.5, 2.0) for draught in (0.8, 1.15, 1.5)]
+    default = {name: hot_plate.DEFAULTS[name] for name in found}
+    worst = [max(mean("overshoot", v, *context) for context in grid) for v in (default, found)]
+    assert worst[1] <= constraints["too_hot"].upper < worst[0]
+    assert all(mean("power_change", found, *c) <= constraints["calm"].upper for c in grid)
+    assert mean("mean_error", found) < 0.5 * mean("mean_error", default)
+
+
+@pytest.mark.ros
+def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
+    study = load_study(EXAMPLE / "study.yaml").replace(
+        trials=4, initial_trials=3, drawn_contexts=2, search_cuts=3, validation_draws=2
+    )
+    (tmp_path / "study.yaml").write_text(study_to_yaml(study))
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    claim = DomainClaim("/docs_test")
+    environment = isolated_environment(claim.domain) | {"ROS_LOG_DIR": str(tmp_path / "log")}
+    node = subprocess.Popen(
+        [sys.executable, str(EXAMPLE / "hot_plate_node.py")],
+        env=os.environ | environment,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        ready = node.stderr.readline()
+        done, run = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
+    finally:
+        node.send_signal(signal.SIGTERM)
+        try:
+            _, said = node.communicate(timeout=DEADLINE)
+        finally:
+            node.kill()
+            claim.release()
+    assert "ready" in ready, ready + said
+    assert (node.returncode, said) == (0, "")
+    # Too few trials to find something for sure.
+    assert done.returncode in (0, 3), done.stderr
+    journal = read_journal(run / "journal.sqlite")
+    assert len(journal.trials) == study.budget.trials
+    assert json.loads((run / "summary.json").read_text())["tuned"]["draws"] == 2
+    # What the node did is what its object does, to the last bit.
+    assert journal.cuts
+    for cut in journal.cuts:
+        plate = hot_plate.HotPlate()
+        plate.set_parameters(dict(cut.parameters) | dict(cut.cut.context) | {"seed": cut.cut.seed})
+        metrics = plate.run_cut()
+        assert {name: metrics[name] for name in cut.cut.outcome.metrics} == cut.cut.outcome.metrics
