@@ -18,7 +18,7 @@ from bo_tuner.neighbourhood import Neighbourhood, look_around
 from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import rank
 from bo_tuner.robustness import CREDIBLE, ContextTolerance, context_tolerance
-from bo_tuner.run_folder import _without_nan
+from bo_tuner.run_folder import without_nan
 from bo_tuner.run_record import RunRecord
 from bo_tuner.seeds import Stream, generator
 from bo_tuner.study import Study
@@ -195,7 +195,7 @@ def write_certificate(
     table = _table(certificate.study, evidence)
     _write(folder / f"{Path(name).stem}_cuts.csv", table)
     digest = hashlib.sha256(table.encode()).hexdigest()
-    text = json.dumps(_without_nan(certificate.layout(digest)), indent=2, allow_nan=False)
+    text = json.dumps(without_nan(certificate.layout(digest)), indent=2, allow_nan=False)
     return _write(folder / name, text + "\n")
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.recommendation import TOLERABLE, _beyond, _excess
+from bo_tuner.recommendation import TOLERABLE, intolerable, relative_excess
 from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
@@ -153,7 +153,7 @@ def look_around(
     # A difference of logarithms is relative as it is.
     scale = 1.0 if study.objective.scale == "log" else models.objective.standardisation.scale
     loss: Array = (cost - cost[0]) / scale
-    excess = _excess(models, points)
+    excess = relative_excess(models, points)
     feasibility = np.exp(models.log_feasibility(points))
     objective = study.objective.from_cost(cost)
     optimum, *others = (
@@ -168,5 +168,5 @@ def look_around(
         for k, item in enumerate(around)
     )
     # What the optimum exceeds itself is no sign of a narrow one.
-    lost = _beyond(loss[1:]) + _beyond(excess[1:])
+    lost = intolerable(loss[1:]) + intolerable(excess[1:])
     return Neighbourhood(optimum, tuple(others), float(lost.mean()) if others else 0.0)

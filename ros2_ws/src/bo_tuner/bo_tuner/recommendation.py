@@ -100,10 +100,10 @@ def rank(
     for trial in complete:
         x = space.to_cube({name: trial.parameters[name] for name in space.names})[None]
         (cost,) = models.objective.predict(x)[0]
-        (excess,) = _excess(models, x)
+        (excess,) = relative_excess(models, x)
         around = neighbourhood(space, trial, models)
         loss = (models.objective.predict(around)[0] - cost) / scale
-        penalty = float(np.mean(_beyond(loss) + _beyond(_excess(models, around))))
+        penalty = float(np.mean(intolerable(loss) + intolerable(relative_excess(models, around))))
         candidates.append(
             Candidate(
                 trial=trial,
@@ -142,11 +142,12 @@ def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array
     return np.array(points)
 
 
-def _beyond(loss: Array) -> Array:
+def intolerable(loss: Array) -> Array:
+    """Part of a relative loss (m,) that is beyond `TOLERABLE`."""
     return np.maximum(loss - TOLERABLE, 0.0)
 
 
-def _excess(models: Surrogates, x: Array) -> Array:
+def relative_excess(models: Surrogates, x: Array) -> Array:
     """Largest predicted excess (m,) over a limit, relative to the limit's size."""
     if not models.constraints:
         return np.full(len(x), -np.inf)

@@ -136,7 +136,7 @@ class RunFolder:
         OutputError
             If the file cannot be written.
         """
-        text = json.dumps(_without_nan(summary), indent=2, allow_nan=False)
+        text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
         return self._write(SUMMARY, text + "\n")
 
     def _write(self, name: str, text: str) -> Path:
@@ -163,9 +163,10 @@ def _new_folder(path: Path) -> Path:
             return folder
 
 
-def _without_nan(value: object) -> object:
+def without_nan(value: object) -> object:
+    """Replace what is not finite, which JSON has no word for, by None."""
     if isinstance(value, Mapping):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
