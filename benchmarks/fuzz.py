@@ -7,8 +7,6 @@ installed (``pip install atheris``), which looks for bytes that lead into code n
 
 import argparse
 import json
-import os
-import platform
 import random
 import re
 import subprocess
@@ -130,7 +128,7 @@ def main() -> None:
     """Fuzz and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--inputs", type=int, default=10_000, help="(default: %(default)s)")
-    parser.add_argument("--atheris-inputs", type=int, default=50_000, help="(default: %(default)s)")
+    parser.add_argument("--atheris-inputs", type=int, default=10_000, help="(default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "fuzz.json")
     parser.add_argument("--atheris", nargs=2, metavar=("COUNT", "FOLDER"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -139,7 +137,7 @@ def main() -> None:
     if arguments.atheris:
         run_atheris(int(arguments.atheris[0]), Path(arguments.atheris[1]))
     packages = ("hypothesis", "atheris", "PyYAML")
-    origin = provenance(packages) | {"load_average": os.getloadavg(), "host": platform.machine()}
+    origin = provenance(packages)
     with tempfile.TemporaryDirectory() as name:
         drawn = by_hypothesis(arguments.inputs, Path(name))
     result = {

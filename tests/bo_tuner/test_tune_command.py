@@ -100,8 +100,8 @@ class TestRun:
         assert code == 0, err
         folder = latest(tmp_path)
         assert {path.name for path in folder.iterdir()} == {
-            ".lock", "best.yaml", "cuts.csv", "journal.sqlite", "log", "study.yaml", "summary.json",
-            "trials.csv",
+            ".lock", "best.yaml", "cuts.csv", "deploy", "journal.sqlite", "log", "report.html",
+            "study.yaml", "summary.json", "trials.csv",
         }  # fmt: skip
         assert [trial.number for trial in recorded(folder)] == list(range(5))
         summary = json.loads((folder / "summary.json").read_text())

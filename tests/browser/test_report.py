@@ -1,6 +1,7 @@
 """The report as a reader sees it: in a browser, on a phone, in the dark, on paper."""
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 
@@ -134,7 +135,8 @@ def test_it_prints(chromium, feed_axis_page, tmp_path):
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
 def test_axe_finds_nothing_serious(chromium, feed_axis_page, axe, theme, width):
     browser = opened(chromium, feed_axis_page, theme=theme, width=width)
-    found = findings(browser, axe)
+    # A phone has the colours of the light page, and contrast takes axe the longest.
+    found = findings(browser, axe, contrast=width > 400)
     assert [name for name, impact in found if impact in ("serious", "critical")] == []
 
 
@@ -145,8 +147,11 @@ def test_axe_finds_a_fault(chromium, axe, tmp_path):
     assert ("image-alt", "critical") in findings(chromium, axe)
 
 
-def findings(browser, axe):
+def findings(browser, axe, *, contrast=True):
     """Rules that the page breaks, each with its impact."""
     browser.evaluate(f"{axe}; 0")
-    found = browser.evaluate("axe.run().then(r => r.violations.map(v => [v.id, v.impact]))")
+    options = json.dumps({"rules": {"color-contrast": {"enabled": contrast}}})
+    found = browser.evaluate(
+        f"axe.run({options}).then(r => r.violations.map(v => [v.id, v.impact]))"
+    )
     return [tuple(item) for item in found]

@@ -1,5 +1,6 @@
 """A backend on nodes that it has not started: restarted by others, and spoken over by others."""
 
+import contextlib
 import signal
 
 import pytest
@@ -21,26 +22,30 @@ def nodes(start_node):
 
 
 @pytest.fixture
-def run_cut(nodes, tmp_path):
+def run_cut(nodes, peer, tmp_path):
     """Function that runs a cut on the nodes, other values each time, and returns its outcome."""
     mapping = study_to_mapping(load_study("benchmark"))
     mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
     mapping["nodes"]["plant"]["parameters"] = {"samples_per_level": 20, "command_timeout": 1.0}
     study = study_from_mapping(mapping)
+    for package in nodes:
+        peer.get_parameters(package, ["gain"])
     backend = RosBackend(study, tmp_path, attach=True)
-    backend.open()
     parameters = study.search_space().defaults
     context = {"stiffness_factor": 1.125, "damping_factor": 0.875}
 
     def run(seed):
         return backend.run_cut(study.assignments(parameters, context, seed))
 
-    yield run
-    backend.close()
+    with contextlib.closing(backend):
+        backend.open()
+        yield run
 
 
-@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL])
-@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize(
+    ("package", "signum"),
+    [("milling_plant", signal.SIGTERM), ("mpc_controller", signal.SIGKILL)],
+)
 def test_a_node_restarted_between_cuts_is_told_everything_again(
     nodes, run_cut, start_node, peer, package, signum
 ):

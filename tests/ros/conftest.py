@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-DEADLINE = 20.0
+DEADLINE = 60.0
 PROFILE = Path(__file__).parents[2] / "ros2_ws/src/bo_tuner/config/fastdds_profile.xml"
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 

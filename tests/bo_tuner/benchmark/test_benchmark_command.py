@@ -148,7 +148,7 @@ def test_records_of_another_version_are_not_mixed(refused, tmp_path):
     [
         (["--jobs", "0"], "error: --jobs: expected at least 1, found 0"),
         (["--cluster", "localhost"], "error: --cluster: expected dask://host:port or tcp://"),
-        (["--page-only"], "error: .* 8 tasks of closed are not on record"),
+        (["--page-only"], "error: no run that all rows of a case of closed have is on record"),
         (["--experiment", "none"], "error: unknown experiment 'none'; shipped are paper, small"),
         (["--records", "/proc/none"], "error: .*/proc/none/closed.jsonl: cannot be written"),
     ],
@@ -162,6 +162,19 @@ def test_an_optimizer_that_is_not_there_is_said_before_any_task(refused, tmp_pat
     experiment_file.write_text(experiment_file.read_text().replace("valley:Draws", "valleys:Draws"))
     assert "cannot load valleys:Draws: ModuleNotFoundError" in refused()
     assert not (tmp_path / "out").exists()
+
+
+def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
+    process = benchmark("out")
+    wait_for_records(tmp_path / "out" / "closed.jsonl", 5, process)
+    process.kill()
+    finish(process)
+    code, tables, err = finish(benchmark("out", "--page-only"))
+    assert code == 0, err
+    assert "1 of 1" in tables
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "1 run of each row" in page
+    assert "**Not on record yet**: 1 of 2 runs of valley." in page
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@
 since SQLite itself notices damage to its structure, but not to what is stored.
 """
 
+import contextlib
 import json
 import sqlite3
 import zlib
@@ -130,7 +131,9 @@ class Journal:
         self._insert("trial", row)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, and leave it alone in the folder unless somebody reads it just now."""
+        with contextlib.suppress(sqlite3.Error):
+            self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 
     def _open(self, new: bool, session: tuple[str]) -> None:

@@ -21,6 +21,7 @@ STUDY = "study.yaml"
 JOURNAL = "journal.sqlite"
 BEST = "best.yaml"
 SUMMARY = "summary.json"
+REPORT = "report.html"
 
 
 class RunFolder:

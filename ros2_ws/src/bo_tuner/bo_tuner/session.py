@@ -9,6 +9,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.recorded import RecordedCuts
 from bo_tuner.backends.ros import RosBackend
 from bo_tuner.confirmation import Recommendation, recommend
+from bo_tuner.deliverables import write_deliverables
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
 from bo_tuner.interruption import Interrupted, Interruption
@@ -126,7 +127,8 @@ class Session:
                             export_csv(folder.journal, folder.path)
                         raise
                     export_csv(folder.journal, folder.path)
-                    return code
+                write_deliverables(folder.path, self._display.tell, self._display.warn)
+                return code
             except Interrupted as interrupt:
                 self._display.warn(f"interrupted by {interrupt}; {self._how_to_resume()}")
                 return EXIT_SIGNAL + interrupt.signum
@@ -182,18 +184,15 @@ class Session:
             self._monitor.cut(cut, parameters)
 
         tuning = Tuning(study, backend, self._method, observe=observe, trials=earlier.trials)
-        with self._live(backend), self._display:
+        with self._live(backend), self._display, recording:
             self._monitor.begin(TUNING, study.budget.trials)
             if tuning.trials:
                 self._monitor.recall(tuning.trials, self._best(tuning))
-            with recording:
-                for trial in self._trials(tuning):
-                    journal.record_trial(trial)
-                    leader = self._best(tuning)
-                    recording.trial(
-                        trial, leader is not None and leader.trial.number == trial.number
-                    )
-                    self._monitor.trial(tuning.trials, leader)
+            for trial in self._trials(tuning):
+                journal.record_trial(trial)
+                leader = self._best(tuning)
+                recording.trial(trial, leader is not None and leader.trial.number == trial.number)
+                self._monitor.trial(tuning.trials, leader)
             self._monitor.begin(CHECKING, self._method.most_checked)
             best = recommend(
                 study,
@@ -204,6 +203,7 @@ class Session:
                 observe=observe,
                 advance=self._monitor.advance,
             )
+            recording.phase_ended()
             if best is None:
                 self._display.warn("no feasible parametrization: every trial failed")
                 return EXIT_INFEASIBLE
@@ -215,6 +215,7 @@ class Session:
                 observe=observe,
                 advance=self._monitor.advance,
             )
+            recording.phase_ended()
         return self._report(best, default, tuned, recording.summary)
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:
@@ -233,11 +234,10 @@ class Session:
     def _live(self, backend: RecordedCuts) -> contextlib.AbstractContextManager[object]:
         """Tell of the run in the ROS graph, if there is one."""
         ros = backend.backend
-        client = ros._client if isinstance(ros, RosBackend) else None
-        if client is None:
+        if not isinstance(ros, RosBackend):
             return contextlib.nullcontext()
         live = LiveNode(
-            client.context, self._study, self._folder.path, self._monitor, self._interruption
+            ros.context, self._study, self._folder.path, self._monitor, self._interruption
         )
         return contextlib.closing(live)
 
@@ -273,7 +273,6 @@ class Session:
             "recording": recorded,
         }
         folder.write_summary(summary)
-        # What is made of a finished run goes here: its record is whole.
         amiss = _amiss(best, tuned)
         self._display.result(Result(self._study, default, tuned, path, amiss, summary))
         return EXIT_OK if feasible else EXIT_INFEASIBLE

@@ -24,6 +24,7 @@ from bo_tuner.study import (
 )
 
 MAX_BYTES = 1_000_000
+LONGEST_PROBLEM = 1000
 
 T = TypeVar("T")
 
@@ -98,7 +99,11 @@ def parse_study(text: str, source: str = "study") -> Study:
         while line is None and path:
             line = lines.get(path)
             path = path[:-1]
-        raise error.located(source, line) from None
+        # A problem may list names of the file, which can be long.
+        problem = error.problem
+        if len(problem) > LONGEST_PROBLEM:
+            problem = f"{problem[: LONGEST_PROBLEM - 3]}..."
+        raise StudyError(problem, error.path, source, line) from None
 
 
 def study_from_mapping(mapping: object) -> Study:

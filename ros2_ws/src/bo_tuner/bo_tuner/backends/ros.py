@@ -5,6 +5,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from rclpy.context import Context
+
 from bo_tuner.backends import Assignments
 from bo_tuner.backends.collect import one_line, outcome
 from bo_tuner.backends.isolation import DomainClaim, isolated_environment
@@ -104,6 +106,13 @@ class RosBackend:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
 
+    @property
+    def context(self) -> Context:
+        """ROS context of the tuner; there while the backend is open."""
+        if self._client is None:
+            raise BackendError("the backend is not open")
+        return self._client.context
+
     def run_cut(self, assignments: Assignments) -> CutOutcome:
         """Set parameters, run one cut, and collect its metrics.
 
@@ -137,10 +146,8 @@ class RosBackend:
         sink
             Where messages go.
         """
-        if self._client is None:
-            raise BackendError("the backend is not open")
         nodes = [spec.node for spec in self._study.nodes.values()]
-        return TopicListener(self._client.context, nodes, sink)
+        return TopicListener(self.context, nodes, sink)
 
     def close(self) -> None:
         """End the started nodes and leave ROS."""

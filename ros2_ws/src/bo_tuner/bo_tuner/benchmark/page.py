@@ -43,8 +43,10 @@ class Section:
     figures: tuple[Figure, ...] = ()
 
 
-def sections(experiment: Experiment, done: Mapping[str, Record]) -> list[Section]:
-    """Lay out a finished campaign."""
+def sections(
+    experiment: Experiment, done: Mapping[str, Record], missing: Sequence[str] = ()
+) -> list[Section]:
+    """Lay out a campaign; `missing` tells what of it is not on record yet."""
     parts = []
     for case in experiment.cases.values():
         summaries = summaries_of(experiment, case, done)
@@ -62,7 +64,7 @@ def sections(experiment: Experiment, done: Mapping[str, Record]) -> list[Section
         figure, text = figures.cost_scaling(experiment, done)
         text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment, done)}"
         parts.append(Section("Cost of a run", text, (figure,)))
-    parts.append(Section(f"How {experiment.name} was made", provenance(experiment, done)))
+    parts.append(Section(f"How {experiment.name} was made", provenance(experiment, done, missing)))
     return parts
 
 
@@ -103,8 +105,9 @@ def _case(
     study = case.study
     initial = case.initial_trials or study.budget.initial_trials
     text = [
-        f"{case.runs} runs of each row on the study `{study.name}`, with the same initial sample "
-        f"of {initial} for all rows of one run. A run's trials end with the one that reaches "
+        f"{case.runs} {'run' if case.runs == 1 else 'runs'} of each row on the study "
+        f"`{study.name}`, with the same initial sample of {initial} for all rows of one run. "
+        f"A run's trials end with the one that reaches "
         f"{case.cuts} cuts{_exceptions(case)}; algorithms that check their candidates before they "
         f"answer leave {case.reserved_cuts} of them for that.",
         tables.comparison_table(case, summaries),
@@ -152,7 +155,9 @@ def _with(text: str, figure: Figure) -> str:
     return f"{text}\n\n{link}\n\n*{figure.caption}*".strip()
 
 
-def provenance(experiment: Experiment, done: Mapping[str, Record]) -> str:
+def provenance(
+    experiment: Experiment, done: Mapping[str, Record], missing: Sequence[str] = ()
+) -> str:
     """Tell commits, machines, seeds, and how fast it went."""
     lines = []
     results = [r["result"] for name, r in done.items() if name.startswith("run/") and r["result"]]
@@ -174,6 +179,8 @@ def provenance(experiment: Experiment, done: Mapping[str, Record]) -> str:
         lines.append(f"- {words}: {'; '.join(values)}.")
     dates = sorted(record["about"]["date"] for record in done.values())
     lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
+    if missing:
+        lines.append(f"- **Not on record yet**: {', '.join(missing)}.")
     return "\n".join(lines)
 
 

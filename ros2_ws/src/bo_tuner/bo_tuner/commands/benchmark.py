@@ -12,6 +12,7 @@ from bo_tuner.benchmark import page, plugins, sources
 from bo_tuner.benchmark.campaign import conduct
 from bo_tuner.benchmark.experiment import Experiment
 from bo_tuner.benchmark.experiment_file import load_experiment, shipped_experiments
+from bo_tuner.benchmark.partial import on_record
 from bo_tuner.benchmark.records import Records
 from bo_tuner.benchmark.tasks import Task, tasks_of
 from bo_tuner.commands.common import Parser, guarded
@@ -79,7 +80,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--page-only",
         action="store_true",
-        help="write the page from the records, which must be complete",
+        help="write the page from what is on record so far",
     )
     return parser
 
@@ -112,9 +113,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     ]
     for (experiment, tasks), recorded in zip(plans, records, strict=True):
         left = [task for task in tasks if task.name not in recorded.done]
-        if arguments.page_only and left:
-            raise OutputError(f"{folder}: {len(left)} tasks of {experiment.name} are not on record")
-        if left and not arguments.cluster:
+        if left and not arguments.cluster and not arguments.page_only:
             _check_plugins(experiment)
     for (experiment, tasks), recorded in zip(plans, records, strict=True):
         if not arguments.page_only:
@@ -172,8 +171,9 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
 
     parts = []
     failed: dict[str, str] = {}
-    for experiment, recorded in zip(experiments, records, strict=True):
-        parts += page.sections(experiment, recorded.done)
+    for whole, recorded in zip(experiments, records, strict=True):
+        experiment, missing = on_record(whole, recorded.done)
+        parts += page.sections(experiment, recorded.done, missing)
         failed |= page.failed_tasks(recorded.done)
         print(page.numbers(experiment, recorded.done))
     for part in parts:

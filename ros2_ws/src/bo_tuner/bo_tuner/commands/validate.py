@@ -26,6 +26,7 @@ from bo_tuner.certificate_table import certificate_lines, certificate_table
 from bo_tuner.certification import Certification, Subject
 from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
 from bo_tuner.commands.tune import BACKENDS
+from bo_tuner.deliverables import write_deliverables
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
@@ -164,6 +165,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             console.print(f"error: {error}", soft_wrap=True)
             return EXIT_FAULT
     _report(certificate, path)
+    if name == CERTIFICATE:
+
+        def tell(text: str) -> None:
+            console.print(text, soft_wrap=True)
+
+        write_deliverables(folder.path, tell, tell)
     return EXIT_OK if certificate.passed else EXIT_INFEASIBLE
 
 

@@ -22,7 +22,8 @@ TEXTS = ("hover", "labels")
 class Color(StrEnum):
     """Colours by name, after Okabe and Ito (2008), "Color Universal Design".
 
-    Ink is that of text. Paper is the ground: what is shaded with it looks faded.
+    Ink is that of text. Paper is the ground: what is shaded with it looks faded. Black is the same
+    on light and dark ground, for what lies on a field of colours, which are the same as well.
     """
 
     BLUE = "blue"
@@ -34,6 +35,7 @@ class Color(StrEnum):
     GRAY = "gray"
     INK = "ink"
     PAPER = "paper"
+    BLACK = "black"
 
 
 class Marker(StrEnum):

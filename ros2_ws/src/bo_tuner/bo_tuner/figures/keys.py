@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,7 +62,9 @@ def legend(figure: Figure) -> list[LegendEntry]:
                 entry = LegendEntry(name, element.marker, color, filled=element.filled)
             case _:
                 entry = LegendEntry(name, "area", element.color)
-        entries[name] = entry
+        # Beside the field there is the ground of the page.
+        on_page = Color.INK if entry.color is Color.BLACK else entry.color
+        entries[name] = replace(entry, color=on_page)
     return list(entries.values())
 
 

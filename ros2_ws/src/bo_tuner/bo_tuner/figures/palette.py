@@ -1,7 +1,7 @@
 """Shades of the named colours on light and on dark ground, and the colours of fields.
 
-Each shade but paper has a contrast of at least 3:1 against the ground of its palette, as WCAG 2.2
-(1.4.11) asks of what is needed to read a graphic. The hues are those of Okabe and Ito
+Each shade but paper and black has a contrast of at least 3:1 against the ground of its palette, as
+WCAG 2.2 (1.4.11) asks of what is needed to read a graphic. The hues are those of Okabe and Ito
 (2008), in other lightness where that needs it.
 """
 
@@ -20,6 +20,7 @@ LIGHT = {
     Color.GRAY: "#6f7780",
     Color.INK: "#1c232b",
     Color.PAPER: LIGHT_GROUND,
+    Color.BLACK: "#101418",
 }
 
 DARK = {
@@ -32,6 +33,7 @@ DARK = {
     Color.GRAY: "#949da8",
     Color.INK: "#e6eaee",
     Color.PAPER: DARK_GROUND,
+    Color.BLACK: "#101418",
 }
 
 SEQUENTIAL = (

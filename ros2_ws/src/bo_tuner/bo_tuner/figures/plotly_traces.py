@@ -110,7 +110,7 @@ def _points(points: Points) -> Trace:
             "colorscale": stops(points.colors),
             "cmin": points.colors.low,
             "cmax": points.colors.high,
-            "line": {"width": 1, "color": "@ink"},
+            "line": {"width": 1, "color": f"@{Color.BLACK}"},
         }
     elif points.marker in THIN:
         marker["line"] = {"width": 2.5, "color": f"@{points.color}"}

@@ -25,9 +25,9 @@ CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 class Outcome:
     """How a trial is shown."""
 
-    WITHIN = "within the limits"
-    VIOLATES = "violating a limit"
-    OUTLIER = "taken for an outlier"
+    WITHIN = "within limits"
+    VIOLATES = "violating"
+    OUTLIER = "outlying"
     FAILED = "failed"
 
 

@@ -144,7 +144,9 @@ def _panel_2d(
         x, y, z = _field(study, cuts, metric)
         elements.append(Heatmap(x=x, y=y, z=z, colors=colors))
         if limit is not None:
-            elements.append(Contour(x=x, y=y, z=z, levels=[limit], name="limit", width=2.0))
+            elements.append(
+                Contour(x=x, y=y, z=z, levels=[limit], name="limit", color=Color.BLACK, width=2.0)
+            )
     elements.append(
         Points(
             x=[cut.context[a] for cut in cuts],

@@ -4,6 +4,7 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const PRINT_WIDTH = 680; // of an A4 page between its margins [px]
   const GAP = 6; // between panels [px]
+  const PRINT_SCALE = 0.8; // of the height of panels, as in the style sheet
   const config = {
     displaylogo: false,
     responsive: false,
@@ -33,7 +34,7 @@
     }
 
     // Draws all panels in a theme; `width` [px] of each, or as wide as its place.
-    draw(theme, width) {
+    draw(theme, width, scale = 1) {
       const palette = shades[theme];
       const panels = JSON.parse(
         this.text.replace(/"@([a-z]+)(?:\/([0-9.]+))?"/g, (_, name, opacity) =>
@@ -45,6 +46,7 @@
           if (this.hidden.has(item.name)) item.visible = false;
         }
         panel.layout.width = width || this.plots[k].clientWidth;
+        panel.layout.height *= scale;
         Plotly.react(this.plots[k], panel.data, panel.layout, config);
       });
       this.theme = theme;
@@ -110,7 +112,7 @@
     for (const details of document.querySelectorAll("details")) details.open = true;
     for (const figure of figures) {
       const columns = Number(getComputedStyle(figure.element.querySelector(".panels")).getPropertyValue("--columns"));
-      figure.draw("light", Math.floor((PRINT_WIDTH - GAP * (columns - 1)) / columns));
+      figure.draw("light", Math.floor((PRINT_WIDTH - GAP * (columns - 1)) / columns), PRINT_SCALE);
     }
   });
   addEventListener("afterprint", redraw);
