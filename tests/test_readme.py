@@ -47,13 +47,3 @@ def test_parameter_tables(node, table, defaults):
         for spec in specifications(table)
     ]
     assert rows(node) == expected
-
-
-def test_links_lead_somewhere():
-    root = Path(__file__).parents[1]
-    documents = [root / "README.md", root / "CONTRIBUTING.md", *root.glob("docs/*.md")]
-    for document in documents:
-        text = document.read_text(encoding="utf-8")
-        for target in re.findall(r"\]\(([^)#]+)", text):
-            if not target.startswith("http"):
-                assert (document.parent / target).exists(), f"{document.name}: {target}"

@@ -148,7 +148,7 @@ def test_records_of_another_version_are_not_mixed(refused, tmp_path):
     [
         (["--jobs", "0"], "error: --jobs: expected at least 1, found 0"),
         (["--cluster", "localhost"], "error: --cluster: expected dask://host:port or tcp://"),
-        (["--page-only"], "error: no run that all rows of a case of closed have is on record"),
+        (["--page-only"], "error: no run of closed is on record"),
         (["--experiment", "none"], "error: unknown experiment 'none'; shipped are paper, small"),
         (["--records", "/proc/none"], "error: .*/proc/none/closed.jsonl: cannot be written"),
     ],

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from valley import true_objective, true_worst
 
-from bo_tuner.benchmark.neighbours import STEP, is_narrow, judge_neighbours
+from bo_tuner.benchmark.neighbours import STEP, judge_neighbours
+from bo_tuner.benchmark.summary import is_narrow
 from bo_tuner.benchmark.truth import Effort, Truth, truth_of, verdict_record
 from bo_tuner.errors import StudyError
-from bo_tuner.study_file import study_from_mapping, study_to_mapping
+from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
 
 JUDGE = "valley:Judge"
 
@@ -86,10 +87,17 @@ def test_neighbours_are_a_step_away_within_the_bounds(truth):
 def test_narrow_is_a_step_beyond_a_fifth(truth):
     flat = truth.verdict({"g0": 0.6, "g1": 0.6})
     around = judge_neighbours(truth, {"g0": 0.6, "g1": 0.6}, flat)
-    assert not is_narrow(around)
+    assert not is_narrow(truth.study, around)
     # As if the middle were much lower than it is.
     low = dataclasses.replace(flat, objective=flat.objective / 1.3)
-    assert is_narrow(judge_neighbours(truth, {"g0": 0.6, "g1": 0.6}, low))
+    assert is_narrow(truth.study, judge_neighbours(truth, {"g0": 0.6, "g1": 0.6}, low))
     # The worst case at a step is 0.75 * 1.225 there: beyond the limit by more than a fifth.
     beyond = {"g0": 0.75, "g1": 0.75}
-    assert is_narrow(judge_neighbours(truth, beyond, truth.verdict(beyond)))
+    assert is_narrow(truth.study, judge_neighbours(truth, beyond, truth.verdict(beyond)))
+
+
+def test_only_steps_of_integers_make_a_milling_optimum_narrow():
+    study = load_study("benchmark")
+    steps = [{"changed": "lambda_mpc", "tolerable": False}]
+    assert not is_narrow(study, steps)
+    assert is_narrow(study, [*steps, {"changed": "control_horizon", "tolerable": False}])

@@ -23,9 +23,16 @@ def test_runs_count_from_the_first_seed_as_far_as_all_rows_have_them(experiment)
     assert missing == [
         "2 of 3 runs of c",
         "1 judged points of c",
-        "2 of 2 runs of d",
+        "all runs of d",
         "2 of 3 runs of the cost",
     ]
+
+
+def test_a_row_without_any_run_is_left_out(experiment):
+    reduced, missing = on_record(experiment, {"run/c/A/1", "run/c/A/2"})
+    assert list(reduced.cases["c"].rows) == ["A"]
+    assert reduced.cases["c"].runs == 2
+    assert missing[0] == "all runs of B of c"
 
 
 def test_a_whole_campaign_stays_as_it_is(experiment):
@@ -35,5 +42,5 @@ def test_a_whole_campaign_stays_as_it_is(experiment):
 
 
 def test_nothing_on_record_is_an_error(experiment):
-    with pytest.raises(OutputError, match="no run that all rows of a case of e have is on record"):
-        on_record(experiment, {"run/c/A/1"})
+    with pytest.raises(OutputError, match="no run of e is on record"):
+        on_record(experiment, {"point/c/a"})

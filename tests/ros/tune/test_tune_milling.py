@@ -19,6 +19,10 @@ pytestmark = pytest.mark.ros
 
 NAMESPACE = "/x_axis"
 NODES = ("milling_plant", "mpc_controller")
+TUNED_OR_SET = {
+    "milling_plant": ["stiffness_factor", "damping_factor", "seed"],
+    "mpc_controller": ["control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf"],
+}
 
 
 def small_study(trials, **plant_parameters):
@@ -152,15 +156,17 @@ class TestRecovery:
         command.wait_for_nodes_to_end(5.0)
 
 
-def test_attached_to_nodes_that_run(tune, start_node):
+def test_attached_to_nodes_that_run(tune, start_node, peer):
     for node in NODES:
         start_node(node)
+    before = {node: peer.get_parameters(node, TUNED_OR_SET[node]) for node in NODES}
     environment = {key: os.environ[key] for key in os.environ if key.startswith(("ROS_", "FAST"))}
     command = tune("--attach", study=small_study(2), **environment)
     assert command.finish() in (0, 3), command.err
     assert [trial.state for trial in command.trials()] == [TrialState.COMPLETE] * 2
-    # They are not ours to end.
+    # They are not ours to end, nor to change.
     assert command.nodes() == []
+    assert {node: peer.get_parameters(node, TUNED_OR_SET[node]) for node in NODES} == before
 
 
 def test_the_executables_of_this_environment_are_found():

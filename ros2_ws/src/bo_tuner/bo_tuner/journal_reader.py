@@ -139,7 +139,7 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     for provenance in sessions:
         with Journal(path, provenance):
             pass
-    with Journal(path, sessions[-1] | {"salvaged_from": kept.name}) as journal:
+    with Journal(path, dict(sessions[-1]) | {"salvaged_from": kept.name}) as journal:
         for recorded in content.cuts:
             journal.record_cut(recorded.cut, recorded.parameters)
         for trial in content.trials:

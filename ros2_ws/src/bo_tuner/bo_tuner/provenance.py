@@ -45,7 +45,7 @@ def _version(package: str) -> str:
 
 def _commit() -> str:
     try:
-        words = str(metadata("bo_tuner").get("Keywords") or "").replace(",", " ").split()
+        words = " ".join(metadata("bo_tuner").get_all("Keywords") or []).replace(",", " ").split()
     except PackageNotFoundError:
         words = []
     named = [word.removeprefix(COMMIT) for word in words if word.startswith(COMMIT)]

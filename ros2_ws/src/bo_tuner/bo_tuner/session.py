@@ -273,7 +273,7 @@ class Session:
             "recording": recorded,
         }
         folder.write_summary(summary)
-        amiss = _amiss(best, tuned)
+        amiss = _amiss(self._study, best, tuned)
         self._display.result(Result(self._study, default, tuned, path, amiss, summary))
         return EXIT_OK if feasible else EXIT_INFEASIBLE
 
@@ -281,13 +281,19 @@ class Session:
         return f"go on by: tune --resume {self._folder.path}"
 
 
-def _amiss(best: Recommendation, tuned: Validation) -> str:
+def _amiss(study: Study, best: Recommendation, tuned: Validation) -> str:
     """Tell what speaks against the parametrization found; empty if nothing does."""
+    if best.feasible and tuned.feasible:
+        return ""
+    text = "the parametrization found looked feasible, but did not hold in the validation"
     if not best.feasible:
-        return (
+        text = (
             "no parametrization is feasible as far as the checks can tell; the file holds the "
             "least violating one"
         )
-    if not tuned.feasible:
-        return "the parametrization found looked feasible, but did not hold in the validation"
-    return ""
+    broken = [study.constraints[check.name] for check in tuned.constraints if not check.holds]
+    metrics = [study.metrics[constraint.metric] for constraint in broken]
+    if metrics and not any(metric.reproducible for metric in metrics):
+        names = ", ".join(metric.name for metric in metrics)
+        text += f"; only {names} broke a limit, which other load on this machine can do, too"
+    return text

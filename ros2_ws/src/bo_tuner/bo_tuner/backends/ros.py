@@ -37,7 +37,8 @@ class RosBackend:
         Takes what started nodes print.
     attach
         Use nodes that run already instead of starting them. They are looked for in the domain
-        and with the discovery settings of the environment.
+        and with the discovery settings of the environment, and have in the end the parameters
+        that they had before.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
         for the nodes that it starts.
@@ -69,6 +70,7 @@ class RosBackend:
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
         self._client: StudyClient | None = None
+        self._found: dict[str, dict[str, object]] = {}
         self.processes: dict[str, NodeProcess] = {}
 
     def open(self) -> None:
@@ -101,6 +103,8 @@ class RosBackend:
                 # That the nodes are discovered does not mean that another tuner is, too.
                 client.spin_for(LOOK_AROUND)
             self._refuse_second_tuner(client)
+            if self._attach:
+                self._found = {key: client.get(key, self._names(key)) for key in self._study.nodes}
             self._set_constants(client)
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
@@ -150,15 +154,36 @@ class RosBackend:
         return TopicListener(self.context, nodes, sink)
 
     def close(self) -> None:
-        """End the started nodes and leave ROS."""
+        """End the started nodes, leave attached ones as they were found, and leave ROS."""
         stop_all(self.processes.values())
         self.processes.clear()
         if self._client is not None:
+            self._restore(self._client)
             self._client.close()
             self._client = None
         if self._claim is not None:
             self._claim.release()
             self._claim = None
+
+    def _names(self, key: str) -> list[str]:
+        """List the parameters of a node that the study sets."""
+        study = self._study
+        contexts = study.context_space()
+        nominal = contexts.to_dict(contexts.nominal())
+        of_cut = study.assignments(study.search_space().defaults, nominal, 0)
+        return list(dict.fromkeys([*study.nodes[key].parameters, *of_cut.get(key, {})]))
+
+    def _restore(self, client: StudyClient) -> None:
+        """Set attached nodes back: a live one must not go on with what a cut was run with."""
+        found, self._found = self._found, {}
+        client.forget_parameters()
+        # A signal has its effect already, and must not leave the nodes half set.
+        self._interrupted = lambda: None
+        for key, values in found.items():
+            try:
+                client.set(key, values)
+            except (RefusedError, LostError) as error:
+                client.warn(f"{self._study.nodes[key].node} is not set back: {error}")
 
     def _watch(self) -> None:
         self._interrupted()

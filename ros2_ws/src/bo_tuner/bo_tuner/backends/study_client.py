@@ -1,18 +1,18 @@
 """A client of a study's nodes: parameters and trigger by services, results by topics."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
@@ -105,6 +105,10 @@ class StudyClient:
     def context(self) -> Context:
         """ROS context of the tuner's node."""
         return self._context
+
+    def warn(self, text: str) -> None:
+        """Say something on the log of the tuner's node."""
+        self._node.get_logger().warning(text)
 
     @property
     def full_name(self) -> str:
@@ -207,6 +211,19 @@ class StudyClient:
             raise RefusedError(f"{key} refused its parameters: {result.reason}")
         known.update(changes)
 
+    def get(self, key: str, names: Sequence[str]) -> dict[str, object]:
+        """Read those parameters of a node that it has.
+
+        Raises
+        ------
+        LostError
+            If it does not answer.
+        """
+        request = GetParameters.Request(names=list(names))
+        values = self._call(self._getters[key], request, key).values
+        found = zip(names, map(parameter_value_to_python, values), strict=False)
+        return {name: value for name, value in found if value is not None}
+
     def expect_answer(self, key: str, timeout: float = CALL_TIMEOUT) -> None:
         """Ask a node to change no parameter.
 
@@ -272,9 +289,13 @@ class StudyClient:
 
     def _connect(self) -> None:
         self._setters: dict[str, Client] = {}
+        self._getters: dict[str, Client] = {}
         for key, spec in self._study.nodes.items():
             self._setters[key] = self._node.create_client(
                 SetParametersAtomically, f"{spec.node}/set_parameters_atomically"
+            )
+            self._getters[key] = self._node.create_client(
+                GetParameters, f"{spec.node}/get_parameters"
             )
             self._node.create_subscription(
                 DiagnosticArray, self._result_topic(key), partial(self._on_result, key), RESULT_QOS

@@ -55,8 +55,8 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
         name=f"convergence-{case.name}",
         title=f"Best solution so far, {case.title}",
         caption=(
-            "Above: true objective of what a run believes to be its best feasible solution, mean "
-            "and standard deviation over the runs where it is feasible in truth. Below: in what "
+            "First: true objective of what a run believes to be its best feasible solution, mean "
+            "and standard deviation over the runs where it is feasible in truth. Second: in what "
             "share of the runs it is."
         ),
         alternative="Lines that fall towards the optimum; the table beside it has the numbers.",
@@ -72,6 +72,8 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
                 elements=shares,
             ),
         ],
+        # Side by side there is room for a long legend.
+        columns=1 if len(summaries) <= len(COLORS) else 2,
     )
 
 
@@ -91,6 +93,7 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
     slope, offset = np.polyfit(modelled, measured, 1)
     correlation = float(np.corrcoef(modelled, measured)[0, 1])
     unit = given.study.metrics[given.metric].unit or ""
+    shown, scale = ("ms", 1e3) if unit == "s" else (unit, 1.0)
     text = (
         f"Measured = {offset:.3g} {unit} + {slope:.3g} × modelled, over {len(whole)} settings; "
         f"correlation {correlation:.3f}. The model stands for a computer whose steps take "
@@ -107,17 +110,22 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
         alternative=f"Points along a straight line; correlation {correlation:.3f}.",
         panels=[
             Panel(
-                x=Axis(label="modelled", unit=unit),
-                y=Axis(label="measured", unit=unit),
+                x=Axis(label="modelled", unit=shown),
+                y=Axis(label="measured", unit=shown),
                 elements=[
                     Points(
-                        x=modelled,
-                        y=measured,
-                        low=measured,
-                        high=[float(np.median(values)) for _, values in whole],
+                        x=scale * modelled,
+                        y=scale * measured,
+                        low=scale * measured,
+                        high=[scale * float(np.median(values)) for _, values in whole],
                         name="cuts",
                     ),
-                    Line(x=ends, y=offset + slope * ends, name="fit", color=Color.VERMILION),
+                    Line(
+                        x=scale * ends,
+                        y=scale * (offset + slope * ends),
+                        name="fit",
+                        color=Color.VERMILION,
+                    ),
                 ],
             )
         ],

@@ -46,11 +46,6 @@ def judge_neighbours(
     return judged
 
 
-def is_narrow(neighbours: list[dict[str, Any]]) -> bool:
-    """Whether a step of some parameter is not tolerable."""
-    return not all(item["tolerable"] for item in neighbours)
-
-
 def _neighbours(
     truth: Truth, parameters: Mapping[str, Value]
 ) -> list[tuple[str, dict[str, Value]]]:

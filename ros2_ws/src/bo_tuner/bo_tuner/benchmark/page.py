@@ -18,9 +18,9 @@ How to read the tables. *Held in validation*: the run called its answer feasible
 draws showed no violation. *Truly feasible*: the mean over noise keeps the limit in each context of
 a grid over the whole box, and real cuts keep the chance constraints. *Validated objective* and
 *validated - training* are over all answers; training is the mean of the answer's cuts in the
-tuning. The *true objective* is over 600 drawn contexts. *Narrow*: a step of one parameter (1 of an
-integer, 5 % of the range otherwise) costs more than a fifth in objective or beyond the limit. In
-brackets: 95 % confidence intervals, Clopper-Pearson for shares, Student's t for means.
+tuning. The *true objective* is over 600 drawn contexts. *Narrow*: one step of an integer
+costs more than a fifth in objective or beyond the limit. In brackets: 95 % confidence intervals,
+Clopper-Pearson for shares, Student's t for means.
 """
 
 
@@ -64,7 +64,7 @@ def sections(
         figure, text = figures.cost_scaling(experiment, done)
         text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment, done)}"
         parts.append(Section("Cost of a run", text, (figure,)))
-    parts.append(Section(f"How {experiment.name} was made", provenance(experiment, done, missing)))
+    parts.append(Section(f"Provenance of {experiment.name}", provenance(experiment, done, missing)))
     return parts
 
 

@@ -23,7 +23,8 @@ def on_record(experiment: Experiment, done: Container[str]) -> tuple[Experiment,
     Returns
     -------
     experiment
-        With the first runs of each case that all its rows have, and without what misses a task.
+        With the first runs of each case that all its rows have, and without what misses a task,
+        such as a row without any run.
     missing
         What was left out, in words; empty if nothing was.
 
@@ -39,7 +40,7 @@ def on_record(experiment: Experiment, done: Container[str]) -> tuple[Experiment,
         if reduced is not None:
             cases[name] = reduced
     if not cases:
-        raise OutputError(f"no run that all rows of a case of {experiment.name} have is on record")
+        raise OutputError(f"no run of {experiment.name} is on record")
     calibration = experiment.calibration if "calibration" in done else None
     if calibration is not experiment.calibration:
         missing.append("the calibration")
@@ -50,8 +51,14 @@ def on_record(experiment: Experiment, done: Container[str]) -> tuple[Experiment,
 
 
 def _case(case: Case, done: Container[str], missing: list[str]) -> Case | None:
+    rows = {k: v for k, v in case.rows.items() if f"run/{case.name}/{k}/1" in done}
+    if not rows:
+        missing.append(f"all runs of {case.name}")
+        return None
+    missing += [f"all runs of {row} of {case.name}" for row in case.rows if row not in rows]
+
     def whole(seed: int) -> bool:
-        return all(f"run/{case.name}/{row}/{seed}" in done for row in case.rows)
+        return all(f"run/{case.name}/{row}/{seed}" in done for row in rows)
 
     runs = _first(whole, case.runs)
     if runs < case.runs:
@@ -60,14 +67,14 @@ def _case(case: Case, done: Container[str], missing: list[str]) -> Case | None:
     if len(points) < len(case.points):
         missing.append(f"{len(case.points) - len(points)} judged points of {case.name}")
     surrogates = case.surrogates
-    if surrogates is not None:
+    if surrogates is not None and surrogates.row in rows:
         columns = [f"truth/{case.name}/{x}" for x in axes(case.study, surrogates.points)[0]]
         if any(name not in done for name in (f"surrogates/{case.name}", *columns)):
             missing.append(f"the surrogates of {case.name}")
             surrogates = None
-    if runs == 0:
-        return None
-    return dataclasses.replace(case, runs=runs, points=points, surrogates=surrogates)
+    else:
+        surrogates = None
+    return dataclasses.replace(case, rows=rows, runs=runs, points=points, surrogates=surrogates)
 
 
 def _cost(cost: Cost, done: Container[str], missing: list[str]) -> Cost | None:

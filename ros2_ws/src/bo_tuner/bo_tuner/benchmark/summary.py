@@ -6,8 +6,8 @@ from typing import Any
 
 from bo_tuner.benchmark.experiment import Case
 from bo_tuner.benchmark.experiment_parts import Row
-from bo_tuner.benchmark.neighbours import is_narrow
 from bo_tuner.benchmark.statistics import Mean, Share, mean, share
+from bo_tuner.study import Study
 
 Record = Mapping[str, Any]
 
@@ -100,7 +100,7 @@ def summarise(
         failures=tuple(r["failed"] for r in records if r["failed"]),
         validated=share(len(validated), case.runs),
         feasible=share(len(feasible), case.runs),
-        narrow=sum(is_narrow(a["neighbours"]) for a in answers),
+        narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers),
         validation=mean([a["validation"]["objective"] for a in whole]),
         difference=mean([a["validation"]["objective"] - a["training"] for a in whole]),
         objective=mean(feasible),
@@ -112,6 +112,18 @@ def summarise(
         cuts=mean([result["cuts"] for result in results]),
         check_cuts=mean([result["check_cuts"] for result in results]),
     )
+
+
+def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:
+    """Whether a step of an integer is not tolerable; of any parameter if there are no integers.
+
+    Where a limit is active a step of a real parameter always exceeds it by something, the more the
+    longer the step; an integer's step is what it is.
+    """
+    space = study.search_space()
+    integers = [name for name, integer in zip(space.names, space.integer, strict=True) if integer]
+    judged = [item for item in neighbours if not integers or item["changed"] in integers]
+    return not all(item["tolerable"] for item in judged)
 
 
 def incumbent_at(result: Record, cuts: int) -> Record | None:

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.benchmark.experiment import Case, Experiment
-from bo_tuner.benchmark.neighbours import is_narrow
 from bo_tuner.benchmark.statistics import Mean, Share, mean
-from bo_tuner.benchmark.summary import Record, RowSummary, feasible_at
+from bo_tuner.benchmark.summary import Record, RowSummary, feasible_at, is_narrow
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
 
@@ -105,7 +104,7 @@ def neighbourhood_table(
                 f"**{label}**",
                 *_point(study, entry["parameters"]),
                 *_truth(entry["truth"]),
-                _verdict(entry),
+                _verdict(study, entry),
                 _quoted(published),
             ]
         )
@@ -186,12 +185,12 @@ def _truth(truth: Mapping[str, Any]) -> list[str]:
     return [_number(truth["objective"]), _number(truth["worst"]), feasible]
 
 
-def _verdict(entry: Record) -> str:
+def _verdict(study: Study, entry: Record) -> str:
     if not entry["neighbours"]:
         return ""
     if not entry["truth"]["feasible"]:
         return "infeasible"
-    return "narrow" if is_narrow(entry["neighbours"]) else "robust"
+    return "narrow" if is_narrow(study, entry["neighbours"]) else "robust"
 
 
 def _step(study: Study, entry: Record, neighbour: Record) -> str:

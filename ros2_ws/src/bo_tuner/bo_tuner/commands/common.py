@@ -1,6 +1,8 @@
 """What all commands share: their parser, and one line for each mistake."""
 
 import argparse
+import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from io import TextIOWrapper
@@ -64,10 +66,17 @@ def guarded(run: Run) -> Run:
         try:
             # More threads than one only slow down the small matrices of the surrogates.
             with threadpool_limits(1):
-                return run(argv, interruption)
+                code = run(argv, interruption)
+            # Here, where it is known what to do about a reader that has gone.
+            sys.stdout.flush()
+            return code
         except (StudyError, OutputError, BackendError, JournalError, RunRecordError) as error:
             sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
             return EXIT_USAGE
+        except BrokenPipeError:
+            # Whoever read the output has had enough; nothing may be flushed to it any more.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_SIGNAL + signal.SIGPIPE
         except Interrupted as interrupt:
             sys.stderr.write(f"interrupted by {interrupt}\n")
             return EXIT_SIGNAL + interrupt.signum
