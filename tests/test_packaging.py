@@ -36,8 +36,8 @@ PIP_PACKAGES = {
     "yaml": ("python3-yaml", "PyYAML"),
 }
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}
-# Parts of Python, or of a package whose rosdep key differs from the import name.
-NOT_DECLARED = {*sys.stdlib_module_names, "setuptools"}
+# Parts of Python, or of extras: imported only when they are asked for.
+NOT_DECLARED = {*sys.stdlib_module_names, "setuptools", "distributed"}
 
 every_package = pytest.mark.parametrize("package", EXECUTABLES)
 
