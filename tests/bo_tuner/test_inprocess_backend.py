@@ -1,5 +1,7 @@
 """Cuts on objects of this process: foreign code may do what it likes, the run goes on."""
 
+import sys
+
 import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -67,6 +69,8 @@ def opened(tmp_path, monkeypatch, make_study):
     (tmp_path / "axis_objects.py").write_text(OBJECTS)
     (tmp_path / "no_python.py").write_text("class Axis(:\n")
     monkeypatch.syspath_prepend(tmp_path)
+    # Other tests have a module of this name, too.
+    monkeypatch.delitem(sys.modules, "axis_objects", raising=False)
 
     def make(**sections):
         backend = InProcessBackend(make_study(**sections))

@@ -143,7 +143,7 @@ class TestVerdict:
         assert f"certificate: {folder}/certificate.json" in out
         # One line for each phase, since this is no terminal.
         assert [line.split(":")[0] for line in err.splitlines()] == [
-            "draws", "worst case of default", "worst case of tuned",
+            "draws", "worst case of default", "worst case of tuned", "report", "bundle",
         ]  # fmt: skip
         found = certificate(folder)
         assert (found["verdict"], found["reasons"]) == ("PASS", [])

@@ -91,10 +91,10 @@ def read_journal(path: Path) -> JournalContent:
             sessions, damaged_sessions = _rows(db, "session")
             cut_rows, damaged_cuts = _rows(db, "cut")
             trial_rows, damaged_trials = _rows(db, "trial")
-    except (sqlite3.Error, OSError) as error:
+    except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
         if isinstance(error, JournalError):
             raise
-        raise JournalError(f"{path}: {error}") from error
+        raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
     try:
         cuts = tuple(_cut(row) for row in cut_rows)
         trials = tuple(_trials(trial_rows, cuts))
@@ -163,7 +163,7 @@ def export_csv(path: Path, directory: Path) -> None:
             with closing(_connect(path)) as db:
                 found, _ = _rows(db, table)
         except sqlite3.Error as error:
-            raise JournalError(f"{path}: {error}") from error
+            raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
         rows = [_flat(row) for row in found]
         names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
         header = list(dict.fromkeys(key for row in rows for key in row)) or names
@@ -182,7 +182,7 @@ def _connect(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
     try:
         db.execute("SELECT 1 FROM sqlite_master").fetchone()
-    except sqlite3.DatabaseError:
+    except (sqlite3.DatabaseError, UnicodeDecodeError):
         db.close()
         data = bytearray(path.read_bytes())
         if len(data) < _HEADER.size or not data.startswith(_SQLITE):
