@@ -78,7 +78,9 @@ class TestRun:
         code, events, err = finish(tune(*NEW, "--json-lines"))
         assert (code, err) == (0, "")
         assert [event["event"] for event in events[:2]] == ["run", "phase"]
-        assert [event["event"] for event in events[-2:]] == ["result", "end"]
+        # Report and bundle are told as messages.
+        ends = ["result", "message", "message", "end"]
+        assert [event["event"] for event in events[-4:]] == ends
         assert events[-1]["exit_code"] == 0
         times = [event["time"] for event in events]
         assert times == sorted(times)
@@ -100,7 +102,7 @@ class TestRun:
             assert event["mean_metrics"]["error"] == sum(errors) / len(errors)
             assert event["recalled"] is False
         summary = json.loads((folder / "summary.json").read_text())
-        assert events[-2].items() >= summary.items()
+        assert events[-4].items() >= summary.items()
 
     def test_quiet_shows_the_result_alone(self, tune):
         process = tune(*NEW, "--quiet")
