@@ -24,7 +24,7 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 	FASTRTPS_DEFAULT_PROFILES_FILE='$(CURDIR)/ros2_ws/src/bo_tuner/config/fastdds_profile.xml' \
 	ROS_LOG_DIR='$(CURDIR)/$(VENV)/log' ROS_PYTHON_CHECK_FIELDS=1
 
-# Processes of the benchmark.
+# Processes of the benchmark and of the tests.
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 EXPERIMENTS ?= paper benchmarks/experiments/peers.yaml benchmarks/experiments/choices.yaml
 
@@ -53,7 +53,7 @@ benchmark: setup $(VENV)/.benchmarks
 		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
 
 test: setup $(VENV)/.dev
-	$(CHECK_ENV) $(BIN)/python -m pytest $(ARGS)
+	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -32,7 +32,7 @@ from sensor_msgs.msg import JointState
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros import RosBackend
 from bo_tuner.study_file import load_study
-from bo_tuner.trials import CutState
+from bo_tuner.trials import Cut, CutState, Stage
 from bo_tuner.tuning import run_cut
 from mpc_controller.controller import MpcController
 from mpc_controller.kalman_filter import kalman_filter
@@ -58,7 +58,8 @@ def seconds(work: Callable[[], Any]) -> float:
 
 def cut(backend: Any, seed: int = 1) -> None:
     """Run one cut of the hand-tuned parametrization; a failed one ends the benchmark."""
-    outcome = run_cut(STUDY, backend, PARAMETERS, CONTEXT, seed)
+    planned = Cut(0, 0, Stage.DRAWN, CONTEXT, seed)
+    outcome = run_cut(STUDY, backend, PARAMETERS, planned).outcome
     if outcome.state is not CutState.COMPLETE:
         raise SystemExit(f"error: a cut failed: {outcome.reason}")
 

@@ -5,6 +5,7 @@ that it was obtained with; a file that is missing is left out.
 """
 
 import json
+import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -110,6 +111,78 @@ def soak_section(result: Result) -> str:
     )
 
 
+def kill_section(result: Result) -> str:
+    """Losses by kills, and how long it takes to go on."""
+    rows = [
+        [killed, count, f"{r['median']:.1f}", f"{r['worst']:.1f}"]
+        for killed, count in result["kills"].items()
+        for r in [result["until_next_cut"][killed]]
+    ]
+    return "\n\n".join(
+        [
+            "## Killed at random moments",
+            origin(result),
+            f"{sum(result['kills'].values())} times `kill -9`, of the tuner followed by "
+            f"`tune --resume`: {result['lost_cuts']} lost cuts, {result['lost_trials']} lost "
+            f"trials, {result['damaged_journals']} damaged journals. Time from the kill until the "
+            "next cut was on record:",
+            table(["killed", "times", "median [s]", "worst [s]"], rows),
+        ]
+    )
+
+
+def fuzz_section(result: Result) -> str:
+    """Failures by hostile input."""
+    kinds = ", ".join(f"{r['inputs']} of {kind}" for kind, r in result["hypothesis"].items())
+    return "\n\n".join(
+        [
+            "## Hostile input",
+            origin(result),
+            f"{result['inputs']} inputs ({kinds}), and "
+            f"{result['atheris_on_study_files']['inputs']} study files of a coverage-guided "
+            f"fuzzer: {result['failures']} tracebacks, crashes "
+            "or writes outside of the run folder.",
+        ]
+    )
+
+
+def report_section(result: Result) -> str:
+    """Size and speed of the report."""
+    rows = [
+        [name, f"{statistics.median(result[key]):.2f}", f"{min(result[key]):.2f}",
+         f"{max(result[key]):.2f}"]
+        for name, key in (
+            ("open: loaded, first figure drawn", "seconds_to_open"),
+            ("all figures drawn", "seconds_to_draw_all"),
+            ("write", "seconds_to_write"),
+        )
+    ]  # fmt: skip
+    return "\n\n".join(
+        [
+            "## The report",
+            origin(result),
+            f"{result['trials']} trials of the study `{result['study']}`: "
+            f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
+            "axe-core.",
+            table(["", "median [s]", "least", "most"], rows),
+        ]
+    )
+
+
+def live_section(result: Result) -> str:
+    """Cost of live monitoring."""
+    rows = [[part, f"{share:.2%}"] for part, share in result["shares"].items()]
+    return "\n\n".join(
+        [
+            "## Cost of live monitoring",
+            origin(result),
+            f"Part of the time of a run over ROS with {result['trials']} trials: "
+            f"{result['share']:.1%}.",
+            table(["part", "share"], rows),
+        ]
+    )
+
+
 def main() -> None:
     """Write the page."""
     sections = [INTRODUCTION]
@@ -117,7 +190,11 @@ def main() -> None:
         ("suggestion_time.json", suggestion_section),
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),
+        ("live_overhead.json", live_section),
+        ("report.json", report_section),
         ("soak.json", soak_section),
+        ("kill_soak.json", kill_section),
+        ("fuzz.json", fuzz_section),
     ):
         if (result := load(name)) is not None:
             sections.append(section(result))

@@ -84,9 +84,9 @@ def make_trials(study: Study, count: int) -> list[Trial]:
         cuts = []
         for index, context in enumerate([*rows, WORST_CONTEXT]):
             seed = int(rng.integers(2**31))
-            outcome = run_cut(study, backend, parameters, context, seed)
             stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
-            cuts.append(Cut(len(trials), index, stage, context, seed, outcome))
+            planned = Cut(len(trials), index, stage, context, seed)
+            cuts.append(run_cut(study, backend, parameters, planned))
         if any(cut.outcome.state is not CutState.COMPLETE for cut in cuts):
             continue
         worst = cuts[-1].outcome.metrics["overshoot"]
