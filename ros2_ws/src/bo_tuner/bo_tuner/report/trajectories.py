@@ -42,22 +42,34 @@ class NoTraceError(Exception):
 class TracingBackend(InProcessBackend):
     """The study's objects, asked for the signals of their last cut."""
 
+    def open(self) -> None:
+        """Make the objects.
+
+        Raises
+        ------
+        StudyError
+            If one cannot be had.
+        NoTraceError
+            If the trigger's object offers no signals: no cut is to be run for nothing.
+        """
+        super().open()
+        key = self._study.trigger.node
+        if getattr(self._objects[key], "trace", None) is None:
+            raise NoTraceError(f"the object of node '{key}' has no trace() for its signals")
+
     def trace(self) -> Trace:
         """Return the signals of the last cut.
 
         Raises
         ------
         NoTraceError
-            If the trigger's object offers none.
+            If they are not as they should be.
         """
         key = self._study.trigger.node
-        trace = getattr(self._objects[key], "trace", None)
-        if trace is None:
-            raise NoTraceError(f"the object of node '{key}' has no trace() for its signals")
         try:
             signals = {
                 str(name): Signal(str(unit), np.asarray(seen, dtype=np.float64).ravel())
-                for name, (unit, seen) in trace().items()
+                for name, (unit, seen) in self._objects[key].trace().items()
             }
             lengths = {len(signal.values) for signal in signals.values()}
         except Exception as error:  # foreign code, which may do anything

@@ -1,7 +1,9 @@
 """The life of a node's process: start, spin, and a clean end on any signal."""
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from types import FrameType
 
@@ -22,6 +24,8 @@ except ImportError:
 EXIT_USAGE = 2
 SPIN_PERIOD = 0.1
 """Longest time [s] until a signal is noticed."""
+EXIT_TIMEOUT = 5.0
+"""Time [s] that the middleware has to end."""
 
 
 def make_executor() -> Executor:
@@ -66,10 +70,15 @@ def run(make_node: Callable[[], Node]) -> int:
     finally:
         for signum in (signal.SIGINT, signal.SIGTERM):
             signal.signal(signum, signal.SIG_IGN)
+        # The middleware has been seen to hang in its own end, rarely; the process shall not.
+        deadline = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
+        deadline.daemon = True
+        deadline.start()
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()
         rclpy.try_shutdown()
+        deadline.cancel()
     return 0
 
 
