@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.apply import (
@@ -32,6 +31,7 @@ from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
 from bo_tuner.errors import BackendError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.interruption import Interruption
+from bo_tuner.live.display import plain_console
 from bo_tuner.live_parameters import LiveParameters
 from bo_tuner.parameter_file import NodeValues, node_values
 from bo_tuner.run_folder import RunFolder
@@ -170,7 +170,7 @@ def _show(rows: list[Difference], title: str) -> None:
     for row in rows:
         cells = (row.node, row.parameter, row.unit, *_shown(row))
         table.add_row(*cells, "" if row.equal else "changes")
-    _console().print(table)
+    plain_console().print(table)
 
 
 def _shown(row: Difference) -> tuple[str, str]:
@@ -192,11 +192,7 @@ def _confirmed(question: str, interruption: Interruption) -> bool:
 
 
 def _say(text: str) -> None:
-    _console().print(text, soft_wrap=True)
-
-
-def _console() -> Console:
-    return Console(markup=False, emoji=False, highlight=False)
+    plain_console().print(text, soft_wrap=True)
 
 
 def _warn(text: str) -> None:

@@ -19,6 +19,10 @@ from bo_tuner.errors import (
 )
 from bo_tuner.exit_codes import EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.run_record import RunRecord
+
+BACKENDS = ("ros", "inprocess")
+"""Where cuts run; the first is the default."""
 
 Run = Callable[[Sequence[str], Interruption], int]
 
@@ -82,6 +86,19 @@ def guarded(run: Run) -> Run:
             return EXIT_SIGNAL + interrupt.signum
 
     return guard
+
+
+def recorded_backend(record: RunRecord) -> str:
+    """Return the backend that a run is on.
+
+    Raises
+    ------
+    RunRecordError
+        If there is no such backend.
+    """
+    if record.backend not in BACKENDS:
+        raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
+    return record.backend
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -5,17 +5,23 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.backends import Backend
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros import RosBackend
-from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
-from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.commands.common import (
+    BACKENDS,
+    Parser,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
+from bo_tuner.errors import OutputError
 from bo_tuner.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.journal_reader import RecordedCut
+from bo_tuner.live.display import plain_console
 from bo_tuner.provenance import provenance
 from bo_tuner.recording.bag import Message
 from bo_tuner.replay import (
@@ -58,7 +64,6 @@ examples:
   replay runs/latest --trial 7 --backend inprocess   without nodes, and without a bag
 """
 
-BACKENDS = ("ros", IN_PROCESS)
 DEFAULT, TUNED = "default", "tuned"
 
 B = TypeVar("B", bound=Backend)
@@ -107,9 +112,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if arguments.which is not None and arguments.trial is not None:
         parser.error("--trial is given twice")
     record = read_run(arguments.run)
-    name = arguments.backend or record.backend
-    if name not in BACKENDS:
-        raise RunRecordError(f"{arguments.run}: unknown backend {name!r} in its record")
+    name = arguments.backend or recorded_backend(record)
     if name == IN_PROCESS and arguments.attach:
         parser.error("--attach needs --backend ros")
     if name == IN_PROCESS and arguments.output is not None:
@@ -117,7 +120,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     recorded = find_cut(
         record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.cut
     )
-    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
     if name == IN_PROCESS:
         with _opened(InProcessBackend(record.study), interruption) as backend:
@@ -246,7 +249,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
             "-" if row.difference is None else f"{row.difference:.3g}",
             _word(row),
         )
-    _console().print(table)
+    plain_console().print(table)
     measured = [row.metric.name for row in result.metrics if not row.judged]
     if measured:
         _say(f"measured by the clock, hence not judged: {', '.join(measured)}")
@@ -271,8 +274,4 @@ def _word(row: Comparison) -> str:
 
 
 def _say(text: str) -> None:
-    _console().print(text, soft_wrap=True)
-
-
-def _console() -> Console:
-    return Console(markup=False, emoji=False, highlight=False)
+    plain_console().print(text, soft_wrap=True)

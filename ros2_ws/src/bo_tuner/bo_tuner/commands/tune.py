@@ -4,8 +4,14 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
-from bo_tuner.errors import RunRecordError, StudyError
+from bo_tuner.commands.common import (
+    BACKENDS,
+    Parser,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
+from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.live.display import Output
 from bo_tuner.methods import METHODS
@@ -44,7 +50,6 @@ examples:
 
 STUDY = "benchmark"
 ALGORITHM = "IV"
-BACKENDS = ("ros", "inprocess")
 OUTPUT = Path("runs")
 FROM_THE_RECORD = ("study", "trials", "seed", "output", "backend", "algorithm")
 """Options that a run which goes on has on record."""
@@ -152,9 +157,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if given:
             parser.error(f"--resume has --{given[0]} from the run's record; leave it out")
         record = read_run(arguments.resume)
-        study, algorithm, backend = record.study, record.algorithm, record.backend
-        if backend not in BACKENDS:
-            raise RunRecordError(f"{arguments.resume}: unknown backend {backend!r} in its record")
+        study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
         stop_early = arguments.stop_early or STOP_EARLY in record.provenance
     else:
         study, stop_early = _study(arguments), arguments.stop_early

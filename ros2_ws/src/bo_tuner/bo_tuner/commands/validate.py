@@ -24,8 +24,13 @@ from bo_tuner.certificate_record import (
 )
 from bo_tuner.certificate_table import certificate_lines, certificate_table
 from bo_tuner.certification import Certification, Subject
-from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
-from bo_tuner.commands.tune import BACKENDS
+from bo_tuner.commands.common import (
+    BACKENDS,
+    Parser,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.deliverables import write_deliverables
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
@@ -127,9 +132,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parser = make_parser()
     arguments = parser.parse_args(own)
     record = read_run(arguments.run)
-    backend = arguments.backend or record.backend
-    if backend not in BACKENDS:
-        raise RunRecordError(f"{record.path}: unknown backend {backend!r} in its record")
+    backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != "ros":
         parser.error("--attach needs --backend ros")
     needed, constraint = most_draws_needed(record.study, arguments.confidence)
