@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.errors import OutputError
-from bo_tuner.figures.figure import Axis, Bars, Figure, Panel
+from bo_tuner.figures.figure import Axis, Bars, ColorScale, Figure, Heatmap, Line, Panel, Scale
 from bo_tuner.figures.matplotlib_renderer import draw, render, write_figure
 
 
@@ -40,6 +40,47 @@ def test_the_legend_names_each_element_once(full_figure):
     (legend,) = draw(full_figure).legends
     names = [text.get_text() for text in legend.get_texts()]
     assert names == ["out", "edge", "cut", "band", "line", "points", "limit", "here", "a", "b"]
+
+
+@pytest.mark.parametrize("names", [["short"], ["a name of some twenty-five letters"] * 13])
+def test_a_legend_stays_within_the_sheet(names):
+    names = [f"{name} {index}" for index, name in enumerate(names)]
+    sheet = draw(figure_of(*(Line(x=[0.0, 1.0], y=[0.0, 1.0], name=name) for name in names)))
+    sheet.draw_without_rendering()
+    (legend,) = sheet.legends
+    extent = legend.get_window_extent()
+    assert extent.x0 >= 0.0
+    assert extent.x1 <= sheet.bbox.width
+    assert len(legend.get_texts()) == len(names)
+
+
+@pytest.mark.parametrize("high", [8.9, 12.0, 30.0, 1e4])
+def test_a_logarithmic_axis_has_some_numbers(high):
+    line = Line(x=[0.0, 1.0], y=[8.0, high])
+    panel = Panel(x=Axis(label="x"), y=Axis(label="y", scale=Scale.LOG), elements=[line])
+    sheet = draw(Figure(name="a", title="", caption="", alternative="", panels=[panel]))
+    sheet.draw_without_rendering()
+    (ax,) = sheet.axes
+    low, high = ax.get_ylim()
+    labels = [t.get_text() for t in ax.get_yticklabels() if low <= t.get_position()[1] <= high]
+    assert len([text for text in labels if text]) >= 2
+
+
+@pytest.mark.parametrize(
+    ("scale", "x", "edges"),
+    [
+        (Scale.LINEAR, [1.0, 3.0, 4.0], [0.0, 2.0, 3.5, 4.5]),
+        (Scale.LOG, [1.0, 4.0, 16.0], [0.5, 2.0, 8.0, 32.0]),
+        (Scale.LOG, [1.0], [np.exp(-0.5), np.exp(0.5)]),
+    ],
+)
+def test_cells_of_a_heatmap_meet_half_way_on_the_axis(scale, x, edges):
+    field = np.zeros((2, len(x)))
+    element = Heatmap(x=x, y=[0.0, 1.0], z=field, colors=ColorScale(label="z", low=0.0, high=1.0))
+    panel = Panel(x=Axis(label="x", scale=scale), y=Axis(label="y"), elements=[element])
+    one = Figure(name="one", title="t", caption="", alternative="", panels=[panel])
+    (mesh,) = draw(one).axes[0].collections
+    np.testing.assert_allclose(mesh.get_coordinates()[0, :, 0], edges)
 
 
 def test_bars_stand_beside_each_other_or_on_their_base():

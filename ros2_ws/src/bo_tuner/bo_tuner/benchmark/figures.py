@@ -35,13 +35,16 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
     cuts = np.linspace(0.0, max([case.cuts, *used]), STEPS)
     quality: list[Line | Band | Limit] = []
     shares: list[Line] = []
+    many = len(summaries) > len(COLORS)
     for index, s in enumerate(summaries):
-        color, dash = COLORS[index % len(COLORS)], DASHES[index % len(DASHES)]
+        # No two lines are alike, and a few differ in both.
+        color = COLORS[index % len(COLORS)]
+        dash = DASHES[(index // len(COLORS) if many else index) % len(DASHES)]
         found = [feasible_at(s.results, int(c)) for c in cuts]
         mean = np.array([np.mean(f) if f else np.nan for f in found])
         spread = np.array([np.std(f) if f else np.nan for f in found])
         # Many bands hide one another.
-        if len(summaries) <= len(COLORS):
+        if not many:
             quality.append(Band(x=cuts, lower=mean - spread, upper=mean + spread, color=color))
         quality.append(Line(x=cuts, y=mean, name=s.row.name, color=color, dash=dash))
         share = np.array([len(f) / case.runs for f in found])
@@ -73,7 +76,7 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
             ),
         ],
         # Side by side there is room for a long legend.
-        columns=1 if len(summaries) <= len(COLORS) else 2,
+        columns=2 if many else 1,
     )
 
 

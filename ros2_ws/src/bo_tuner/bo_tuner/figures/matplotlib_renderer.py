@@ -6,7 +6,7 @@ No window system is needed, and the same figure gives the same bytes: no date, f
 import io
 import math
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, TwoSlopeNorm, to_rgba
 from matplotlib.figure import Figure as Sheet
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
 
 from bo_tuner.errors import OutputError
 from bo_tuner.figures.figure import (
@@ -36,6 +37,7 @@ from bo_tuner.figures.figure import (
     Points,
     Region,
     Scale,
+    Values,
 )
 from bo_tuner.figures.palette import DIVERGING, LIGHT, SEQUENTIAL
 
@@ -46,6 +48,15 @@ PANEL_WIDTH = 5.2
 
 RESOLUTION = 150
 """Of PNG files [dots per inch]."""
+
+LITTLE = 4.0
+"""Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
+
+LETTER = 0.08
+"""Width of a letter in the legend [inch], a broad one of `STYLE`."""
+
+LEGEND_KEY = 0.6
+"""Width of what stands before a name in the legend, and of the gap behind it [inch]."""
 
 STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -148,9 +159,15 @@ def draw(figure: Figure) -> Sheet:
             list(legend.values()),
             list(legend),
             loc="outside lower center",
-            ncols=min(len(legend), 2 * figure.columns + 1),
+            ncols=_legend_columns(legend, PANEL_WIDTH * figure.columns),
         )
     return sheet
+
+
+def _legend_columns(names: Iterable[str], width: float) -> int:
+    """Count the columns of a legend that fit into a width [inch]."""
+    letters = [len(name) for name in names]
+    return max(1, min(len(letters), int(width / (LEGEND_KEY + LETTER * max(letters)))))
 
 
 def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
@@ -163,6 +180,10 @@ def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
         name = getattr(element, "name", "")
         if name and handle is not None:
             legend.setdefault(name, handle)
+    for ticks in (ax.xaxis, ax.yaxis):
+        low, high = sorted(ticks.get_view_interval())
+        if isinstance(ticks.get_major_locator(), LogLocator) and high < LITTLE * low:
+            ticks.set_major_locator(AutoLocator())
 
 
 def _axis(
@@ -265,10 +286,24 @@ def _bars(ax: Any, bars: Bars, together: Sequence[Bars], order: int) -> Any:
 
 def _heatmap(ax: Any, heatmap: Heatmap) -> None:
     ax.pcolormesh(
-        heatmap.x, heatmap.y, heatmap.z, cmap=_colormap(heatmap.colors),
-        norm=_norm(heatmap.colors), shading="nearest", rasterized=True,
+        _edges(heatmap.x, ax.get_xscale()), _edges(heatmap.y, ax.get_yscale()), heatmap.z,
+        cmap=_colormap(heatmap.colors), norm=_norm(heatmap.colors), rasterized=True,
     )  # fmt: skip
     ax.grid(visible=False)
+
+
+def _edges(centres: Values, scale: str) -> NDArray[np.float64]:
+    """Borders of the cells of a heatmap: half-way between their centres as they are drawn."""
+    places = np.asarray(centres, dtype=np.float64)
+    places = np.log(places) if scale == Scale.LOG.value else places
+    if len(places) < 2:
+        edges = places[0] + np.array([-0.5, 0.5])
+    else:
+        middles = (places[:-1] + places[1:]) / 2.0
+        ends = places[[0, -1]] * 2.0 - middles[[0, -1]]
+        edges = np.concatenate([ends[:1], middles, ends[1:]])
+    edges = np.exp(edges) if scale == Scale.LOG.value else edges
+    return np.asarray(edges, dtype=np.float64)
 
 
 def _contour(ax: Any, contour: Contour, order: int) -> Any:
