@@ -174,6 +174,7 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
     assert "1 of 1" in tables
     page = (tmp_path / "out" / "results.md").read_text()
     assert "1 run of each row" in page
+    assert re.search(r"- valley: \d+ runs took [\d.]+ minutes, summed over the processes", page)
     assert "**Not on record yet**: 1 of 2 runs of valley." in page
 
 

@@ -28,9 +28,11 @@ from bo_tuner.study import Study
 LIKELY = 0.5
 """Probability beyond which a region counts as feasible, of outliers, or of crashes."""
 
+PROBABILITY = ColorScale(label="probability of being feasible", low=0.0, high=1.0)
+
 
 def field_figure(case: Case, surrogates: Record, truth: Sequence[Record]) -> Figure:
-    """Surrogates of objective and constraints above, the truth below.
+    """Surrogates of objective, constraints and probabilities on the left, the truth on the right.
 
     Parameters
     ----------
@@ -43,27 +45,33 @@ def field_figure(case: Case, surrogates: Record, truth: Sequence[Record]) -> Fig
     """
     study = case.study
     believed, known = _believed(study, surrogates), _known(study, truth)
-    scales = {name: _colors(study, name, known[name]) for name in known}
     x, y = surrogates["axes"]
     feasible_truth = _within_limits(study, known)
+    marks = _marks(surrogates)
+    edge = Contour(x=x, y=y, z=feasible_truth, levels=[LIKELY], name="feasible in truth")
+
+    def panel(title: str, *elements: Element) -> Panel:
+        return Panel(x=_axis(study, 0), y=_axis(study, 1), title=title, elements=elements)
+
     panels = []
     for name, field in believed.items():
-        elements: list[Element] = [Heatmap(x=x, y=y, z=field, colors=scales[name])]
-        elements += _regions(x, y, surrogates)
-        elements += _marks(surrogates)
-        panels.append(
-            Panel(
-                x=_axis(study, 0), y=_axis(study, 1), title=f"{name}, surrogate", elements=elements
+        colors = _colors(study, name, known[name])
+        levels = _levels(study, name, colors)
+        left, right = (
+            (
+                Heatmap(x=x, y=y, z=z, colors=colors),
+                Contour(x=x, y=y, z=z, levels=levels, color=Color.GRAY, width=0.8, labelled=True),
             )
+            for z in (field, known[name])
         )
-    for name, field in known.items():
-        elements = [
-            Heatmap(x=x, y=y, z=field, colors=scales[name]),
-            Contour(x=x, y=y, z=feasible_truth, levels=[LIKELY], name="feasible in truth"),
-            *_marks(surrogates)[-2:],
-        ]
+        panels.append(panel(f"{name}, surrogate", *left, *_regions(x, y, surrogates), *marks))
+        panels.append(panel(f"{name}, truth", *right, edge, *marks[-2:]))
+    for title, heat, elements in (
+        ("believed probabilities", _grid(surrogates["feasibility"]), _lines(x, y, surrogates)),
+        ("feasible in truth", feasible_truth, [edge]),
+    ):
         panels.append(
-            Panel(x=_axis(study, 0), y=_axis(study, 1), title=f"{name}, truth", elements=elements)
+            panel(title, Heatmap(x=x, y=y, z=heat, colors=PROBABILITY), *elements, *marks[-2:])
         )
     figure = case.surrogates
     run = "" if figure is None else f" Row {figure.row}, seed {figure.seed}."
@@ -71,16 +79,18 @@ def field_figure(case: Case, surrogates: Record, truth: Sequence[Record]) -> Fig
         name=f"surrogates-{case.name}",
         title=f"Final surrogates and the truth, {case.title}",
         caption=(
-            "Above: what the surrogates believe in the end, with the area believed feasible, "
-            "regions of likely outliers or crashes, and the samples. Below: the truth by the "
-            f"grid, with the truly feasible area.{run}"
+            "Left: what the surrogates believe in the end, with the area believed feasible, "
+            "regions of likely outliers or crashes, and the samples; below it the believed "
+            "probability that a point is feasible, with lines of the probability of an outlier "
+            "and, where one is to be feared, of a crash. Right: the truth by the grid, with the "
+            f"truly feasible area.{run}"
         ),
         alternative=(
             "Fields over the plane of the two tuned parameters; where they were sampled, "
             "surrogates and truth have the same shape."
         ),
         panels=panels,
-        columns=len(believed),
+        columns=2,
         panel_height=300,
     )
 
@@ -132,6 +142,37 @@ def _colors(study: Study, name: str, known: Grid) -> ColorScale:
     )
 
 
+def _levels(study: Study, name: str, colors: ColorScale) -> list[float]:
+    """Values along which a field has lines."""
+    if name == study.objective.metric:
+        space = np.geomspace if colors.scale is Scale.LOG else np.linspace
+        return [float(f"{level:.2g}") for level in space(colors.low, colors.high, 7)[1:-1]]
+    return [share * study.constraints[name].upper for share in (0.5, 0.75, 1.0, 1.25, 1.5)]
+
+
+def _lines(x: Sequence[float], y: Sequence[float], result: Record) -> list[Element]:
+    """Draw the probabilities of an outlier and of a crash, and the area believed feasible."""
+    return [
+        _believed_edge(x, y, result),
+        *(
+            Contour(
+                x=x, y=y, z=_grid(result[key]), levels=[0.1, 0.5, 0.9], name=name, color=color,
+                dash=Dash.DOTTED, labelled=True,
+            )
+            for key, name, color in (
+                ("outlier", "probability of an outlier", Color.ORANGE),
+                ("failure", "probability of a crash", Color.VERMILION),
+            )
+            if np.max(_grid(result[key])) > 0.1
+        ),
+    ]  # fmt: skip
+
+
+def _believed_edge(x: Sequence[float], y: Sequence[float], result: Record) -> Contour:
+    z = _grid(result["feasibility"])
+    return Contour(x=x, y=y, z=z, levels=[LIKELY], name="believed feasible", dash=Dash.DASHED)
+
+
 def _regions(x: Sequence[float], y: Sequence[float], result: Record) -> list[Element]:
     found: list[Element] = []
     for key, name, color in (
@@ -141,17 +182,7 @@ def _regions(x: Sequence[float], y: Sequence[float], result: Record) -> list[Ele
         field = _grid(result[key])
         if (field > LIKELY).any():
             found.append(Region(x=x, y=y, z=field, above=LIKELY, name=name, color=color))
-    feasibility = _grid(result["feasibility"])
-    found.append(
-        Contour(
-            x=x,
-            y=y,
-            z=feasibility,
-            levels=[LIKELY],
-            name="believed feasible",
-            dash=Dash.DASHED,
-        )
-    )
+    found.append(_believed_edge(x, y, result))
     return found
 
 

@@ -173,15 +173,29 @@ def provenance(
             f"runs' processor time. All tasks together: {wall / 60.0:.1f} minutes on one core, "
             f"with judging."
         )
+    for name in experiment.cases:
+        runs = [r for task, r in done.items() if task.startswith(f"run/{name}/")]
+        if runs:
+            lines.append(f"- {_duration(name, runs)}")
     lines.append(f"- Seeds: {', '.join(f'{name} 1 to {n}' for name, n in seeds.items())}.")
     for key, words in (("commit", "Commit"), ("machine", "Machine"), ("versions", "Versions")):
         values = sorted({str(record["about"][key]) for record in done.values()})
         lines.append(f"- {words}: {'; '.join(values)}.")
-    dates = sorted(record["about"]["date"] for record in done.values())
-    lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
+    dates = sorted({record["about"]["date"] for record in done.values()})
+    lines.append(f"- Begun at {', '.join(dates)}.")
     if missing:
         lines.append(f"- **Not on record yet**: {', '.join(missing)}.")
     return "\n".join(lines)
+
+
+def _duration(name: str, runs: Sequence[Record]) -> str:
+    """Tell how long the runs of a case took, whatever the number of processes."""
+    walls = [run["wall_seconds"] for run in runs]
+    return (
+        f"{name}: {len(runs)} {'run' if len(runs) == 1 else 'runs'} took "
+        f"{sum(walls) / 60.0:.1f} minutes, summed over the processes, with cuts, checks and "
+        f"judging; the longest {max(walls):.0f} s."
+    )
 
 
 def failed_tasks(done: Mapping[str, Record]) -> dict[str, Any]:
