@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.certificate_record import parameters_sha256
+from bo_tuner.certificate.record import parameters_sha256
 from bo_tuner.commands import validate as validate_command
 from bo_tuner.interruption import Interruption
 from bo_tuner.run_folder import RunFolder

@@ -8,8 +8,8 @@ from typing import Protocol
 from bo_tuner import checks
 from bo_tuner.backends.collect import one_line
 from bo_tuner.bundle import same
-from bo_tuner.certificate import FAIL, PASS
-from bo_tuner.certificate_record import CERTIFICATE
+from bo_tuner.certificate.record import CERTIFICATE
+from bo_tuner.certificate.verdict import FAIL, PASS
 from bo_tuner.errors import BoTunerError
 from bo_tuner.parameter_file import NodeValues
 from bo_tuner.run_record import RunRecord

@@ -12,9 +12,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from bo_tuner.backends import Backend
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros import RosBackend
-from bo_tuner.certificate import FAIL, PASS, most_draws_needed
-from bo_tuner.certificate_parts import Evidence
-from bo_tuner.certificate_record import (
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.record import (
     CERTIFICATE,
     DEFAULT,
     TUNED,
@@ -22,8 +22,8 @@ from bo_tuner.certificate_record import (
     make_certificate,
     write_certificate,
 )
-from bo_tuner.certificate_table import certificate_lines, certificate_table
-from bo_tuner.certification import Certification, Subject
+from bo_tuner.certificate.table import certificate_lines, certificate_table
+from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
 from bo_tuner.commands.common import (
     BACKENDS,
     Parser,

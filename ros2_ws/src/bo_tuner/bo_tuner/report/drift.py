@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, context_tolerance
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity, values
-from bo_tuner.robustness import CREDIBLE, ContextTolerance, Drift, context_tolerance
 
 
 def drift(analysis: Analysis) -> Section | None:

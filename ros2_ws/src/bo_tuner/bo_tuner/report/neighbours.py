@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bo_tuner.certificate.neighbourhood import Neighbour, Neighbourhood, look_around
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
-from bo_tuner.neighbourhood import Neighbour, Neighbourhood, look_around
 from bo_tuner.recommendation import BELIEVED_FEASIBLE, TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.backends import Backend
-from bo_tuner.certificate_parts import Evidence
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.worst_case_search import CANDIDATES, find_worst_contexts, most_cuts
 from bo_tuner.errors import RunError
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, CutState, Stage, Value
 from bo_tuner.tuning import LOST_IN_A_ROW, CutObserver, run_cut
-from bo_tuner.worst_case_search import CANDIDATES, find_worst_contexts, most_cuts
 
 REPEATS = 20
 """Cuts with fresh noise in each context that may be the worst."""

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.certificate import judge, most_draws_needed
-from bo_tuner.certificate_parts import Evidence
-from bo_tuner.certification import REPEATS, Certification, Subject
+from bo_tuner.certificate.certification import REPEATS, Certification, Subject
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.verdict import judge, most_draws_needed
+from bo_tuner.certificate.winners_curse import training_gaps
 from bo_tuner.errors import RunError
 from bo_tuner.methods import METHODS
 from bo_tuner.recommendation import rank
 from bo_tuner.trials import Cut, CutOutcome, CutState, Stage
 from bo_tuner.tuning import Tuning
 from bo_tuner.validation import validate
-from bo_tuner.winners_curse import training_gaps
 
 LIMIT = 1.0
 CHANCE = {

@@ -10,21 +10,21 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
-from bo_tuner.certificate import FAIL, PASS, judge
-from bo_tuner.certificate_parts import TAIL, Evidence, Findings
+from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
+from bo_tuner.certificate.neighbourhood import Neighbourhood, look_around
+from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, context_tolerance
+from bo_tuner.certificate.verdict import FAIL, PASS, judge
+from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.errors import OutputError
 from bo_tuner.methods import METHODS
-from bo_tuner.neighbourhood import Neighbourhood, look_around
 from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import rank
-from bo_tuner.robustness import CREDIBLE, ContextTolerance, context_tolerance
 from bo_tuner.run_folder import without_nan
 from bo_tuner.run_record import RunRecord
 from bo_tuner.seeds import Stream, generator
 from bo_tuner.study import Study
 from bo_tuner.surrogates import Surrogates
 from bo_tuner.trials import Stage, Trial, Value
-from bo_tuner.winners_curse import Gap, training_gaps
 
 CERTIFICATE = "certificate.json"
 TUNED, DEFAULT = "tuned", "default"

@@ -11,7 +11,7 @@ from math import hypot, nan, sqrt
 
 import numpy as np
 
-from bo_tuner.certificate_parts import Findings
+from bo_tuner.certificate.evidence import Findings
 from bo_tuner.recommendation import Candidate
 from bo_tuner.study import Study
 from bo_tuner.trials import Trial

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from bo_tuner.certificate.worst_case_search import APART, CANDIDATES, find_worst_contexts, most_cuts
 from bo_tuner.context_space import ContextSpace
 from bo_tuner.distributions import Discrete, TruncatedNormal, Uniform
-from bo_tuner.worst_case_search import APART, CANDIDATES, find_worst_contexts, most_cuts
 
 FACTOR = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 PLANE = ContextSpace({"stiffness": FACTOR, "damping": FACTOR})

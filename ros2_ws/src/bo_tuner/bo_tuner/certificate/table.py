@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
-from bo_tuner.certificate_parts import TAIL, ConstraintVerdict, Findings, WorstContext
-from bo_tuner.certificate_record import Certificate
-from bo_tuner.risk import Mean
-from bo_tuner.robustness import CREDIBLE, ContextTolerance, Drift, VariableTolerance
+from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
+from bo_tuner.certificate.record import Certificate
+from bo_tuner.certificate.risk import Mean
+from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, VariableTolerance
 
 
 def certificate_table(certificate: Certificate) -> Table:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.risk import (
+from bo_tuner.certificate.risk import (
     conditional_value_at_risk,
     draws_needed,
     is_shown,

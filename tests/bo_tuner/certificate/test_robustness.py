@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.neighbourhood import look_around, neighbours
+from bo_tuner.certificate.neighbourhood import look_around, neighbours
+from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance, posterior_samples
 from bo_tuner.recommendation import TOLERABLE
-from bo_tuner.robustness import CREDIBLE, context_tolerance, posterior_samples
 from bo_tuner.study_file import load_study
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.kernel import latent_covariance

@@ -29,8 +29,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bo_tuner.certificate_parts import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
-from bo_tuner.risk import (
+from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
+from bo_tuner.certificate.risk import (
     conditional_value_at_risk,
     draws_needed,
     is_shown,

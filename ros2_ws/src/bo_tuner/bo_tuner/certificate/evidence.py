@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bo_tuner.risk import Mean
+from bo_tuner.certificate.risk import Mean
 from bo_tuner.trials import Cut, Value
 
 TAIL = 0.95
