@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from common import RESULTS, provenance, table, write_result
 
-from bo_tuner.run_record import RunRecord, read_run
+from bo_tuner.run.record import RunRecord, read_run
 from bo_tuner.study_file import load_study, study_to_yaml
 from bo_tuner.trials import CutState
 

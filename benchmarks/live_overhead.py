@@ -26,7 +26,7 @@ from bo_tuner.live.monitor import Monitor
 from bo_tuner.live.node import HEADLINES, LiveNode
 from bo_tuner.live.stop_advice import StopAdvisor
 from bo_tuner.progress import RunProgress
-from bo_tuner.run_folder import RunFolder
+from bo_tuner.run.folder import RunFolder
 from bo_tuner.session import RunOptions, Session
 from bo_tuner.study_file import load_study
 

@@ -19,10 +19,10 @@ import numpy as np
 from common import RESULTS, provenance, table, write_result
 
 from bo_tuner.backends.ros import RosBackend
-from bo_tuner.journal import Journal
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run import RunRecording
+from bo_tuner.run.journal import Journal
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState
 

@@ -17,7 +17,7 @@ import yaml
 from bo_tuner.backends.isolation import DomainClaim, isolated_environment
 from bo_tuner.commands.common import split_ros_arguments
 from bo_tuner.executables import COMMANDS
-from bo_tuner.journal_reader import read_journal
+from bo_tuner.run.journal_reader import read_journal
 from bo_tuner.study_file import load_study, parse_study, study_to_yaml
 
 ROOT = Path(__file__).parents[1]

@@ -14,9 +14,9 @@ import pytest
 
 from bo_tuner.backends.recorded import RecordedCuts
 from bo_tuner.errors import OutputError
-from bo_tuner.journal_reader import RecordedCut, read_journal
-from bo_tuner.run_folder import RunFolder
-from bo_tuner.run_record import read_run
+from bo_tuner.run.folder import RunFolder
+from bo_tuner.run.journal_reader import RecordedCut, read_journal
+from bo_tuner.run.record import read_run
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import Cut, CutOutcome, CutState, Stage
 

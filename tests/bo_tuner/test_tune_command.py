@@ -19,7 +19,7 @@ import pytest
 from bo_tuner.commands import tune as tune_command
 from bo_tuner.commands.common import split_ros_arguments
 from bo_tuner.interruption import Interruption
-from bo_tuner.journal_reader import read_journal
+from bo_tuner.run.journal_reader import read_journal
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import CutState, TrialState
 

@@ -7,9 +7,9 @@ import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
-from bo_tuner.journal import Journal
-from bo_tuner.journal_reader import read_journal
 from bo_tuner.methods import METHODS
+from bo_tuner.run.journal import Journal
+from bo_tuner.run.journal_reader import read_journal
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import CutState, Stage, TrialState
 from bo_tuner.tuning import Tuning

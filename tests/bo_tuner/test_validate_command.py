@@ -20,7 +20,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate.record import parameters_sha256
 from bo_tuner.commands import validate as validate_command
 from bo_tuner.interruption import Interruption
-from bo_tuner.run_folder import RunFolder
+from bo_tuner.run.folder import RunFolder
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import CutOutcome, CutState
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.run_record import read_run
+from bo_tuner.run.record import read_run
 from bo_tuner.trials import Stage
 
 DRAWN = "document.documentElement.dataset.drawn === 'all'"

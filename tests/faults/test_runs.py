@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.methods import METHODS
-from bo_tuner.run_record import read_run
+from bo_tuner.run.record import read_run
 from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState, TrialState
 from bo_tuner.tuning import Tuning

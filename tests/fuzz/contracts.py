@@ -16,11 +16,11 @@ from bo_tuner.backends.collect import outcome
 from bo_tuner.backends.cut_results import CutResults
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
-from bo_tuner.journal import Journal
-from bo_tuner.journal_reader import salvage
 from bo_tuner.methods import METHODS
-from bo_tuner.run_folder import JOURNAL, STUDY
-from bo_tuner.run_record import read_run
+from bo_tuner.run.folder import JOURNAL, STUDY
+from bo_tuner.run.journal import Journal
+from bo_tuner.run.journal_reader import salvage
+from bo_tuner.run.record import read_run
 from bo_tuner.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
 from bo_tuner.trials import CutState
 from bo_tuner.tuning import Tuning

@@ -3,10 +3,10 @@
 import hashlib
 import json
 
-from bo_tuner.journal import Journal
 from bo_tuner.methods import METHODS
-from bo_tuner.provenance import provenance
-from bo_tuner.run_record import read_run
+from bo_tuner.run.journal import Journal
+from bo_tuner.run.provenance import provenance
+from bo_tuner.run.record import read_run
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.tuning import Tuning
 

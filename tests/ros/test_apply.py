@@ -226,7 +226,7 @@ def test_what_changes_while_it_asks_is_not_overwritten(client, record, now, caps
 
 
 def test_no_such_node(ros_environment, record, capsys, monkeypatch):
-    monkeypatch.setattr("bo_tuner.live_parameters.DISCOVERY_TIMEOUT", 1.0)
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.DISCOVERY_TIMEOUT", 1.0)
     code, out, err = apply(capsys, record, "--yes", "--ros-args", "-r", "__ns:=/nowhere")
     assert (code, out) == (2, "")
     (line,) = err.splitlines()

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.commands import replay as command
 from bo_tuner.recording.retention import custom_data
-from bo_tuner.replay import find_cut
+from bo_tuner.replay.replay import find_cut
 from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController

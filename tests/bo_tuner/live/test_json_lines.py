@@ -12,11 +12,11 @@ import time
 import pytest
 
 from bo_tuner.commands.tune import make_parser
-from bo_tuner.journal_reader import read_journal
 from bo_tuner.live.json_lines import JsonLines
 from bo_tuner.live.status import TUNING, RunStatus
 from bo_tuner.live.stop_advice import StopAdvice
 from bo_tuner.methods import METHODS
+from bo_tuner.run.journal_reader import read_journal
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import WorstCase
 

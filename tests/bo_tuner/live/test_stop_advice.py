@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.journal_reader import read_journal
 from bo_tuner.live.stop_advice import StopAdvisor, outlook
 from bo_tuner.methods import METHODS
+from bo_tuner.run.journal_reader import read_journal
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.surrogates import Surrogates
 from bo_tuner.tuning import Tuning

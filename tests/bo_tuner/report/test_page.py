@@ -12,7 +12,7 @@ import pytest
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
-from bo_tuner.run_record import read_run
+from bo_tuner.run.record import read_run
 from bo_tuner.trials import CutState, Stage
 
 # Elements without an end.

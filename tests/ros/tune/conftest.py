@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.journal_reader import read_journal
+from bo_tuner.run.journal_reader import read_journal
 
 DEADLINE = 60.0
 MARK = "TUNE_TEST_MARK"

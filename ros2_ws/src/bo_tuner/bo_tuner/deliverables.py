@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from bo_tuner.bundle import write_bundle
+from bo_tuner.deploy.bundle import write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
-from bo_tuner.run_folder import REPORT
-from bo_tuner.run_record import read_run
+from bo_tuner.run.folder import REPORT
+from bo_tuner.run.record import read_run
 
 Tell = Callable[[str], None]
 

@@ -13,18 +13,18 @@ from bo_tuner.deliverables import write_deliverables
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.journal import Journal
-from bo_tuner.journal_reader import JournalContent, export_csv, salvage
 from bo_tuner.live.display import Output, Result
 from bo_tuner.live.monitor import Monitor
 from bo_tuner.live.node import LiveNode
 from bo_tuner.live.status import CHECKING, TUNING, VALIDATION
 from bo_tuner.methods import METHODS
-from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run import RunRecording
-from bo_tuner.run_folder import RunFolder
+from bo_tuner.run.folder import RunFolder
+from bo_tuner.run.journal import Journal
+from bo_tuner.run.journal_reader import JournalContent, export_csv, salvage
+from bo_tuner.run.provenance import provenance
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, Trial, Value
 from bo_tuner.tuning import Tuning

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 
 from bo_tuner.backends import Assignments, Backend
-from bo_tuner.journal_reader import RecordedCut
+from bo_tuner.run.journal_reader import RecordedCut
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, CutOutcome
 

@@ -17,10 +17,10 @@ from bo_tuner.certificate.verdict import FAIL, PASS, judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.errors import OutputError
 from bo_tuner.methods import METHODS
-from bo_tuner.provenance import provenance
 from bo_tuner.recommendation import rank
-from bo_tuner.run_folder import without_nan
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.folder import without_nan
+from bo_tuner.run.provenance import provenance
+from bo_tuner.run.record import RunRecord
 from bo_tuner.seeds import Stream, generator
 from bo_tuner.study import Study
 from bo_tuner.surrogates import Surrogates

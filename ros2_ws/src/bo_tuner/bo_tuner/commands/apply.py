@@ -9,7 +9,9 @@ from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.apply import (
+from bo_tuner.backends.collect import one_line
+from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
+from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     Nodes,
@@ -17,8 +19,7 @@ from bo_tuner.apply import (
     read_values,
     set_values,
 )
-from bo_tuner.backends.collect import one_line
-from bo_tuner.bundle import (
+from bo_tuner.deploy.bundle import (
     DEPLOY,
     ROLLBACK,
     Difference,
@@ -27,15 +28,14 @@ from bo_tuner.bundle import (
     result_of,
     write_bundle,
 )
-from bo_tuner.commands.common import Parser, guarded, split_ros_arguments
+from bo_tuner.deploy.live_parameters import LiveParameters
+from bo_tuner.deploy.parameter_file import NodeValues, node_values
 from bo_tuner.errors import BackendError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.interruption import Interruption
 from bo_tuner.live.display import plain_console
-from bo_tuner.live_parameters import LiveParameters
-from bo_tuner.parameter_file import NodeValues, node_values
-from bo_tuner.run_folder import RunFolder
-from bo_tuner.run_record import RunRecord, read_run
+from bo_tuner.run.folder import RunFolder
+from bo_tuner.run.record import RunRecord, read_run
 
 DESCRIPTION = """\
 Set the result of a run on the nodes that run now: shows what would change, asks,

@@ -19,7 +19,7 @@ from bo_tuner.errors import (
 )
 from bo_tuner.exit_codes import EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.record import RunRecord
 
 BACKENDS = ("ros", "inprocess")
 """Where cuts run; the first is the default."""

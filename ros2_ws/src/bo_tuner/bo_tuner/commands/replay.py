@@ -20,11 +20,10 @@ from bo_tuner.commands.common import (
 from bo_tuner.errors import OutputError
 from bo_tuner.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
-from bo_tuner.journal_reader import RecordedCut
 from bo_tuner.live.display import plain_console
-from bo_tuner.provenance import provenance
 from bo_tuner.recording.bag import Message
-from bo_tuner.replay import (
+from bo_tuner.replay.bag import Inbox, write_side_by_side
+from bo_tuner.replay.replay import (
     BEST,
     IN_PROCESS,
     WORST,
@@ -35,8 +34,9 @@ from bo_tuner.replay import (
     find_trial,
     replay,
 )
-from bo_tuner.replay_bag import Inbox, write_side_by_side
-from bo_tuner.run_record import RunRecord, read_run
+from bo_tuner.run.journal_reader import RecordedCut
+from bo_tuner.run.provenance import provenance
+from bo_tuner.run.record import RunRecord, read_run
 from bo_tuner.trials import Cut
 from bo_tuner.tuning import run_cut
 

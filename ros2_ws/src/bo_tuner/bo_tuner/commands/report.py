@@ -10,8 +10,8 @@ from bo_tuner.exit_codes import EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import NAME, figures, sections, write_page
-from bo_tuner.run_folder import LATEST
-from bo_tuner.run_record import read_run
+from bo_tuner.run.folder import LATEST
+from bo_tuner.run.record import read_run
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,

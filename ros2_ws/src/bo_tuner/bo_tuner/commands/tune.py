@@ -16,8 +16,8 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.live.display import Output
 from bo_tuner.methods import METHODS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
-from bo_tuner.run_folder import RunFolder
-from bo_tuner.run_record import read_run
+from bo_tuner.run.folder import RunFolder
+from bo_tuner.run.record import read_run
 from bo_tuner.session import STOP_EARLY, RunOptions, Session
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study, shipped_studies

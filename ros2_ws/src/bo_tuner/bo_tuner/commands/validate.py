@@ -32,13 +32,13 @@ from bo_tuner.commands.common import (
     split_ros_arguments,
 )
 from bo_tuner.deliverables import write_deliverables
+from bo_tuner.deploy.parameter_file import from_yaml, node_values
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.live.display import plain_console
-from bo_tuner.parameter_file import from_yaml, node_values
-from bo_tuner.run_folder import BEST, RunFolder
-from bo_tuner.run_record import RunRecord, read_run
+from bo_tuner.run.folder import BEST, RunFolder
+from bo_tuner.run.record import RunRecord, read_run
 from bo_tuner.study import Study
 from bo_tuner.trials import Cut, Trial, Value
 

@@ -12,7 +12,7 @@ from bo_tuner.methods import METHODS
 from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.recording.retention import verdict
 from bo_tuner.report.certified import CertificateFile, certificate
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.record import RunRecord
 from bo_tuner.seeds import Stream, generator
 from bo_tuner.study import Study
 from bo_tuner.surrogates import Surrogates

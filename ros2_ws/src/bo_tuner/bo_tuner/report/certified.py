@@ -10,7 +10,7 @@ from bo_tuner.certificate.record import CERTIFICATE, DEFAULT, TUNED
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number, quantity
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.record import RunRecord
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from bo_tuner.report.listing import all_trials, provenance
 from bo_tuner.report.neighbours import neighbours
 from bo_tuner.report.timing import timing
 from bo_tuner.report.trajectories import trajectories
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.record import RunRecord
 
 NAME = "report.html"
 """File name of a report in its run folder."""

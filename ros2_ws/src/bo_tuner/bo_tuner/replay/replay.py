@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 from bo_tuner import checks
 from bo_tuner.backends import Backend
-from bo_tuner.bundle import result_of
+from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
-from bo_tuner.journal_reader import RecordedCut
 from bo_tuner.methods import METHODS
 from bo_tuner.recommendation import rank
 from bo_tuner.recording.retention import badness
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.journal_reader import RecordedCut
+from bo_tuner.run.record import RunRecord
 from bo_tuner.study import Metric, Study
 from bo_tuner.trials import TUNING, Cut, CutState, Stage, TrialState
 from bo_tuner.tuning import run_cut

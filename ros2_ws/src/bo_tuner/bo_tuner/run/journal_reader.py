@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
-from bo_tuner.journal import COLUMNS, Journal, check_version, checksum
+from bo_tuner.run.journal import COLUMNS, Journal, check_version, checksum
 from bo_tuner.trials import (
     TUNING,
     Cut,

@@ -7,12 +7,12 @@ from typing import Protocol
 
 from bo_tuner import checks
 from bo_tuner.backends.collect import one_line
-from bo_tuner.bundle import same
 from bo_tuner.certificate.record import CERTIFICATE
 from bo_tuner.certificate.verdict import FAIL, PASS
+from bo_tuner.deploy.bundle import same
+from bo_tuner.deploy.parameter_file import NodeValues
 from bo_tuner.errors import BoTunerError
-from bo_tuner.parameter_file import NodeValues
-from bo_tuner.run_record import RunRecord
+from bo_tuner.run.record import RunRecord
 from bo_tuner.study import Study
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import Trial

@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 
-from bo_tuner.apply import (
+from bo_tuner.commands import apply as command
+from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     RefusedError,
@@ -16,8 +17,7 @@ from bo_tuner.apply import (
     read_values,
     set_values,
 )
-from bo_tuner.bundle import differences
-from bo_tuner.commands import apply as command
+from bo_tuner.deploy.bundle import differences
 from bo_tuner.interruption import Interrupted
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}

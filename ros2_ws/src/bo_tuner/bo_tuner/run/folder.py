@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
+from bo_tuner.deploy.parameter_file import node_values, to_yaml
 from bo_tuner.errors import OutputError
-from bo_tuner.parameter_file import node_values, to_yaml
 from bo_tuner.study import Study
 from bo_tuner.study_file import study_to_yaml
 from bo_tuner.trials import Value

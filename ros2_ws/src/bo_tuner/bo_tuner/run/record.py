@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
-from bo_tuner.journal_reader import RecordedCut, read_journal
 from bo_tuner.methods import METHODS
-from bo_tuner.run_folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.run.folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.run.journal_reader import RecordedCut, read_journal
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import Trial

@@ -8,10 +8,10 @@ import re
 import pytest
 import yaml
 
-from bo_tuner import run_folder
 from bo_tuner.errors import OutputError
-from bo_tuner.provenance import provenance
-from bo_tuner.run_folder import RunFolder
+from bo_tuner.run import folder as run_folder
+from bo_tuner.run.folder import RunFolder
+from bo_tuner.run.provenance import provenance
 from bo_tuner.study_file import load_study
 
 NOW = datetime.datetime(2026, 3, 1, 12, 30, 5)

@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 
-from bo_tuner.apply import NodeError, RefusedError
 from bo_tuner.backends.collect import one_line
 from bo_tuner.backends.isolation import DomainClaim
+from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
 
 NODE_NAME = "bo_tuner_apply"

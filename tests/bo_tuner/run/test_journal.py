@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import bo_tuner.journal
+import bo_tuner.run.journal
 from bo_tuner.errors import JournalError
-from bo_tuner.journal import SCHEMA_VERSION, Journal
-from bo_tuner.journal_reader import export_csv, read_journal
+from bo_tuner.run.journal import SCHEMA_VERSION, Journal
+from bo_tuner.run.journal_reader import export_csv, read_journal
 from bo_tuner.trials import (
     TUNING,
     Cut,
@@ -122,7 +122,7 @@ class TestDurability:
         code = """if True:
             import os, signal, sys
             from pathlib import Path
-            from bo_tuner.journal import Journal
+            from bo_tuner.run.journal import Journal
             from bo_tuner.trials import *
             journal = Journal(Path(sys.argv[1]), {"seed": "1"})
             outcome = CutOutcome(CutState.COMPLETE, {"error": 1.5})
@@ -144,7 +144,7 @@ class TestDurability:
 
     def test_a_journal_is_begun_whole_or_not_at_all(self, tmp_path, monkeypatch):
         path = tmp_path / "journal.sqlite"
-        monkeypatch.setattr(bo_tuner.journal, "checksum", lambda row: None)
+        monkeypatch.setattr(bo_tuner.run.journal, "checksum", lambda row: None)
         with pytest.raises(JournalError, match="NOT NULL"):
             Journal(path, {})
         database = sqlite3.connect(path)
