@@ -126,13 +126,23 @@ def test_agreement_with_the_paper_is_said_with_its_reason(make_case, record, ans
     said = beside_the_paper(published(make_case, record, answer, numbers, ours))
     # 12 of 12 leaves 74 % to 100 %.
     assert said[0].startswith("Differs: answers of A held in the validation in 50% of the paper's")
-    assert said[1].startswith("Agrees: the validation of A differs from its training by +0.04")
+    assert said[1].startswith("Agrees in sign: the validation of A differs from its training by +0.04")
     assert said[2].startswith("Agrees: answers of B")
     assert said[3].startswith("Differs: the validation of B")
     assert said[4].startswith("Differs: the validated objective of A less that of B is +0.100")
     ours["B"] = ours["A"]
     said = beside_the_paper(published(make_case, record, answer, numbers, ours))
     assert said[-1].startswith("Undecided")
+
+
+def test_a_gap_of_either_sign_is_no_agreement(make_case, record, answer):
+    """Objectives of two plants have no common scale: a gap near the paper's says nothing."""
+    row = Row(name="A", algorithm="IV", published={"difference": 0.02})
+    case = make_case(rows={"A": row}, runs=4)
+    answers = [answer(1.0, training=1.0 + gap) for gap in (-0.04, 0.03, 0.02, -0.03)]
+    done = {f"run/c/A/{s}": record(found) for s, found in enumerate(answers, start=1)}
+    (said,) = beside_the_paper([summarise(case, row, done, None)])
+    assert said.startswith("Undecided: the validation of A differs from its training by +0.02")
 
 
 def test_a_peer_that_wins_is_said_to_win(make_case, record, answer):

@@ -21,8 +21,8 @@ def beside_the_paper(summaries: Sequence[RowSummary]) -> list[str]:
     """Compare each number that the paper prints with ours.
 
     A share agrees if it lies in our confidence interval, unless that leaves most open. Objectives
-    of two plants cannot be compared, but their order can: it agrees if ours is the same beyond
-    chance.
+    of two plants cannot be compared, but their order can, and the sign of what the validation adds
+    to the training: they agree if ours are the same beyond chance.
     """
     said = []
     for s in summaries:
@@ -49,11 +49,10 @@ def _about_gap(s: RowSummary, gap: float) -> str:
     ours = s.difference
     here = f"{ours.value:+.4f} ({ours.low:.4f} to {ours.high:.4f})"
     start = f"the validation of {s.row.name} differs from its training by {gap:+g} in the paper"
-    if ours.low <= gap <= ours.high:
-        return f"Agrees: {start} and by {here} here."
-    if gap * ours.value > 0 and (ours.low > 0 or ours.high < 0):
-        return f"Agrees in sign: {start} and by {here} here."
-    return f"Differs: {start} and by {here} here."
+    if ours.low <= 0.0 <= ours.high:
+        return f"Undecided: {start} and by {here} here, which may be chance."
+    verdict = "Agrees in sign" if gap * ours.value > 0.0 else "Differs"
+    return f"{verdict}: {start} and by {here} here."
 
 
 def _about_order(a: RowSummary, b: RowSummary) -> str:
@@ -66,7 +65,7 @@ def _about_order(a: RowSummary, b: RowSummary) -> str:
     )
     if ours.low <= 0.0 <= ours.high:
         return f"Undecided: {start}, which may be chance."
-    return f"{'Agrees' if paper * ours.value > 0 else 'Differs'}: {start}."
+    return f"{'Agrees in sign' if paper * ours.value > 0 else 'Differs'}: {start}."
 
 
 def _validated(s: RowSummary) -> list[float]:
