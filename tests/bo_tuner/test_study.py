@@ -392,11 +392,7 @@ class TestRefusedValues:
                 "worst-case",
                 "unknown 'worst-case'; did you mean 'worst_case'?",
             ),
-            (
-                "constraints/current/probability",
-                None,
-                "missing; a chance constraint needs one, such as 0.96",
-            ),
+            ("constraints/current/probability", None, "expected a number, found nothing"),
             (
                 "constraints/current/probability",
                 96,
@@ -404,8 +400,8 @@ class TestRefusedValues:
             ),
             (
                 "constraints/worst/probability",
-                0.9,
-                "a worst_case constraint has no probability; leave it out",
+                0.4,
+                "expected at least 0.5 of a worst_case constraint, found 0.4",
             ),
             ("trigger/timeout", 0, "expected a number above 0, found 0.0"),
             ("budget/search_cuts", -1, "expected an integer of at least 0, found -1"),
@@ -455,6 +451,12 @@ class TestRefusedValues:
     @pytest.mark.parametrize(
         ("path", "value", "message"),
         [
+            (
+                "constraints/current",
+                {"kind": "chance", "metric": "peak", "upper": 3},
+                "constraints.current.probability: missing; a chance constraint needs one, such as "
+                "0.96",
+            ),
             (
                 "constraints/second",
                 {"kind": "worst_case", "metric": "error", "upper": 1},

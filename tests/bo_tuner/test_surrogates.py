@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, ModelOptions, Surrogates
+from bo_tuner.surrogates import ModelOptions, Surrogates
 from bo_tuner.trials import Cut, CutOutcome, CutState, Stage
 
 NODE = {"node": "axis"}
@@ -46,13 +46,21 @@ def test_models_predict_their_responses(study, make_trial):
     assert models.outliers == frozenset()
 
 
-def test_the_noise_of_a_cut_keeps_a_distance_from_the_worst_case(study, make_trial):
+@pytest.mark.parametrize(
+    ("given", "probability"),
+    [({}, 0.85), ({"probability": 0.5}, 0.5), ({"probability": 0.99}, 0.99)],
+)
+def test_the_noise_of_a_cut_keeps_a_distance_from_the_worst_case(
+    make_study, make_trial, given, probability
+):
+    worst = {"kind": "worst_case", "metric": "peak", "upper": 1.0} | given
+    study = make_study(parameters={"x": DOUBLE}, constraints={"peak": worst})
     noise = 0.1
-    without = fit(study, sloped(make_trial)).constraints[1]
-    with_noise = fit(study, sloped(make_trial, noise)).constraints[1]
+    without = fit(study, sloped(make_trial)).constraints[0]
+    with_noise = fit(study, sloped(make_trial, noise)).constraints[0]
     x = np.array([[0.5]])
     distance = with_noise.predict(x)[0] - without.predict(x)[0]
-    assert distance == pytest.approx(norm.ppf(SINGLE_CUT_PROBABILITY) * noise, abs=0.01)
+    assert distance == pytest.approx(norm.ppf(probability) * noise, abs=0.01)
 
 
 def test_feasibility_is_the_product_of_the_constraints(study, make_trial):

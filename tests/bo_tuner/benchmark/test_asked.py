@@ -6,7 +6,6 @@ from valley import Draws
 from bo_tuner.benchmark.asked import AskedStageOne, observation
 from bo_tuner.errors import ParameterError
 from bo_tuner.stage_one import BayesianOptimization
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY
 
 
 @pytest.fixture
@@ -16,7 +15,7 @@ def trial_study(make_study):
         metrics={"error": node, "peak": node},
         objective={"metric": "error", "scale": "log"},
         constraints={
-            "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
+            "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.9},
             "often": {"kind": "chance", "metric": "error", "upper": 2.5, "probability": 0.5},
         },
     )
@@ -31,7 +30,7 @@ def test_an_observation_sums_up_the_cuts(trial_study, make_trial):
     assert seen.standard_error == pytest.approx(logs.std(ddof=1) / np.sqrt(3.0))
     # Half of three observations: the smallest value that at least half do not exceed.
     assert seen.constraints["often"] == pytest.approx(2.0 - 2.5)
-    single_cut = 0.8 + 0.1 * ndtri(SINGLE_CUT_PROBABILITY)
+    single_cut = 0.8 + 0.1 * ndtri(0.9)
     assert seen.constraints["peak"] == pytest.approx(single_cut - 1.0)
 
 

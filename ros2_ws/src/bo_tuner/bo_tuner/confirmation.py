@@ -10,14 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from bo_tuner.backends import Backend
 from bo_tuner.recommendation import Candidate, rank
 from bo_tuner.seeds import Stream, generator, noise_seed
 from bo_tuner.special import Array
 from bo_tuner.study import Constraint, Study
-from bo_tuner.surrogates import DEFAULT_MODELS, SINGLE_CUT_PROBABILITY, ModelOptions
+from bo_tuner.surrogates import DEFAULT_MODELS, ModelOptions
 from bo_tuner.trials import Cut, CutState, Stage, Trial
 from bo_tuner.tuning import CutObserver, run_cut
 
@@ -141,7 +140,7 @@ def _check(
     values = _values(cuts, Stage.CHECK_WORST, constraint.metric)
     mean, noise = float(values.mean()), float(values.std(ddof=1))
     # Refuted is what violates by more than the error of the estimate, mean + z noise.
-    z = float(ndtri(SINGLE_CUT_PROBABILITY))
+    z = constraint.deviations
     error = noise * float(np.sqrt((1.0 + 0.5 * z**2) / len(values)))
     holds = holds and mean + z * noise - error <= constraint.upper
     holds = holds and _values(cuts, Stage.CHECK_DRAWN, constraint.metric).max() <= constraint.upper
@@ -156,5 +155,4 @@ def _values(cuts: Sequence[Cut], stage: Stage, metric: str) -> Array:
 
 def _chance_holds(trial: Trial, constraint: Constraint) -> bool:
     values = np.array(trial.observations(constraint.metric))
-    allowed = 1.0 - (constraint.probability or 1.0)
-    return float(np.mean(values > constraint.upper)) <= allowed
+    return float(np.mean(values > constraint.upper)) <= constraint.allowed

@@ -11,14 +11,13 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from bo_tuner.acquisition import SurrogateConstraint
 from bo_tuner.context_space import ContextSpace
 from bo_tuner.joint import JointConstraint, candidate_contexts
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.study_parts import MINIMIZE
+from bo_tuner.study_parts import MINIMIZE, Constraint
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogate.neighbours import NeighbourClassifier
@@ -26,13 +25,6 @@ from bo_tuner.surrogate.student_t import find_outliers
 from bo_tuner.trials import CutState, Trial, TrialState
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
-
-SINGLE_CUT_PROBABILITY = 0.85
-"""With this probability a cut in the worst context shall stay within the limit (Eq. 3f).
-
-On the machine a single cut does the damage, so its noise counts, although the worst case itself
-is an expectation over it. The paper's maximum of observations has the noise in it already.
-"""
 
 # Distance in the unit cube within which a failure speaks for its neighbours. Not the objective's
 # length scales: they come from complete trials only, and a flat response would stretch them.
@@ -148,7 +140,7 @@ class Surrogates:
                 model = fit_model(constraint.name, x, y)
                 constraints.append(
                     SurrogateConstraint.on_observation(
-                        model, constraint.upper, constraint.probability or 0.5
+                        model, constraint.upper, constraint.probability
                     )
                 )
             worst = study.worst_case_constraint
@@ -163,13 +155,13 @@ class Surrogates:
                     start=warm.get(worst.name),
                 )
                 models[worst.name] = model
-                margin = float(ndtri(SINGLE_CUT_PROBABILITY)) * model.noise_variance**0.5
+                margin = worst.deviations * model.noise_variance**0.5
                 constraints.append(
                     JointConstraint(model, worst.upper - margin, candidate_contexts(contexts))
                 )
             elif worst is not None:
                 x = np.array([cube[t.number] for t in kept])
-                model = fit_model(worst.name, x, _single_cut_worst_cases(kept))
+                model = fit_model(worst.name, x, _single_cut_worst_cases(kept, worst))
                 constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
         x_all = np.array([cube[t.number] for t in trials]).reshape(-1, space.dimension)
         failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
@@ -210,16 +202,16 @@ def joint_observations(
     return np.array(rows), np.array(values)
 
 
-def _single_cut_worst_cases(trials: Sequence[Trial]) -> Array:
+def _single_cut_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
     """Return what a cut in the worst context of each trial reaches, shape (n,).
 
-    It stays below with `SINGLE_CUT_PROBABILITY`.
+    It stays below with the constraint's probability.
 
     The noise is taken as equal everywhere: the few cuts of one trial say little of it.
     """
     worst = [t.worst_case for t in trials if t.worst_case is not None]
     noise = float(np.median([w.noise for w in worst]))
-    return np.array([w.value for w in worst]) + float(ndtri(SINGLE_CUT_PROBABILITY)) * noise
+    return np.array([w.value for w in worst]) + constraint.deviations * noise
 
 
 def _tuned(trial: Trial, names: Sequence[str]) -> dict[str, int | float]:

@@ -16,7 +16,7 @@ from bo_tuner.stage_one import Proposal
 from bo_tuner.stage_two import OBSERVED, WorstCaseSearch, worst_contexts_nearby
 from bo_tuner.study import Constraint, Study
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY, joint_observations
+from bo_tuner.surrogates import joint_observations
 from bo_tuner.trials import (
     Cut,
     CutOutcome,
@@ -172,7 +172,7 @@ class Tuning:
             return JointSearch(
                 self._contexts,
                 constraint.upper,
-                SINGLE_CUT_PROBABILITY,
+                constraint.probability,
                 self._study.budget.search_cuts,
                 to_cube(proposal.parameters),
                 x.reshape(-1, space.dimension + self._contexts.dimension),

@@ -122,13 +122,12 @@ def _judge(study: Study, parameters: Mapping[str, Value], cuts: Sequence[Cut]) -
     for constraint in study.constraints.values():
         values = np.array([metrics[constraint.metric] for metrics in whole])
         violations = int(np.sum(values > constraint.upper))
-        allowed = 0.0 if constraint.probability is None else 1.0 - constraint.probability
         checks.append(
             ConstraintCheck(
                 name=constraint.name,
                 worst=float(values.max()) if len(values) else float("nan"),
                 violations=violations,
-                holds=len(values) > 0 and violations <= allowed * len(values) + 1e-9,
+                holds=len(values) > 0 and violations <= constraint.allowed * len(values) + 1e-9,
             )
         )
     return Validation(

@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
 from bo_tuner.benchmark.optimizer import Observation, Optimizer
 from bo_tuner.methods import Method
 from bo_tuner.stage_one import Proposal, RandomSearch, StageOne
 from bo_tuner.study import Study
-from bo_tuner.surrogates import SINGLE_CUT_PROBABILITY
 from bo_tuner.trials import Trial, TrialState, Value
 
 ASKED = "asked"
@@ -83,11 +81,10 @@ def observation(study: Study, trial: Trial) -> Observation:
     constraints = {}
     for chance in study.chance_constraints:
         values = trial.observations(chance.metric)
-        probability = chance.probability or 0.5
-        value = float(np.quantile(values, probability, method="inverted_cdf"))
+        value = float(np.quantile(values, chance.probability, method="inverted_cdf"))
         constraints[chance.name] = value - chance.upper
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        margin = float(ndtri(SINGLE_CUT_PROBABILITY)) * trial.worst_case.noise
+        margin = worst.deviations * trial.worst_case.noise
         constraints[worst.name] = trial.worst_case.value + margin - worst.upper
     return Observation(parameters, False, float(cost.mean()), error, constraints)

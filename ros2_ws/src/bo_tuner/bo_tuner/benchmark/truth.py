@@ -227,7 +227,7 @@ class Truth:
                     whole and outcome.metrics[constraint.metric] <= constraint.upper
                 )
         shares = {name: number / count for name, number in within.items()}
-        return shares, all(shares[c.name] >= (c.probability or 1.0) for c in chances)
+        return shares, all(shares[c.name] >= c.probability for c in chances)
 
     def _columns(self, contexts: Array) -> dict[str, Array]:
         variables = self.study.contexts.values()

@@ -11,8 +11,9 @@ with the stated confidence 1 - α; too few cuts to show it are a FAIL as well.
   in stage two, so a single noisy cut in a corner of the box refutes nothing; a draw, in a context
   as operation brings it, does. To allow none among n draws is a success-run test: it shows a
   violation probability below 1 - α^(1/n), and more draws are a harder test. What the tuner aims
-  at leaves room for both: a single cut in the worst context stays within the limit with
-  `SINGLE_CUT_PROBABILITY`, so the mean there keeps a standard deviation of distance.
+  at leaves room for both: a single cut in the worst context stays within the limit with the
+  constraint's `probability`, 0.85 if not given, so the mean there keeps a standard deviation of
+  distance.
 - A failed cut keeps no limit: it counts as a violation of every constraint, and one is a FAIL.
 
 PASS needs all of them to be shown. Such a test of a union of hypotheses, each at level α, has level
@@ -40,7 +41,7 @@ from bo_tuner.certificate.risk import (
 )
 from bo_tuner.special import Array
 from bo_tuner.study import Constraint, Study
-from bo_tuner.study_parts import MAXIMIZE
+from bo_tuner.study_parts import MAXIMIZE, WORST_CASE
 from bo_tuner.trials import Cut, CutState
 
 PASS, FAIL = "PASS", "FAIL"
@@ -51,10 +52,7 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
 
     With fewer, even a sample without any violation cannot show a chance constraint.
     """
-    needed = {
-        c.name: draws_needed(1.0 - (c.probability or 0.0), confidence)
-        for c in study.chance_constraints
-    }
+    needed = {c.name: draws_needed(c.allowed, confidence) for c in study.chance_constraints}
     if not needed:
         return 1, ""
     name = max(needed, key=lambda key: needed[key])
@@ -100,7 +98,7 @@ def _judge(
     events = violations + failures
     unit = study.metrics[constraint.metric].unit
     worst: tuple[WorstContext, ...] = ()
-    if constraint.probability is None:
+    if constraint.kind == WORST_CASE:
         found = [_worst_context(cuts, constraint, confidence) for cuts in evidence.repeated]
         # A context without a whole cut has no mean; nothing is worse.
         worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(w.mean.value, nan=np.inf)))
@@ -113,7 +111,7 @@ def _judge(
         metric=constraint.metric,
         unit=unit,
         limit=constraint.upper,
-        allowed=0.0 if constraint.probability is None else 1.0 - constraint.probability,
+        allowed=constraint.allowed,
         draws=draws,
         violations=violations,
         failures=failures,
@@ -127,7 +125,7 @@ def _judge(
 
 
 def _chance(constraint: Constraint, draws: int, events: int, confidence: float) -> tuple[bool, str]:
-    allowed = 1.0 - (constraint.probability or 0.0)
+    allowed = constraint.allowed
     bound = probability_bound(events, draws, confidence)
     passed = is_shown(events, draws, allowed, confidence)
     most = most_events(draws, allowed, confidence)

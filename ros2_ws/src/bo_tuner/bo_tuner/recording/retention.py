@@ -67,7 +67,7 @@ def verdict(study: Study, trial: Trial) -> str:
     for constraint in study.chance_constraints:
         values = trial.observations(constraint.metric)
         within = sum(value <= constraint.upper for value in values)
-        if within < (constraint.probability or 1.0) * len(values) - 1e-9:
+        if within < constraint.probability * len(values) - 1e-9:
             violated.append(constraint.name)
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None and trial.worst_case.value > worst.upper:

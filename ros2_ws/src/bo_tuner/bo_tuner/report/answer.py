@@ -226,9 +226,7 @@ def _table(rows: Sequence[Sequence[str]], caption: str, tuned: str = "tuned") ->
 
 
 def _allowed(constraint: Constraint) -> str:
-    if constraint.kind == CHANCE and constraint.probability is not None:
-        return f"≤ {100.0 * (1.0 - constraint.probability):.3g} %"
-    return "0"
+    return f"≤ {100.0 * constraint.allowed:.3g} %" if constraint.kind == CHANCE else "0"
 
 
 def _paired(analysis: Analysis, unit: str) -> str:
