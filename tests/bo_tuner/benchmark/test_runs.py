@@ -1,5 +1,6 @@
 import pytest
 
+from bo_tuner import confirmation
 from bo_tuner.benchmark.experiment_parts import Row
 from bo_tuner.benchmark.runs import RunSize, run, tune
 from bo_tuner.trials import Stage
@@ -29,6 +30,18 @@ def test_a_run_ends_with_the_trial_that_reaches_its_cuts(study, small):
         used = sum(len(t.cuts) for t in trials)
         assert budget == expected
         assert used - len(trials[-1].cuts) < budget <= used
+
+
+def test_checks_keep_to_the_cuts_left_for_them(study, monkeypatch):
+    """Whatever a check says, after as many as there are cuts for there is no other."""
+    monkeypatch.setattr(confirmation, "_check", refuted(confirmation._check))
+    spent = [run(study, IV, 1, RunSize(80, n, 3), JUDGE)["check_cuts"] for n in (0, 19, 20, 45)]
+    assert spent == [0, 0, 20, 40]
+
+
+def refuted(check):
+    """Make every candidate fail its check."""
+    return lambda *arguments: (check(*arguments)[0], False)
 
 
 def test_rows_of_a_seed_share_the_initial_samples(study, small):

@@ -22,6 +22,8 @@ from bo_tuner.tuning import CutObserver, run_cut
 
 DRAWN_CUTS = 10
 WORST_CUTS = 10
+CHECK_CUTS = DRAWN_CUTS + WORST_CUTS
+"""Most cuts of a candidate's check."""
 
 
 @dataclass(frozen=True)

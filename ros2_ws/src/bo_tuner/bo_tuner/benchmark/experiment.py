@@ -29,7 +29,8 @@ class Case:
     cuts
         Budget of a run: a run's trials end with the one that reaches it.
     reserved_cuts
-        So many of them are left to an algorithm that checks its candidates before it answers.
+        So many of them are left to an algorithm that checks its candidates before it answers, and
+        it checks no more candidates than they suffice for.
     initial_trials
         Size of the initial design, if not the study's.
     rows

@@ -16,7 +16,7 @@ from bo_tuner.benchmark.experiment_parts import RANDOM, Row
 from bo_tuner.benchmark.neighbours import judge_neighbours
 from bo_tuner.benchmark.optimizer import Optimizer
 from bo_tuner.benchmark.truth import FEW_REAL_CUTS, Truth, truth_of, verdict_record
-from bo_tuner.confirmation import recommend
+from bo_tuner.confirmation import CHECK_CUTS, recommend
 from bo_tuner.methods import METHODS, Method
 from bo_tuner.recommendation import rank
 from bo_tuner.stage_two import OBSERVED
@@ -65,9 +65,11 @@ class Contestant:
         The row.
     study
         The study of the run.
+    reserved
+        Cuts for the checks of an algorithm's candidates.
     """
 
-    def __init__(self, row: Row, study: Study) -> None:
+    def __init__(self, row: Row, study: Study, reserved: int) -> None:
         self._study = study
         self._optimizer: Optimizer | None = None
         if row.algorithm:
@@ -76,7 +78,9 @@ class Contestant:
             self._optimizer = plugins.load(row.optimizer)(study, study.seed)
             stage = AskedStageOne(study, self._optimizer)
             method = AskedMethod(row.optimizer, stage=stage, most_checked=0)
-        changes: dict[str, Any] = {}
+        # As many checks as the cuts allow: what one row spends more, the others lack.
+        most_checked = min(method.most_checked, reserved // CHECK_CUTS)
+        changes: dict[str, Any] = {"most_checked": most_checked}
         if row.protocol == RANDOM:
             changes["worst_case"] = OBSERVED
         if row.worst_case:
@@ -143,7 +147,7 @@ def tune(
 ) -> tuple[Study, Contestant, TimedBackend, Tuning, int]:
     """Make a run, ready to go, and tell after how many cuts its trials end."""
     seeded = study_of(study, row, seed, size)
-    contestant = Contestant(row, seeded)
+    contestant = Contestant(row, seeded, size.reserved)
     backend = TimedBackend(seeded)
     backend.open()
     tuning = Tuning(seeded, backend, contestant.method)
