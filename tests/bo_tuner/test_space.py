@@ -261,6 +261,31 @@ class TestLengthScalesAndNeighbours:
         space = SPACES["twelve"]
         assert space.integer_neighbours(space.defaults) == []
 
+    def test_steps_of_doubles_are_a_part_of_the_range_on_its_scale(self):
+        space = SearchSpace([double("a", (-5, 1)), double("b", (1e-3, 1e1), scale="log")])
+        at = {"a": 0.123456789, "b": 0.3}
+        ratio = 10.0**0.2
+        found = space.neighbours(at)
+        assert found == [
+            {"a": pytest.approx(at["a"] - 0.3), "b": 0.3},
+            {"a": pytest.approx(at["a"] + 0.3), "b": 0.3},
+            {"a": at["a"], "b": pytest.approx(0.3 / ratio)},
+            {"a": at["a"], "b": pytest.approx(0.3 * ratio)},
+        ]
+        # What stays, stays to the last digit.
+        assert [n["a"] == at["a"] for n in found] == [False, False, True, True]
+        assert [n["b"] == at["b"] for n in found] == [True, True, False, False]
+
+    def test_no_step_leaves_the_bounds_or_the_order(self):
+        space = full()
+        at = {"h_u": 1, "h_p": 1, "l_mpc": space.defaults["l_mpc"], "l_kf": 0.0}
+        low, high = (dict(zip(space.names, v, strict=True)) for v in (space.lower, space.upper))
+        at |= {"l_mpc": float(low["l_mpc"]), "l_kf": float(high["l_kf"])}
+        # The first horizon may not grow beyond the second one.
+        steps = [{n: p[n] for n in at if p[n] != at[n]} for p in space.neighbours(at)]
+        assert [list(step) for step in steps] == [["h_p"], ["l_mpc"], ["l_kf"]]
+        assert steps[0] == {"h_p": 2}
+
 
 class TestStructure:
     @pytest.mark.parametrize(

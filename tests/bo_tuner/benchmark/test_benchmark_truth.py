@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from valley import true_objective, true_worst
 
-from bo_tuner.benchmark.neighbours import STEP, judge_neighbours
+from bo_tuner.benchmark.neighbours import judge_neighbours
 from bo_tuner.benchmark.summary import is_narrow
 from bo_tuner.benchmark.truth import Effort, Truth, truth_of, verdict_record
 from bo_tuner.errors import StudyError
+from bo_tuner.space import STEP
 from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
 
 JUDGE = "valley:Judge"
@@ -81,7 +82,7 @@ def test_neighbours_are_a_step_away_within_the_bounds(truth):
     points = [(n["parameters"]["g0"], n["parameters"]["g1"]) for n in found]
     expected = [(0.6 - STEP, 1.0), (0.6 + STEP, 1.0), (0.6, 1.0 - STEP)]
     assert np.array(points) == pytest.approx(np.array(expected))
-    assert [n["changed"] for n in found] == ["g0", "g0", "g1"]
+    assert [n["changed"] for n in found] == [["g0"], ["g0"], ["g1"]]
 
 
 def test_narrow_is_a_step_beyond_a_fifth(truth):
@@ -98,6 +99,6 @@ def test_narrow_is_a_step_beyond_a_fifth(truth):
 
 def test_only_steps_of_integers_make_a_milling_optimum_narrow():
     study = load_study("benchmark")
-    steps = [{"changed": "lambda_mpc", "tolerable": False}]
+    steps = [{"changed": ["lambda_mpc"], "tolerable": False}]
     assert not is_narrow(study, steps)
-    assert is_narrow(study, [*steps, {"changed": "control_horizon", "tolerable": False}])
+    assert is_narrow(study, [*steps, {"changed": ["control_horizon"], "tolerable": False}])

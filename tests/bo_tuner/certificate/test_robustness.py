@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.certificate.neighbourhood import look_around, neighbours
+from bo_tuner.certificate.neighbourhood import look_around
 from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance, posterior_samples
 from bo_tuner.recommendation import TOLERABLE
 from bo_tuner.study_file import load_study
@@ -260,25 +260,6 @@ class TestNeighbourhood:
         assert down.loss == pytest.approx(-0.05 * slope, rel=0.05)
         assert around.score == pytest.approx(max(0.05 * slope - TOLERABLE, 0.0) / 2, abs=0.02)
         assert bool(around.narrow) is (0.05 * slope > TOLERABLE)
-
-    def test_neighbours_at_bounds_and_in_order(self):
-        space = load_study("full").search_space()
-        at = dict(zip(NAMES, (1, 1, -5.0, 2.0), strict=True))
-        found = neighbours(space, at)
-        steps = [{n: p[n] for n in NAMES if p[n] != at[n]} for p in found]
-        # The control horizon may not grow beyond the prediction horizon, and nothing beyond bounds.
-        assert steps == [
-            {"prediction_horizon": 2},
-            {"lambda_mpc": pytest.approx(-4.7)},
-            {"lambda_kf": pytest.approx(1.65)},
-        ]
-
-    def test_tied_parameters_follow(self):
-        space = load_study("benchmark").search_space()
-        at = space.defaults
-        assert [(p["control_horizon"], p["prediction_horizon"]) for p in neighbours(space, at)][
-            :2
-        ] == [(14, 14), (16, 16)]
 
     def test_no_model(self, make_study, make_trial):
         study = make_study()

@@ -22,6 +22,12 @@ FloatArray = NDArray[np.float64]
 # Doubles that differ by less than this part of their range count as the same parametrization.
 RESOLUTION = 1e-6
 
+STEP = 0.05
+"""A step to a neighbour in a double is this part of its range, on its scale; in an integer it is 1.
+
+The same in all runs, so that what is said of neighbours can be compared between them.
+"""
+
 
 class SearchSpace:
     """The unit cube over the tuned parameters.
@@ -239,6 +245,39 @@ class SearchSpace:
                 if inside and self._order.satisfied(moved[None])[0]:
                     neighbours.append(self._parametrization.complete(moved))
         return neighbours
+
+    def neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
+        """Return the permitted parametrizations one step away, see `STEP`.
+
+        Parameters
+        ----------
+        parameters : mapping from str to int or float
+            The tuned parameters at least, in own units.
+
+        Returns
+        -------
+        list of dict from str to int or float
+            The integer neighbours, then for each tuned double one below and one above, moved into
+            bounds and order; whole parametrizations.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`.
+        """
+        found = self.integer_neighbours(parameters)
+        row = self._parametrization.row(parameters)
+        at = self.repair(self.to_cube(parameters)[None])
+        for column in np.flatnonzero(~self.integer):
+            for step in (-STEP, STEP):
+                moved = at.copy()
+                moved[0, column] += step
+                moved = self.repair(moved)
+                if np.any(moved != at):
+                    # A value that stays does so to the last digit.
+                    values = np.where(moved == at, row, self._values(moved))
+                    found.append(self._parametrization.complete(values[0]))
+        return found
 
     def _values(self, positions: FloatArray) -> FloatArray:
         """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""

@@ -5,6 +5,9 @@ objective, or exceeds a limit by more than that part of it. Then a controller th
 by hand or moved to a slightly different machine may be no good any more, however well the optimum
 itself holds. The paper's example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a
 horizon decides between feasible and not (Table 3).
+
+`recommendation.neighbourhood` steps as far as the models can tell two points apart, which suits a
+ranking within a run; here a step is the same in all runs.
 """
 
 from collections.abc import Mapping
@@ -13,18 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.recommendation import TOLERABLE, intolerable, relative_excess
-from bo_tuner.space import SearchSpace
 from bo_tuner.special import Array
 from bo_tuner.study import Study
 from bo_tuner.surrogates import Surrogates
 from bo_tuner.trials import Value
-
-STEP = 0.05
-"""A step of a double is this part of its range, on its scale; of an integer it is 1.
-
-`recommendation.neighbourhood` steps as far as the models can tell two points apart, which suits a
-ranking within a run; here the step is the same in all runs, so that their tables can be compared.
-"""
 
 
 @dataclass(frozen=True)
@@ -101,29 +96,6 @@ class Neighbourhood:
         )
 
 
-def neighbours(space: SearchSpace, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
-    """Return the permitted parametrizations one step away, see `STEP`.
-
-    Parameters
-    ----------
-    space
-        The tuned parameters.
-    parameters
-        The tuned ones at least.
-    """
-    tuned = {name: parameters[name] for name in space.names}
-    found = space.integer_neighbours(tuned)
-    at = space.to_cube(tuned)
-    for column in np.flatnonzero(~space.integer):
-        for step in (-STEP, STEP):
-            moved = at.copy()
-            moved[column] += step
-            neighbour = space.to_parameters(space.repair(moved[None])[0])
-            if space.key({name: neighbour[name] for name in space.names}) != space.key(tuned):
-                found.append(neighbour)
-    return found
-
-
 def look_around(
     study: Study, parameters: Mapping[str, Value], models: Surrogates
 ) -> Neighbourhood | None:
@@ -146,7 +118,7 @@ def look_around(
     if models.objective is None:
         return None
     space = study.search_space()
-    around = [dict(parameters), *neighbours(space, parameters)]
+    around = [dict(parameters), *space.neighbours(parameters)]
     tuned = [{name: item[name] for name in space.names} for item in around]
     points = np.array([space.to_cube(item) for item in tuned])
     cost = models.objective.predict_mean(points)
