@@ -5,8 +5,8 @@ Sources
     restarts, 512 raw samples), https://botorch.org/docs/constraints, Ament et al. 2023 (LogEI),
     Hvarfner et al. 2024 (the default priors of `SingleTaskGP`).
 Noise
-    The squared standard errors of the objective go to `SingleTaskGP` as ``train_Yvar`` if every
-    trial has one; else, and for the constraints, the noise is learned.
+    Learned. ``train_Yvar`` is for a noise that is known; a standard error from the few cuts of a
+    trial, in contexts that are drawn stratified, is not.
 Integers
     Rounded inside the model by the input transform `Round` with straight-through gradients
     (Daulton et al. 2022), between reverse and forward scaling as in its documentation; the
@@ -41,10 +41,10 @@ from gpytorch.mlls import SumMarginalLogLikelihood
 from torch import Tensor
 from torch.quasirandom import SobolEngine
 
-from bo_tuner.benchmark.optimizer import Observation
+from bo_tuner.benchmark.optimizer import Observation, best_observed
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
-from peers.shared import best_observed, excesses, tuned
+from peers.shared import excesses, tuned
 
 RESTARTS, RAW_SAMPLES, POSTERIOR_SAMPLES = 10, 512, 256
 OPTIONS = {
@@ -77,8 +77,7 @@ class BoTorch:
 
     def ask(self) -> dict[str, Value]:
         """Maximise the acquisition function."""
-        # One stream for each trial, so that an answer depends on the trials alone.
-        seed = int(np.random.SeedSequence((self._seed, len(self._points))).generate_state(1)[0])
+        seed = self._stream()
         if sum(not o.failed for o in self._observations) < FEWEST:
             engine = SobolEngine(self._space.dimension, scramble=True, seed=self._seed)
             point = engine.draw(len(self._points) + 1, dtype=torch.double)[-1]
@@ -97,13 +96,19 @@ class BoTorch:
         ended = [i for i, o in enumerate(self._observations) if not o.failed]
         if len(ended) < FEWEST:
             return best_observed(self._observations)
-        model = self._fit()
+        # A fit that is tried again draws its start.
+        with manual_seed(self._stream()):
+            model = self._fit()
         with torch.no_grad():
             mean = model.posterior(self._inputs(ended)).mean.numpy()
         feasible = np.all(mean[:, 1:] <= 0.0, axis=1)
         if not feasible.any():
             return None
         return ended[int(np.argmax(np.where(feasible, mean[:, 0], -np.inf)))]
+
+    def _stream(self) -> int:
+        """Seed of what is random now, which depends on the number of trials alone."""
+        return int(np.random.SeedSequence((self._seed, len(self._points))).generate_state(1)[0])
 
     def _inputs(self, indices: Sequence[int]) -> Tensor:
         return torch.tensor(np.array([self._points[i] for i in indices]))
@@ -113,11 +118,7 @@ class BoTorch:
         ended = [o for o in self._observations if not o.failed]
         X = self._inputs([i for i, o in enumerate(self._observations) if not o.failed])
         cost = [[-float(o.objective or 0.0)] for o in ended]
-        errors = [o.standard_error for o in ended]
-        variance = None
-        if all(e is not None and e > 0.0 for e in errors):
-            variance = torch.tensor([[float(e or 0.0) ** 2] for e in errors], dtype=torch.double)
-        models = [self._model(X, cost, variance)]
+        models = [self._model(X, cost)]
         rows = [excesses(self._study, o) for o in ended]
         models += [self._model(X, [[row[name]] for row in rows]) for name in rows[0]]
         if len(ended) < len(self._observations):
@@ -127,11 +128,9 @@ class BoTorch:
         fit_gpytorch_mll(SumMarginalLogLikelihood(model.likelihood, model))
         return model
 
-    def _model(
-        self, X: Tensor, y: list[list[float]], variance: Tensor | None = None
-    ) -> SingleTaskGP:
+    def _model(self, X: Tensor, y: list[list[float]]) -> SingleTaskGP:
         Y = torch.tensor(y, dtype=torch.double)
-        return SingleTaskGP(X, Y, variance, input_transform=self._rounding())
+        return SingleTaskGP(X, Y, input_transform=self._rounding())
 
     def _rounding(self) -> ChainedInputTransform | None:
         """From the cube to own units, round the integers, and back to the cube."""

@@ -4,9 +4,13 @@ Sources
     https://cma-es.github.io/apidocs-pycma/ : `CMAEvolutionStrategy`, `CMAOptions` and
     `ConstrainedFitnessAL` (augmented Lagrangian, Atamna, Auger and Hansen 2017).
 Coordinates
-    Integers in own units, since option ``integer_variables`` rounds to whole numbers; doubles in
-    the unit cube. Option ``CMA_stds`` gives all coordinates the same initial step relative to their
-    range, a quarter of it as the documentation advises.
+    The unit cube, where a parameter on the logarithmic scale of the study is the logarithm, as for
+    every other optimizer; integers on the linear scale in own units, since option
+    ``integer_variables`` rounds to whole numbers. Option ``CMA_stds`` gives all coordinates the
+    same initial step relative to their range, a quarter of it as the documentation advises.
+Noise
+    None of the documented handling: `NoiseHandler` evaluates solutions again, and the budgets here
+    are five to seven generations.
 Initial samples
     The best of them, by feasibility and then objective, is the first mean; all of them set the
     Lagrangian's coefficients. A strategy without a memory of points has no other use for them.
@@ -28,11 +32,11 @@ from contextlib import contextmanager
 import cma
 import numpy as np
 
-from bo_tuner.benchmark.optimizer import Observation
+from bo_tuner.benchmark.optimizer import Observation, best_observed
 from bo_tuner.special import Array
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
-from peers.shared import best_observed, excesses, permitted
+from peers.shared import excesses, permitted, tuned
 
 # Its Lagrangian makes log files in the working folder, whatever it is told; this is how its source
 # says that one turns them off.
@@ -56,6 +60,9 @@ class CmaEs:
         self._generation: list[Array] = []
         self._results: list[Observation] = []
         self._random_state = np.random.RandomState(seed).get_state()
+        # In own units; other integers are on a scale that does not take whole steps.
+        linear = [study.parameters[name].scale != "log" for name in self._space.names]
+        self._whole = self._space.integer & np.array(linear, dtype=bool)
 
     def ask(self) -> dict[str, Value]:
         """Take the next of the generation; after its last one, sample another generation."""
@@ -90,15 +97,15 @@ class CmaEs:
             best = int(np.argmin(fitness))
         middle = space.to_parameters(np.full(space.dimension, 0.5))
         start = self._coordinates({name: middle[name] for name in space.names})
-        lower = np.where(space.integer, space.lower, 0.0)
-        upper = np.where(space.integer, space.upper, 1.0)
+        lower = np.where(self._whole, space.lower, 0.0)
+        upper = np.where(self._whole, space.upper, 1.0)
         strategy = cma.CMAEvolutionStrategy(
             start if best is None else points[best],
             INITIAL_STEP,
             {
                 "bounds": [lower.tolist(), upper.tolist()],
                 "CMA_stds": upper - lower,
-                "integer_variables": np.flatnonzero(space.integer).tolist(),
+                "integer_variables": np.flatnonzero(self._whole).tolist(),
                 # The seed is in numpy's global state, see _own_random_numbers.
                 "seed": np.nan,
                 "verbose": -9,
@@ -127,21 +134,19 @@ class CmaEs:
 
     def _coordinates(self, parameters: Mapping[str, Value]) -> Array:
         point = self._space.to_cube(parameters)
-        for column in np.flatnonzero(self._space.integer):
+        for column in np.flatnonzero(self._whole):
             point[column] = parameters[self._space.names[column]]
         return point
 
     def _parameters(self, point: Array) -> dict[str, Value]:
-        doubles = self._space.to_parameters(np.where(self._space.integer, 0.0, point))
-        return permitted(
-            self._space,
-            {
-                name: int(np.rint(value)) if integer else doubles[name]
-                for name, value, integer in zip(
-                    self._space.names, point, self._space.integer, strict=True
-                )
-            },
-        )
+        whole = self._whole
+        values = self._space.to_parameters(np.where(whole, 0.5, point))
+        rounded = {
+            name: int(np.rint(point[column]))
+            for column, name in enumerate(self._space.names)
+            if whole[column]
+        }
+        return permitted(self._space, tuned(self._space, values) | rounded)
 
     @contextmanager
     def _own_random_numbers(self) -> Iterator[None]:

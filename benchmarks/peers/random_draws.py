@@ -6,10 +6,10 @@ own scale, values in the wrong order exchanged. What it would use is the best fe
 
 import numpy as np
 
-from bo_tuner.benchmark.optimizer import Observation
+from bo_tuner.benchmark.optimizer import Observation, best_observed
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
-from peers.shared import best_observed, tuned
+from peers.shared import tuned
 
 
 class Random:

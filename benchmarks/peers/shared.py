@@ -1,6 +1,6 @@
-"""What every peer needs: scaled constraints, feasibility as observed, and permitted values."""
+"""What every peer needs: scaled constraints and permitted values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from bo_tuner.benchmark.optimizer import Observation
 from bo_tuner.space import SearchSpace
@@ -14,21 +14,6 @@ def excesses(study: Study, observation: Observation) -> dict[str, float]:
         name: value / (abs(study.constraints[name].upper) or 1.0)
         for name, value in observation.constraints.items()
     }
-
-
-def is_feasible(observation: Observation) -> bool:
-    """Whether a trial ended and kept all limits as observed."""
-    return not observation.failed and all(v <= 0.0 for v in observation.constraints.values())
-
-
-def best_observed(observations: Sequence[Observation]) -> int | None:
-    """Index of the lowest observed objective of all that are feasible as observed, if any is."""
-    objectives = {
-        index: observation.objective
-        for index, observation in enumerate(observations)
-        if is_feasible(observation) and observation.objective is not None
-    }
-    return min(objectives, key=objectives.__getitem__, default=None)
 
 
 def permitted(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Value]:

@@ -11,9 +11,10 @@ Initial samples
     `tell` of trials that were not asked for, as documented; SMAC's own initial design is left out.
 Constraints
     SMAC has none for results (issues 884 and 1260 of its repository ask for them), so they are a
-    penalty in the cost, as its users do: the total excess over the limits, relative to them and 1
-    at most, times the range of the initial samples' objectives. So the model sees a continuous
-    cost on the objective's own scale.
+    penalty in the cost, as its users do: for each limit the excess over it, relative to the largest
+    one of the initial samples and 1 at most, times the range of their objectives. So the model sees
+    a continuous cost on the objective's own scale, in which a violation as large as usual outweighs
+    all that it may gain.
 Failed trials
     Status ``CRASHED``, which SMAC's model learns from by default, at the largest initial objective
     plus that range. The default ``crash_cost``, infinity, would make the model fail.
@@ -38,10 +39,10 @@ from ConfigSpace import (
 from smac import BlackBoxFacade, Scenario
 from smac.runhistory import StatusType, TrialInfo, TrialValue
 
-from bo_tuner.benchmark.optimizer import Observation
+from bo_tuner.benchmark.optimizer import Observation, is_feasible
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
-from peers.shared import excesses, is_feasible, permitted
+from peers.shared import excesses, permitted
 
 INITIAL_SEED = 0
 """Name of the first evaluation of a configuration."""
@@ -101,6 +102,11 @@ class Smac:
         objectives = [o.objective for o in self._observations if o.objective is not None]
         self._largest = max(objectives, default=0.0)
         self._range = self._largest - min(objectives, default=0.0) or 1.0
+        seen = [excesses(self._study, o) for o in self._observations]
+        self._excess = {
+            name: max([0.0, *(found[name] for found in seen if name in found)]) or 1.0
+            for name in self._study.constraints
+        }
         # SMAC writes its settings when it starts; after that nothing, as results are not saved.
         with tempfile.TemporaryDirectory() as folder:
             scenario = Scenario(
@@ -122,8 +128,11 @@ class Smac:
         if observation.failed or observation.objective is None:
             cost, status = self._largest + self._range, StatusType.CRASHED
         else:
-            excess = sum(max(0.0, value) for value in excesses(self._study, observation).values())
-            cost = observation.objective + self._range * min(1.0, excess)
+            penalty = sum(
+                min(1.0, max(0.0, value) / self._excess[name])
+                for name, value in excesses(self._study, observation).items()
+            )
+            cost = observation.objective + self._range * penalty
             status = StatusType.SUCCESS
         smac.tell(trial, TrialValue(cost, status=status), save=False)
 

@@ -36,7 +36,6 @@ def test_a_study_lies_beside_the_experiment(experiment_file):
         ("{algorithm: IV}", "{}", r"rows.IV: expected either an algorithm or an optimizer"),
         ("valley:Draws\", protocol", "valley\", protocol", r"optimizer: expected module:Class"),
         (", contexts: 6", "", r"rows.draws.contexts: expected an integer of at least 1, found 0"),
-        ("{algorithm: IV}", "{algorithm: IV, protocol: random, contexts: 3}", "for an optimizer"),
         ("reserved_cuts: 20", "reserved_cuts: 60", r"reserved_cuts: expected less than the 60"),
         ("valley:Judge", "valley.Judge", r"closed.yaml:2: judge: expected module:Class"),
         ("study: valley.yaml", "study: other.yaml", r"other.yaml: cannot be read"),

@@ -1,12 +1,16 @@
 import pytest
+from valley import true_worst
 
 from bo_tuner import confirmation
 from bo_tuner.benchmark.experiment_parts import Row
 from bo_tuner.benchmark.runs import RunSize, run, tune
+from bo_tuner.methods import METHODS
+from bo_tuner.recommendation import rank
 from bo_tuner.trials import Stage
 
 JUDGE = "valley:Judge"
 IV = Row(name="IV", algorithm="IV")
+IV_DRAWN = Row(name="IV drawn", algorithm="IV", protocol="random", contexts=6)
 LENT = Row(name="lent", optimizer="valley:Draws")
 DRAWN = Row(name="drawn", optimizer="valley:Draws", protocol="random", contexts=6)
 
@@ -61,8 +65,9 @@ def test_lent_trials_are_cut_as_the_products_own(study, small):
         assert a.cuts == b.cuts
 
 
-def test_random_contexts_are_the_whole_trial(study, small):
-    trials, _ = trials_of(study, DRAWN, small)
+@pytest.mark.parametrize("row", [DRAWN, IV_DRAWN], ids=str)
+def test_random_contexts_are_the_whole_trial(study, small, row):
+    trials, _ = trials_of(study, row, small)
     assert {len(t.cuts) for t in trials} == {6}
     assert {cut.stage for t in trials for cut in t.cuts} == {Stage.DRAWN}
     for trial in trials:
@@ -94,6 +99,18 @@ def test_training_is_what_the_tuning_saw(study, small):
     seen = [c.outcome.metrics["error"] for c in trial.cuts if c.stage is Stage.DRAWN]
     assert result["answer"]["training"] == pytest.approx(sum(seen) / len(seen))
     assert result["check_cuts"] > 0
+
+
+@pytest.mark.parametrize("row", [LENT, DRAWN], ids=str)
+def test_the_search_is_judged_apart_from_the_choice(study, small, row):
+    """What Algorithm IV would answer of another optimizer's trials."""
+    found = run(study, row, 1, small, JUDGE)
+    trials, _ = trials_of(study, row, small)
+    first = rank(study.replace(seed=1), trials, METHODS["IV"].models)[0].trial
+    assert found["ranked"]["trial"] == first.number
+    means = [first.parameters[name] for name in ("g0", "g1")]
+    assert found["ranked"]["truth"]["worst"] == pytest.approx(true_worst(means))
+    assert run(study, IV, 1, small, JUDGE)["ranked"] is None
 
 
 def test_an_optimizer_without_an_answer_is_on_record(study):

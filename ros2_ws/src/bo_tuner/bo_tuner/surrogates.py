@@ -161,7 +161,7 @@ class Surrogates:
                 )
             elif worst is not None:
                 x = np.array([cube[t.number] for t in kept])
-                model = fit_model(worst.name, x, _single_cut_worst_cases(kept, worst))
+                model = fit_model(worst.name, x, single_cut_worst_cases(kept, worst))
                 constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
         x_all = np.array([cube[t.number] for t in trials]).reshape(-1, space.dimension)
         failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
@@ -202,15 +202,15 @@ def joint_observations(
     return np.array(rows), np.array(values)
 
 
-def _single_cut_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
+def single_cut_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
     """Return what a cut in the worst context of each trial reaches, shape (n,).
 
-    It stays below with the constraint's probability.
+    It stays below with the constraint's probability. Trials without a worst case are left out.
 
     The noise is taken as equal everywhere: the few cuts of one trial say little of it.
     """
     worst = [t.worst_case for t in trials if t.worst_case is not None]
-    noise = float(np.median([w.noise for w in worst]))
+    noise = float(np.median([w.noise for w in worst])) if worst else 0.0
     return np.array([w.value for w in worst]) + constraint.deviations * noise
 
 

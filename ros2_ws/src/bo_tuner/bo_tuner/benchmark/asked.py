@@ -1,15 +1,17 @@
 """Another optimizer in the place of stage one: the same trials, evaluated in the same way."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.benchmark.optimizer import Observation, Optimizer
+from bo_tuner.benchmark.optimizer import Observation, Optimizer, best_observed
+from bo_tuner.errors import ParameterError
 from bo_tuner.methods import Method
 from bo_tuner.stage_one import Proposal, RandomSearch, StageOne
 from bo_tuner.study import Study
-from bo_tuner.trials import Trial, TrialState, Value
+from bo_tuner.surrogates import single_cut_worst_cases
+from bo_tuner.trials import Trial, TrialState
 
 ASKED = "asked"
 """Origin of a trial that the optimizer proposed."""
@@ -23,7 +25,7 @@ class AskedStageOne:
     study
         The study.
     optimizer
-        The optimizer; told of every trial, the initial ones too.
+        The optimizer; told of every trial, of the initial ones when they are all done.
     """
 
     def __init__(self, study: Study, optimizer: Optimizer) -> None:
@@ -31,6 +33,8 @@ class AskedStageOne:
         self._space = study.search_space()
         self._designed = RandomSearch(study)
         self._optimizer = optimizer
+        self._trials: list[Trial] = []
+        self._designing = True
 
     def ask(self) -> Proposal:
         """Propose the next trial's parametrization.
@@ -41,16 +45,37 @@ class AskedStageOne:
             If the optimizer asks for something outside the search space.
         """
         proposal = self._designed.initial()
-        if proposal is None:
-            tuned: Mapping[str, Value] = self._optimizer.ask()
-            parameters = self._space.to_parameters(self._space.to_cube(tuned))
-            proposal = Proposal(parameters, ASKED)
-        return proposal
+        if proposal is not None:
+            return proposal
+        if self._designing:
+            self._designing = False
+            for trial in self._trials:
+                self._show(trial)
+        asked = dict(self._optimizer.ask())
+        parameters = self._space.to_parameters(self._space.to_cube(asked))
+        if self._space.key(parameters) != self._space.key(asked):
+            raise ParameterError(f"{asked}: expected values in the order of the study")
+        # As asked to the last digit, for an optimizer may look for what it asked.
+        return Proposal(parameters | asked, ASKED)
 
     def tell(self, trial: Trial) -> None:
-        """Tell the optimizer of a finished trial."""
+        """Take a finished trial."""
         self._designed.tell(trial)
-        self._optimizer.tell(observation(self._study, trial))
+        self._trials.append(trial)
+        if not self._designing:
+            self._show(trial)
+
+    def recommend(self) -> int | None:
+        """Return the number of the trial that the optimizer recommends; None if it has none.
+
+        Within the initial design, of which it does not know yet, the best as observed.
+        """
+        if not self._designing:
+            return self._optimizer.recommend()
+        return best_observed([observation(self._study, t, self._trials) for t in self._trials])
+
+    def _show(self, trial: Trial) -> None:
+        self._optimizer.tell(observation(self._study, trial, self._trials))
 
 
 @dataclass(frozen=True)
@@ -66,18 +91,18 @@ class AskedMethod(Method):
         return self.stage
 
 
-def observation(study: Study, trial: Trial) -> Observation:
+def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observation:
     """Sum up a trial for an optimizer.
 
     A chance constraint is the quantile of the observations at its probability. The worst case is
-    the trial's estimate with the noise of a single cut, as the product's own surrogates see it.
+    the trial's estimate with the noise of a single cut, as pooled over all `trials` so far: the
+    same number as the product's own surrogates see.
     """
     space = study.search_space()
     parameters = {name: trial.parameters[name] for name in space.names}
     if trial.state is TrialState.FAILED:
-        return Observation(parameters, True, None, None, {})
+        return Observation(parameters, True, None, {})
     cost = study.objective.to_cost(trial.observations(study.objective.metric))
-    error = float(cost.std(ddof=1) / np.sqrt(len(cost))) if len(cost) > 1 else None
     constraints = {}
     for chance in study.chance_constraints:
         values = trial.observations(chance.metric)
@@ -85,6 +110,8 @@ def observation(study: Study, trial: Trial) -> Observation:
         constraints[chance.name] = value - chance.upper
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        margin = worst.deviations * trial.worst_case.noise
-        constraints[worst.name] = trial.worst_case.value + margin - worst.upper
-    return Observation(parameters, False, float(cost.mean()), error, constraints)
+        # The trial comes first, then those that its noise is pooled with.
+        others = [t for t in trials if t.number != trial.number]
+        reached = float(single_cut_worst_cases([trial, *others], worst)[0])
+        constraints[worst.name] = reached - worst.upper
+    return Observation(parameters, False, float(cost.mean()), constraints)

@@ -12,8 +12,8 @@ from bo_tuner.trials import Value
 
 RANDOM, WORST_CASE = "random", "worst_case"
 
-PUBLISHED = ("feasible", "objective", "difference", "best")
-"""What the paper's tables say of a row."""
+PUBLISHED = ("runs", "feasible", "objective", "difference", "best")
+"""What the paper's tables say of a row, and from how many runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +29,8 @@ class Row:
     optimizer
         an optimizer, as ``module:Class``.
     protocol
-        How a trial of an optimizer is evaluated. ``worst_case``: as those of Algorithm IV, with
-        the product's search of the worst context. ``random``: by `contexts` cuts in drawn
+        How a trial is evaluated. ``worst_case``: as those of Algorithm IV, with the product's
+        search of the worst context. ``random``: by `contexts` cuts in drawn
         contexts; the largest metric seen is the constraint.
     contexts
         Cuts of a trial under ``random``.
@@ -61,8 +61,6 @@ class Row:
         if self.optimizer:
             checks.matching(self.optimizer, checks.OBJECT_PATH, "module:Class", "optimizer")
         checks.choice(self.protocol, (RANDOM, WORST_CASE), "protocol")
-        if self.protocol == RANDOM and not self.optimizer:
-            raise StudyError("random contexts are for an optimizer only", ("protocol",))
         if self.protocol == RANDOM:
             checks.integer(self.contexts, "contexts", at_least=1)
         elif self.contexts:
@@ -85,7 +83,7 @@ class Point:
     parameters
         The tuned ones.
     neighbours
-        Whether its neighbours are judged too.
+        Whether its neighbours are listed too; its verdict needs them in any case.
     published
         What the paper's table says of it: `PUBLISHED`.
     """

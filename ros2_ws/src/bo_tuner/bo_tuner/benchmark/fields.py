@@ -60,7 +60,8 @@ def surrogate_fields(
         rows: list[list[float]] = np.round(values.reshape(shape), 6).tolist()
         return rows
 
-    constraints = [*seeded.chance_constraints, seeded.worst_case_constraint]
+    worst = seeded.worst_case_constraint
+    constraints = [*seeded.chance_constraints, *([] if worst is None else [worst])]
     nowhere = np.zeros(len(grid))
     failure, *outlier = (c.probability(grid) for c in models.classifiers)
     return {
@@ -71,8 +72,7 @@ def surrogate_fields(
         else field(seeded.objective.from_cost(models.objective.predict(grid)[0])),
         "constraints": {
             item.name: {"field": field(model.predict(grid)[0]), "limit": model.limit}
-            for item, model in zip(constraints, models.constraints, strict=False)
-            if item is not None
+            for item, model in zip(constraints, models.constraints, strict=True)
         },
         "feasibility": field(np.exp(models.log_feasibility(grid))),
         "failure": field(failure),

@@ -1,11 +1,11 @@
 """What an optimizer that is no part of the product has to offer to take part in a campaign.
 
-The campaign drives it by ask and tell. It is told the initial samples of its run first, the same
-ones that the product's algorithms start from, and then what each parametrization that it asked for
-showed. The campaign finds it by the name in the experiment file, `module:Class`.
+The campaign drives it by ask and tell. It is told the initial samples of its run first, all of
+them, the same ones that the product's algorithms start from, and then what each parametrization
+that it asked for showed. The campaign finds it by the name in the experiment file, `module:Class`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,8 +26,6 @@ class Observation:
     objective : float or None
         Mean over the drawn contexts, in the study's scale for surrogates (see
         `Objective.to_cost`); smaller is better.
-    standard_error : float or None
-        Standard error of that mean; None if it has only one value.
     constraints : mapping from str to float
         For each constraint what was seen minus the limit, in the metric's unit; the constraint
         holds if it is at most 0.
@@ -36,7 +34,6 @@ class Observation:
     parameters: Mapping[str, Value]
     failed: bool
     objective: float | None
-    standard_error: float | None
     constraints: Mapping[str, float]
 
 
@@ -68,3 +65,18 @@ class Optimizer(Protocol):
         Counts from 0 in the order of `tell`; None if no observation is feasible.
         """
         ...
+
+
+def is_feasible(observation: Observation) -> bool:
+    """Whether a trial ended and kept all limits as observed."""
+    return not observation.failed and all(v <= 0.0 for v in observation.constraints.values())
+
+
+def best_observed(observations: Sequence[Observation]) -> int | None:
+    """Index of the lowest observed objective of all that are feasible as observed, if any is."""
+    objectives = {
+        index: observation.objective
+        for index, observation in enumerate(observations)
+        if is_feasible(observation) and observation.objective is not None
+    }
+    return min(objectives, key=objectives.__getitem__, default=None)

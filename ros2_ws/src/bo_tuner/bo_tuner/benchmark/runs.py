@@ -29,6 +29,10 @@ MOMENTS = 24
 """So many times in a run, at most, its best solution so far is asked for."""
 
 
+RANKING = "IV"
+"""Algorithm whose ranking is applied to the trials of other optimizers as well."""
+
+
 class TimedBackend:
     """Runs cuts in process, and counts them and their processor time."""
 
@@ -71,13 +75,13 @@ class Contestant:
 
     def __init__(self, row: Row, study: Study, reserved: int) -> None:
         self._study = study
-        self._optimizer: Optimizer | None = None
+        self._asked: AskedStageOne | None = None
         if row.algorithm:
             method = METHODS[row.algorithm]
         else:
-            self._optimizer = plugins.load(row.optimizer)(study, study.seed)
-            stage = AskedStageOne(study, self._optimizer)
-            method = AskedMethod(row.optimizer, stage=stage, most_checked=0)
+            optimizer: Optimizer = plugins.load(row.optimizer)(study, study.seed)
+            self._asked = AskedStageOne(study, optimizer)
+            method = AskedMethod(row.optimizer, stage=self._asked, most_checked=0)
         # As many checks as the cuts allow: what one row spends more, the others lack.
         most_checked = min(method.most_checked, reserved // CHECK_CUTS)
         changes: dict[str, Any] = {"most_checked": most_checked}
@@ -91,18 +95,17 @@ class Contestant:
 
     def incumbent(self, trials: Sequence[Trial]) -> int | None:
         """Return the trial believed feasible and best, or None if there is none yet."""
-        if self._optimizer is not None:
-            return self._optimizer.recommend()
-        ranked = rank(self._study, trials, self.method.models)
-        return ranked[0].trial.number if ranked and ranked[0].believed_feasible else None
+        if self._asked is not None:
+            return self._asked.recommend()
+        return first_ranked(self._study, trials, self.method)
 
     def answer(self, backend: TimedBackend, trials: Sequence[Trial]) -> tuple[int, bool] | None:
         """Return the trial recommended in the end and whether it is believed feasible.
 
         An algorithm of the product checks its candidates by cuts first.
         """
-        if self._optimizer is not None:
-            number = self._optimizer.recommend()
+        if self._asked is not None:
+            number = self._asked.recommend()
             return None if number is None else (number, True)
         found = recommend(
             self._study,
@@ -112,6 +115,12 @@ class Contestant:
             most_checked=self.method.most_checked,
         )
         return None if found is None else (found.candidate.trial.number, found.feasible)
+
+
+def first_ranked(study: Study, trials: Sequence[Trial], method: Method) -> int | None:
+    """Return the trial that a method ranks first, without checks; None if none seems feasible."""
+    ranked = rank(study, trials, method.models)
+    return ranked[0].trial.number if ranked and ranked[0].believed_feasible else None
 
 
 @dataclass(frozen=True)
@@ -162,8 +171,9 @@ def run(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[st
     -------
     dict
         What JSON takes. ``trajectory`` has a pair for each moment: cuts used so far and the trial
-        believed the best then, or None; ``incumbents`` the truth of these trials by number. All
-        but ``seconds`` is the same on every machine.
+        believed the best then, or None; ``incumbents`` the truth of these trials by number;
+        ``ranked``, of another optimizer's run, the trial that `RANKING` would answer. All but
+        ``seconds`` is the same on every machine.
     """
     seeded, contestant, backend, tuning, budget = tune(study, row, seed, size)
     trajectory: list[tuple[int, int | None]] = []
@@ -189,8 +199,11 @@ def run(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[st
         "check_cuts": backend.cuts - used,
         "trajectory": trajectory,
         "answer": None,
+        "ranked": None,
     }
     truth = truth_of(study, judge)
+    if row.optimizer:
+        record["ranked"] = _ranked(seeded, truth, tuning.trials)
     if answer is not None:
         number, believed = answer
         trajectory.append((backend.cuts, number if believed else None))
@@ -209,6 +222,15 @@ def run(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[st
         "cuts": round(cut_seconds, 3),
     }
     return record
+
+
+def _ranked(study: Study, truth: Truth, trials: Sequence[Trial]) -> dict[str, Any] | None:
+    """Judge what `RANKING` would answer of another optimizer's trials: search apart from choice."""
+    number = first_ranked(study, trials, METHODS[RANKING])
+    if number is None:
+        return None
+    verdict = truth.verdict(trials[number].parameters)
+    return {"trial": number, "truth": verdict_record(verdict)}
 
 
 def _training(study: Study, trial: Trial) -> float:
