@@ -1,6 +1,8 @@
 """The valley of `bo_tuner.benchmark.cost` in closed form: its truth, and optimizers for it."""
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -71,3 +73,12 @@ class Draws:
 class Broken(Draws):
     def ask(self):
         raise RuntimeError("out of\nideas")
+
+
+class Unsteady(Draws):
+    """Cannot ask as long as the file that the environment names is there."""
+
+    def ask(self):
+        if Path(os.environ["VALLEY_UNSTEADY"]).exists():
+            raise OSError("unsteady")
+        return super().ask()

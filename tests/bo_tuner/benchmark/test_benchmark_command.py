@@ -134,6 +134,36 @@ def test_a_task_that_raises_is_a_failed_run_with_its_reason(benchmark, tmp_path,
     assert records_of(tmp_path / "out")["run/valley/draws/1"]["failed"] == ""
 
 
+def test_a_failed_task_runs_again(benchmark, tmp_path, experiment_file):
+    text = experiment_file.read_text().replace("runs: 2", "runs: 1")
+    experiment_file.write_text(text.replace('"valley:Draws"}', '"valley:Unsteady"}'))
+    unsteady = tmp_path / "unsteady"
+    unsteady.write_text("")
+    environment = {"VALLEY_UNSTEADY": str(unsteady)}
+    code, _, err = finish(benchmark("out", environment=environment))
+    assert code == 1
+    assert "failed: OSError: unsteady" in err
+    unsteady.unlink()
+    code, _, err = finish(benchmark("out", environment=environment))
+    assert code == 0, err
+    records = records_of(tmp_path / "out")
+    assert records["run/valley/lent/1"]["failed"] == ""
+
+
+def test_a_process_with_other_code_does_no_task(benchmark, tmp_path, experiment_file):
+    """As a worker elsewhere, or one that starts after an edit."""
+    text = experiment_file.read_text()
+    experiment_file.write_text(text.replace("runs: 2", "runs: 1").replace("valley:", "edited:"))
+    (tmp_path / "edited.py").write_text(
+        "import pathlib\nfrom valley import Draws, Judge\n"
+        "pathlib.Path(__file__).write_text(pathlib.Path(__file__).read_text() + '# edited\\n')\n"
+    )
+    code, _, err = finish(benchmark("out", "--jobs", "2"))
+    assert code == 1
+    assert "has another version of the code" in err.splitlines()[-1]
+    assert (tmp_path / "out" / "closed.jsonl").read_text() == ""
+
+
 def test_records_of_another_version_are_not_mixed(refused, tmp_path):
     (tmp_path / "out").mkdir()
     record = {"task": "run/valley/IV/1", "version": "older"}
@@ -192,6 +222,17 @@ def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_pa
         code, there, err = finish(benchmark("there", "--cluster", address))
     assert code == 0, err
     assert there == tables
+
+
+@pytest.mark.slow
+def test_workers_of_several_threads_are_refused(benchmark, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None
+    ) as cluster:
+        code, out, err = finish(benchmark("out", "--cluster", cluster.scheduler_address))
+    assert (code, out) == (2, "")
+    assert "expected workers of one thread" in err.splitlines()[-1]
 
 
 @pytest.mark.slow

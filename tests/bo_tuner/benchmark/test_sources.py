@@ -1,7 +1,9 @@
 import hashlib
+import platform
 import subprocess
 import sys
 
+import numpy
 import pytest
 
 from bo_tuner.benchmark import sources
@@ -33,6 +35,7 @@ def toolbox(tmp_path, monkeypatch):
 def forget():
     sources.imported.cache_clear()
     sources._content.cache_clear()
+    sources._versions.cache_clear()
 
 
 def test_all_that_a_module_imports_in_its_package_is_found(toolbox):
@@ -50,6 +53,16 @@ def test_digest_changes_with_what_runs_only(toolbox):
     (toolbox / "lazy.py").write_text("x = 1\n")
     forget()
     assert sources.digest(["toolbox.root"], "text") != before
+
+
+def test_digest_holds_the_versions_of_imported_libraries(toolbox, monkeypatch):
+    before = sources.digest(["toolbox.root"])
+    python, *libraries = sources.versions(["toolbox.root"])
+    assert python == f"Python {platform.python_version()}"
+    assert libraries == [f"numpy {numpy.__version__}"]
+    monkeypatch.setattr(sources.metadata, "version", lambda name: "0.0.1")
+    forget()
+    assert sources.digest(["toolbox.root"]) != before
 
 
 def git(folder, *arguments):

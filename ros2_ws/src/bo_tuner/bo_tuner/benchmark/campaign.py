@@ -34,7 +34,7 @@ def conduct(
     about: Mapping[str, str],
     tell: Callable[[dict[str, Any]], None] = lambda record: None,
 ) -> None:
-    """Carry out the tasks that are not on record yet.
+    """Carry out the tasks that are not on record yet, and those that failed once more.
 
     Parameters
     ----------
@@ -56,19 +56,21 @@ def conduct(
     Raises
     ------
     BackendError
-        If the cluster cannot be had.
+        If the cluster cannot be had, or its workers do several tasks in one process.
     RunError
-        If a process of the campaign died.
+        If a process of the campaign died, or cannot do a task.
     Interrupted
         On a signal. What has ended is on record.
     """
-    missing = [task for task in tasks if task.name not in records.done]
+    whole = {name for name, record in records.done.items() if not record["failed"]}
+    missing = [task for task in tasks if task.name not in whole]
     if not missing:
         return
     with _client(cluster) as client:
         config: dict[str, Any] = {
             "backend": "loky",
             "n_jobs": jobs,
+            "inner_max_num_threads": 1,
             "initializer": _start_worker,
             "initargs": (os.getpid(),),
         }
@@ -114,7 +116,8 @@ def _results(
         if item is None:
             return
         if isinstance(item, Exception):
-            problem = " ".join(f"{type(item).__name__}: {item}".split())[:300]
+            name = "" if isinstance(item, RunError) else f"{type(item).__name__}: "
+            problem = " ".join(f"{name}{item}".split())[:300]
             raise RunError(f"the campaign cannot go on: {problem}") from item
         yield item
 
@@ -152,4 +155,10 @@ def _client(cluster: str) -> Iterator[Any]:
     except (OSError, TimeoutError, ValueError) as error:
         raise BackendError(f"{cluster}: no Dask scheduler answers there: {error}") from error
     with client:
+        threads = client.scheduler_info(n_workers=-1)["workers"].values()
+        if any(worker["nthreads"] > 1 for worker in threads):
+            raise BackendError(
+                f"{cluster}: expected workers of one thread, for optimizers draw from the random "
+                "numbers of their process; start them with `dask worker --nthreads 1`"
+            )
         yield client

@@ -7,9 +7,11 @@ within our own packages, directly or not, so that an edited report leaves a camp
 import ast
 import hashlib
 import importlib.util
+import platform
 import subprocess
 from collections.abc import Iterable, Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 
@@ -46,13 +48,28 @@ def imported(roots: tuple[str, ...]) -> dict[str, Path]:
 
 
 def digest(roots: Iterable[str], *texts: str) -> str:
-    """Short digest of the code that some modules run, and of further texts."""
+    """Short digest of what some modules run, libraries by their versions, and of further texts."""
     result = hashlib.sha256()
     for name, path in imported(tuple(sorted(set(roots)))).items():
         result.update(name.encode() + _content(path))
-    for text in texts:
+    for text in (*versions(roots), *texts):
         result.update(text.encode())
     return result.hexdigest()[:16]
+
+
+def versions(roots: Iterable[str]) -> list[str]:
+    """Name Python and the libraries that some modules import themselves, with their versions."""
+    return list(_versions(tuple(sorted(set(roots)))))
+
+
+@cache
+def _versions(roots: tuple[str, ...]) -> tuple[str, ...]:
+    names = {name.partition(".")[0] for path in imported(roots).values() for name in _imports(path)}
+    distributions = metadata.packages_distributions()
+    own = {root.partition(".")[0] for root in roots}
+    libraries = {d for name in names - own for d in distributions.get(name, ())}
+    found = sorted(f"{name} {metadata.version(name)}" for name in libraries)
+    return (f"Python {platform.python_version()}", *found)
 
 
 def commit(roots: Iterable[str]) -> str:

@@ -1,9 +1,11 @@
 """A campaign as tasks that do not depend on each other, and how one is carried out."""
 
 import dataclasses
+import importlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -18,6 +20,7 @@ from bo_tuner.benchmark.machine import machine
 from bo_tuner.benchmark.neighbours import judge_neighbours
 from bo_tuner.benchmark.runs import RunSize, run
 from bo_tuner.benchmark.truth import truth_of, verdict_record
+from bo_tuner.errors import RunError
 from bo_tuner.study import Study
 from bo_tuner.trials import Value
 
@@ -61,30 +64,47 @@ def tasks_of(experiment: Experiment) -> list[Task]:
 
 
 def carry_out(task: Task) -> dict[str, Any]:
-    """Do a task; its record. What it raises is the reason why it failed, and no lost campaign."""
+    """Do a task; its record. What it raises is the reason why it failed, and no lost campaign.
+
+    Raises
+    ------
+    RunError
+        If this process cannot do it: it has other code or libraries than the one that asks.
+    """
+    try:
+        version = _version(task.modules, task.name, task.arguments)
+        for module in task.modules:
+            importlib.import_module(module)
+    except ImportError as error:
+        raise RunError(f"{task.name}: {machine()} cannot import what it needs: {error}") from error
+    if version != task.version:
+        found = ", ".join(sources.versions(task.modules))
+        raise RunError(f"{task.name}: {machine()} has another version of the code, or of {found}")
     begin = time.monotonic()
     result: dict[str, Any] | None = None
     reason = ""
     try:
-        # One thread each: the tasks are what runs in parallel.
+        # One thread each: the tasks are what runs in parallel. Limits hold for what is loaded.
         with threadpool_limits(1):
             result = task.function(*task.arguments)
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
     return {
         "task": task.name,
-        "version": task.version,
+        "version": version,
         "failed": reason,
         "result": result,
         "wall_seconds": round(time.monotonic() - begin, 3),
-        "about": {"machine": machine()},
+        "about": {
+            "machine": machine(),
+            "versions": ", ".join(sources.versions(task.modules)),
+            "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        },
     }
 
 
-def judge_point(
-    study: Study, judge: str, point: Mapping[str, Value], neighbours: bool
-) -> dict[str, Any]:
-    """Judge a parametrization, given by its tuned parameters, and its neighbours if asked for."""
+def judge_point(study: Study, judge: str, point: Mapping[str, Value]) -> dict[str, Any]:
+    """Judge a parametrization, given by its tuned parameters, and its neighbours."""
     space = study.search_space()
     parameters = space.to_parameters(space.to_cube(point)) | dict(point)
     truth = truth_of(study, judge)
@@ -92,7 +112,7 @@ def judge_point(
     return {
         "parameters": parameters,
         "truth": verdict_record(verdict),
-        "neighbours": judge_neighbours(truth, parameters, verdict) if neighbours else [],
+        "neighbours": judge_neighbours(truth, parameters, verdict),
     }
 
 
@@ -112,7 +132,7 @@ def _points(case: Case, judge: str) -> list[Task]:
     modules = [*_modules(case.study), _module(judge)]
     tasks = []
     for name, point in case.points.items():
-        arguments = (case.study, judge, dict(point.parameters), point.neighbours)
+        arguments = (case.study, judge, dict(point.parameters))
         tasks.append(_task(f"point/{case.name}/{name}", judge_point, arguments, modules))
     return tasks
 
@@ -155,7 +175,11 @@ def _task(
     modules: list[str],
 ) -> Task:
     roots = (function.__module__, *(module for module in modules if module))
-    return Task(name, function, arguments, roots, sources.digest(roots, name, repr(arguments)))
+    return Task(name, function, arguments, roots, _version(roots, name, arguments))
+
+
+def _version(roots: tuple[str, ...], name: str, arguments: tuple[Any, ...]) -> str:
+    return sources.digest(roots, name, repr(arguments))
 
 
 def _modules(study: Study) -> list[str]:

@@ -1,10 +1,7 @@
 """``benchmark``: a campaign of many runs, judged by the truth, as one results page."""
 
-import platform
 import sys
 from collections.abc import Sequence
-from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +36,11 @@ examples:
   benchmark --experiment small --jobs 2  all algorithms, in half a minute
   benchmark --experiment ./mine.yaml --output mine
   benchmark --cluster tcp://10.0.0.5:8786
+
+The other optimizers (BoTorch, Optuna, SMAC3, CMA-ES) are in the repository's
+folder benchmarks/; there `make benchmark` installs them and runs all.
 """
 
-PACKAGES = ("numpy", "scipy", "osqp", "scikit-learn", "botorch", "optuna", "smac", "cma")
 PAGE = "results.md"
 
 
@@ -69,13 +68,18 @@ def make_parser() -> Parser:
         help="folder for the records of finished tasks (default: the output folder)",
     )
     parser.add_argument(
-        "--jobs", type=int, default=1, metavar="N", help="processes (default: %(default)s)"
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="processes on this machine (default: %(default)s)",
     )
     parser.add_argument(
         "--cluster",
         default="",
         metavar="ADDRESS",
-        help="do the tasks on the workers of a Dask scheduler, dask://host:port or tcp://host:port",
+        help="do the tasks on the workers of a Dask scheduler instead, dask://host:port or "
+        "tcp://host:port; each with one thread, and the same packages installed",
     )
     parser.add_argument(
         "--page-only",
@@ -144,7 +148,7 @@ def _carry_out(
     interruption: Interruption,
     arguments: Any,
 ) -> None:
-    about = _about(experiment, tasks)
+    about = _about(tasks)
     if records.done:
         _tell(f"{experiment.name}: {len(records.done)} of {len(tasks)} tasks are on record")
 
@@ -192,20 +196,9 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
     return EXIT_FAULT if failed else EXIT_OK
 
 
-def _about(experiment: Experiment, tasks: Sequence[Task]) -> dict[str, str]:
-    """Tell what makes the records of this session."""
-    modules = {module for task in tasks for module in task.modules}
-    versions = [f"Python {platform.python_version()}"]
-    for package in PACKAGES:
-        try:
-            versions.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
-            continue
-    return {
-        "commit": sources.commit(modules),
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "versions": ", ".join(versions),
-    }
+def _about(tasks: Sequence[Task]) -> dict[str, str]:
+    """Tell what makes the records, beside what each process adds."""
+    return {"commit": sources.commit({module for task in tasks for module in task.modules})}
 
 
 def _tell(text: str) -> None:
