@@ -63,8 +63,8 @@ def make_case(study):
 
 def answer(objective=1.0, worst=0.5, feasible=True, held=True, training=0.9, narrow=False):
     """An answer's record with its verdict."""
-    truth = {"objective": objective, "worst": worst, "feasible": feasible}
-    neighbour = {"parameters": {"g0": 0.5, "g1": 0.5}, "changed": "g0"}
+    truth = {"objective": objective, "standard_error": 0.01, "worst": worst, "feasible": feasible}
+    neighbour = {"parameters": {"g0": 0.5, "g1": 0.5}, "changed": ["g0"]}
     return {
         "trial": 0,
         "believed": True,

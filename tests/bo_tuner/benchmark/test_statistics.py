@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy import special
+from scipy import special, stats
 
-from bo_tuner.benchmark.statistics import difference, exponent, mean, share
+from bo_tuner.benchmark.statistics import difference, fisher, mean, power, share
 
 
 def test_mean_of_one_to_five():
@@ -31,21 +31,50 @@ def test_share_is_between_quantiles_of_the_beta_distribution(count, runs):
     assert (found.low, found.high) == pytest.approx((low, high))
 
 
-def test_difference_of_two_means_by_welch():
-    a, b = np.array([3.0, 5.0, 7.0]), np.array([1.0, 2.0, 2.0, 3.0])
-    found = difference(a, b)
-    u, v = a.var(ddof=1) / 3, b.var(ddof=1) / 4
-    degrees = (u + v) ** 2 / (u**2 / 2 + v**2 / 3)
-    half = special.stdtrit(degrees, 0.975) * np.sqrt(u + v)
-    assert found.value == pytest.approx(3.0)
-    assert (found.low, found.high) == pytest.approx((3.0 - half, 3.0 + half))
-    assert np.isnan(difference([1.0], [2.0, 3.0]).low)
+def test_an_interval_widens_with_its_confidence():
+    values = [1.0, 2.0, 3.0, 4.0, 5.0]
+    found = mean(values, 0.99)
+    # 0.995 quantile of Student's t with 4 degrees of freedom, from a printed table.
+    assert found.high - 3.0 == pytest.approx(4.604 * np.sqrt(0.5), abs=1e-3)
 
 
-def test_exponent_of_a_power_law():
-    x = np.array([50.0, 100.0, 200.0, 400.0])
-    found = exponent(x, 0.5 * x**1.7)
-    assert (found.value, found.factor) == pytest.approx((1.7, 0.5))
-    assert found.low == pytest.approx(found.high, abs=1e-6)
-    noisy = exponent(x, 0.5 * x**1.7 * np.array([1.1, 0.9, 1.1, 0.9]))
-    assert noisy.low < 1.7 < noisy.high
+def test_a_difference_is_that_of_pairs():
+    """The spread that runs of one seed have in common is no part of it."""
+    seeds = range(1, 6)
+    common = dict(zip(seeds, [10.0, 50.0, 20.0, 90.0, 40.0], strict=True))
+    gaps = dict(zip(seeds, [1.0, 2.0, 1.5, 0.5, 1.0], strict=True))
+    first = {seed: common[seed] + gaps[seed] for seed in seeds}
+    found = difference(first, common, 0.9)
+    other = stats.ttest_rel(list(first.values()), list(common.values())).confidence_interval(0.9)
+    assert (found.value, found.count) == (pytest.approx(1.2), 5)
+    assert (found.low, found.high) == pytest.approx((other.low, other.high))
+
+
+def test_seeds_without_a_partner_are_left_out():
+    found = difference({1: 3.0, 2: 100.0, 4: 6.0}, {4: 4.0, 1: 2.0, 3: -100.0})
+    assert (found.value, found.count) == (1.5, 2)
+    assert np.isnan(difference({1: 1.0, 2: 2.0}, {1: 0.0}).low)
+    assert difference({1: 1.0}, {2: 2.0}).count == 0
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "p"),
+    [
+        # Of 20 runs with 10 successes: two tails of 1 in (20 over 10).
+        ((10, 10), (0, 10), 2.0 / special.comb(20, 10)),
+        # Fisher's lady tasting tea: (1 + 16) of 70, on either side.
+        ((3, 4), (1, 4), 34.0 / 70.0),
+        ((5, 10), (5, 10), 1.0),
+        ((10, 10), (10, 10), 1.0),
+    ],
+)
+def test_counts_are_told_apart_as_by_counting_tables(first, second, p):
+    assert fisher(first, second) == pytest.approx(p)
+
+
+def test_power_law():
+    x = [50.0, 100.0, 200.0, 400.0]
+    found = power(x, [0.5 * value**1.7 for value in x])
+    assert (found.exponent, found.factor) == pytest.approx((1.7, 0.5))
+    noisy = [3.0, 4.0, 11.0, 30.0]
+    assert power(x, noisy).exponent == pytest.approx(stats.linregress(np.log(x), np.log(noisy))[0])

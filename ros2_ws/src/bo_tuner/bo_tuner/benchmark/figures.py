@@ -1,19 +1,22 @@
 """The figures of a campaign, described for the renderers."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 
 from bo_tuner.benchmark.experiment import Case, Experiment
-from bo_tuner.benchmark.statistics import exponent
+from bo_tuner.benchmark.experiment_parts import Calibration
+from bo_tuner.benchmark.statistics import Mean, Power, mean, power
 from bo_tuner.benchmark.summary import Record, RowSummary, feasible_at
 from bo_tuner.benchmark.tables import costs
+from bo_tuner.benchmark.truth import FEW_REAL_CUTS, Effort
 from bo_tuner.figures.figure import (
     Axis,
     Band,
     Color,
     Dash,
+    Element,
     Figure,
     Limit,
     Line,
@@ -21,6 +24,7 @@ from bo_tuner.figures.figure import (
     Points,
     Scale,
 )
+from bo_tuner.special import Array
 
 COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION, Color.SKY)
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
@@ -28,60 +32,94 @@ DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
 STEPS = 120
 """Points of a line over the cuts."""
 
+QUARTILES = (25, 50, 75)
+
 
 def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | None) -> Figure:
     """Quality of the best solution so far over the number of cuts (Fig. 4 of the paper)."""
-    used = [s.cuts.value + s.check_cuts.value for s in summaries]
-    cuts = np.linspace(0.0, max([case.cuts, *used]), STEPS)
-    quality: list[Line | Band | Limit] = []
-    shares: list[Line] = []
+    cuts = np.linspace(0.0, max([case.cuts, *(s.most_cuts for s in summaries)]), STEPS)
+    means: list[Element] = []
+    medians: list[Element] = []
+    shares: list[Element] = []
     many = len(summaries) > len(COLORS)
     for index, s in enumerate(summaries):
         # No two lines are alike, and a few differ in both.
         color = COLORS[index % len(COLORS)]
         dash = DASHES[(index // len(COLORS) if many else index) % len(DASHES)]
-        found = [feasible_at(s.results, int(c)) for c in cuts]
-        mean = np.array([np.mean(f) if f else np.nan for f in found])
-        spread = np.array([np.std(f) if f else np.nan for f in found])
-        # Many bands hide one another.
-        if not many:
-            quality.append(Band(x=cuts, lower=mean - spread, upper=mean + spread, color=color))
-        quality.append(Line(x=cuts, y=mean, name=s.row.name, color=color, dash=dash))
+        found = [feasible_at(s.results.values(), int(c)) for c in cuts]
+        mean_lines = _means(found)
+        median_lines = _medians(found)
         share = np.array([len(f) / case.runs for f in found])
+        for elements, (low, middle, high) in ((means, mean_lines), (medians, median_lines)):
+            # Many bands hide one another.
+            if not many:
+                elements.append(Band(x=cuts, lower=low, upper=high, color=color))
+            elements.append(Line(x=cuts, y=middle, name=s.row.name, color=color, dash=dash))
         shares.append(Line(x=cuts, y=share, name=s.row.name, color=color, dash=dash))
     limits = None
     if optimum is not None:
-        quality.append(Limit(value=optimum, name="optimum of the grid", color=Color.INK))
+        limit = Limit(value=optimum, name="optimum of the grid", color=Color.INK)
+        means.append(limit)
+        medians.append(limit)
         limits = (0.97 * optimum, 1.6 * optimum)
     metric = case.study.metrics[case.study.objective.metric]
+    unit = metric.unit or ""
+    # An objective that is modelled by its logarithm is positive.
+    scale = Scale.LOG if case.study.objective.scale == "log" else Scale.LINEAR
+    x = Axis(label="cuts")
+    bands = ("", "") if many else (" and standard deviation", " and quartiles")
     return Figure(
         name=f"convergence-{case.name}",
         title=f"Best solution so far, {case.title}",
         caption=(
-            "First: true objective of what a run believes to be its best feasible solution, mean "
-            "and standard deviation over the runs where it is feasible in truth. Second: in what "
-            "share of the runs it is."
+            f"First: mean{bands[0]} of the true objective of what a run believes to be its best "
+            "feasible solution, over the runs where it is feasible in truth. Second, enlarged: "
+            f"median{bands[1]} of the same, for a single incumbent that is an outlier moves the "
+            "mean. Third: in what share of the runs it is feasible in truth. Instead of the "
+            f"paper's 25 draws the truth is over {Effort().drawn} drawn contexts; incumbents on "
+            f"the way are judged with {FEW_REAL_CUTS} real cuts, answers with "
+            f"{Effort().real_cuts}."
         ),
         alternative="Lines that fall towards the optimum; the table beside it has the numbers.",
         panels=[
+            Panel(x=x, y=Axis(label=f"mean {metric.name}", unit=unit, scale=scale), elements=means),
             Panel(
-                x=Axis(label="cuts"),
-                y=Axis(label=metric.name, unit=metric.unit or "", limits=limits),
-                elements=quality,
+                x=x,
+                y=Axis(label=f"median {metric.name}", unit=unit, limits=limits),
+                elements=medians,
             ),
-            Panel(
-                x=Axis(label="cuts"),
-                y=Axis(label="runs truly feasible", limits=(0.0, 1.05)),
-                elements=shares,
-            ),
+            Panel(x=x, y=Axis(label="runs truly feasible", limits=(0.0, 1.05)), elements=shares),
         ],
         # Side by side there is room for a long legend.
         columns=2 if many else 1,
     )
 
 
+def _means(found: Sequence[Sequence[float]]) -> Array:
+    """Mean with a standard deviation below and above (3, moments); NaN without values.
+
+    The band ends at the lowest value there is: a logarithmic axis has no place for what lies below
+    zero.
+    """
+    lines = []
+    for values in found:
+        middle, spread = (np.mean(values), np.std(values)) if values else (np.nan, np.nan)
+        low = max(middle - spread, min(values)) if values else np.nan
+        lines.append([low, middle, middle + spread])
+    return np.array(lines).T
+
+
+def _medians(found: Sequence[Sequence[float]]) -> Array:
+    """First quartile, median and third quartile (3, moments); NaN without values."""
+    empty = [np.nan] * len(QUARTILES)
+    return np.array([np.percentile(f, QUARTILES) if f else empty for f in found]).T
+
+
 def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
-    """Modelled against measured metric, and what the fit says."""
+    """Modelled against measured metric, and what the line through them says.
+
+    The line compares; the model's own constants are not fitted to it.
+    """
     given = experiment.calibration
     if given is None:
         raise ValueError("calibration: expected one in the experiment")
@@ -96,6 +134,7 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
     slope, offset = np.polyfit(modelled, measured, 1)
     correlation = float(np.corrcoef(modelled, measured)[0, 1])
     unit = given.study.metrics[given.metric].unit or ""
+    shown_key = given.key or given.metric
     shown, scale = ("ms", 1e3) if unit == "s" else (unit, 1.0)
     text = (
         f"Measured = {offset:.3g} {unit} + {slope:.3g} × modelled, over {len(whole)} settings; "
@@ -105,10 +144,10 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
     ends = np.array([modelled.min(), modelled.max()])
     figure = Figure(
         name="calibration",
-        title=f"{given.key or given.metric}: modelled and measured",
+        title=f"{shown_key}: a comparison of modelled and measured",
         caption=(
             f"Each point is a cut with other horizons; measured: the lowest of {given.repeats} "
-            "repetitions, the bar up to their median."
+            f"repetitions, the bar up to their median.{_other_key(given)}"
         ),
         alternative=f"Points along a straight line; correlation {correlation:.3f}.",
         panels=[
@@ -136,6 +175,14 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
     return figure, text
 
 
+def _other_key(given: Calibration) -> str:
+    """Say that the study limits something else than what is compared here."""
+    limited = given.study.metrics[given.metric].key
+    if given.key in ("", limited):
+        return ""
+    return f" Compared is {given.key}, which a clock disturbs less; the study limits {limited}."
+
+
 def cost_scaling(experiment: Experiment, done: Mapping[str, Record]) -> tuple[Figure, str]:
     """Cost of a run against trials and against the number of parameters, with fitted powers."""
     found = costs(experiment, done)
@@ -149,38 +196,44 @@ def cost_scaling(experiment: Experiment, done: Mapping[str, Record]) -> tuple[Fi
     second, said_second = _power_panel(
         of_dimension, "parameters", f"{given.compared_trials} trials"
     )
+    text = f"{said_first} {said_second} The lines of the figure are fits, not laws.".strip()
     figure = Figure(
         name="cost",
         title=f"Cost of a run of Algorithm {given.algorithm}, without its cuts",
         caption="Processor time of the optimizer on a study in closed form, each run a point.",
-        alternative=f"Straight lines in logarithmic axes. {said_first} {said_second}",
+        alternative=f"Straight lines in logarithmic axes. {text}",
         panels=[first, second],
         columns=2,
     )
-    return figure, f"{said_first} {said_second}"
+    return figure, text
 
 
 def _power_panel(
-    seconds: Mapping[int, Sequence[float]], label: str, title: str
+    seconds: Mapping[int, Mapping[int, float]], label: str, title: str
 ) -> tuple[Panel, str]:
-    x = [float(k) for k, values in seconds.items() for _ in values]
-    y = [value for values in seconds.values() for value in values]
-    elements: list[Any] = [Points(x=x, y=y, name="runs")]
+    """Draw seconds by number and seed, with the power law of a run, and tell its exponent."""
+    points = [(float(k), value) for k, runs in seconds.items() for value in runs.values()]
+    elements: list[Element] = [
+        Points(x=[x for x, _ in points], y=[y for _, y in points], name="runs")
+    ]
     text = ""
-    if len(seconds) > 1:
-        fit = exponent(x, y)
-        ends = np.array([min(x), max(x)])
+    fits = _fits(seconds)
+    if fits:
+        found = mean([fit.exponent for fit in fits])
+        # The lines of all runs have this mean, in logarithmic axes.
+        factor = float(np.exp(np.mean([np.log(fit.factor) for fit in fits])))
+        ends = np.array([float(min(seconds)), float(max(seconds))])
         elements.append(
             Line(
                 x=ends,
-                y=fit.factor * ends**fit.value,
-                name=f"{label} to the power {fit.value:.2f}",
+                y=factor * ends**found.value,
+                name=f"{label} to the power {found.value:.2f}",
                 color=Color.VERMILION,
             )
         )
         text = (
-            f"With {title} the cost grows with the {label} to the power {fit.value:.2f} "
-            f"({fit.low:.2f} to {fit.high:.2f})."
+            f"With {title} the cost grows with the {label} to the power {_exponent(found)}"
+            f"{_local_exponents(seconds)}."
         )
     panel = Panel(
         title=title,
@@ -189,3 +242,30 @@ def _power_panel(
         elements=elements,
     )
     return panel, text
+
+
+def _fits(seconds: Mapping[int, Mapping[int, float]]) -> list[Power]:
+    """Fit a power law to each run: the times of one run are no independent observations."""
+    fits = []
+    for seed in sorted({seed for runs in seconds.values() for seed in runs}):
+        run = {x: runs[seed] for x, runs in seconds.items() if seed in runs}
+        if len(run) > 1:
+            fits.append(power(list(run), list(run.values())))
+    return fits
+
+
+def _exponent(found: Mean) -> str:
+    if found.count == 1:
+        return f"{found.value:.2f} (one run)"
+    return f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f}, {found.count} seeds)"
+
+
+def _local_exponents(seconds: Mapping[int, Mapping[int, float]]) -> str:
+    """List the exponents between neighbouring numbers; nothing if there is only one."""
+    local = []
+    for a, b in pairwise(sorted(seconds)):
+        fits = _fits({a: seconds[a], b: seconds[b]})
+        if fits:
+            exponent = np.mean([fit.exponent for fit in fits])
+            local.append(f"{exponent:.2f} from {a} to {b}")
+    return f"; {', '.join(local)}" if len(local) > 1 else ""

@@ -6,6 +6,7 @@ from typing import Any
 
 from bo_tuner.benchmark import figures, findings, tables
 from bo_tuner.benchmark.experiment import Case, Experiment
+from bo_tuner.benchmark.experiment_parts import RANDOM
 from bo_tuner.benchmark.field_figure import field_figure
 from bo_tuner.benchmark.fields import axes
 from bo_tuner.benchmark.summary import Record, RowSummary, summarise
@@ -20,7 +21,18 @@ a grid over the whole box, and real cuts keep the chance constraints. *Validated
 *validated - training* are over all answers; training is the mean of the answer's cuts in the
 tuning. The *true objective* is over 600 drawn contexts. *Narrow*: one step of an integer
 costs more than a fifth in objective or beyond the limit. In brackets: 95 % confidence intervals,
-Clopper-Pearson for shares, Student's t for means.
+Clopper-Pearson for shares, Student's t for means. Differences between rows are taken between runs
+with the same seed, which share their initial samples and their validation's draws. *Compatible*:
+Fisher's exact test does not tell the paper's counts from ours (p at least 0.05), which is no proof
+that they are equal. There is no verdict where the paper's own difference is below 0.005.
+"""
+
+REMARKS = "Remarks, written by hand for the published campaign:"
+
+CHOICES = """\
+What Algorithm IV's rule, the posterior mean of its surrogates without its checks, would choose
+among the same trials, beside what each optimizer chose. It separates the search from the final
+choice. Given are the truly feasible ones and their mean true objective:
 """
 
 
@@ -52,7 +64,7 @@ def sections(
         summaries = summaries_of(experiment, case, done)
         parts.append(_case(experiment, case, summaries, done))
         if case.points:
-            text = tables.neighbourhood_table(experiment, case, summaries, done)
+            text = _points(experiment, case, summaries, done)
             title = f"{case.title}: the best parametrizations and their neighbours"
             parts.append(Section(title, text))
         if case.surrogates is not None:
@@ -110,16 +122,20 @@ def _case(
         f"A run's trials end with the one that reaches "
         f"{case.cuts} cuts{_exceptions(case)}; algorithms that check their candidates before they "
         f"answer leave {case.reserved_cuts} of them for that.",
+        *_protocols(case),
         tables.comparison_table(case, summaries),
     ]
+    ranked = tables.ranked_table(case, summaries)
+    if ranked:
+        text += [CHOICES.strip(), ranked]
     published = tables.published_table(summaries)
     if published:
         text += ["The paper's numbers beside ours:", published]
-    said = findings.beside_the_paper(summaries) + findings.beside_others(case, summaries)
+    said = findings.beside_the_paper(case, summaries) + findings.beside_others(case, summaries)
     if said:
         text.append("\n".join(f"- {sentence}" for sentence in said))
     if case.remarks:
-        text.append(case.remarks.strip())
+        text += [REMARKS, case.remarks.strip()]
     figure = figures.convergence(case, summaries, experiment.optimum(study))
     text += [
         _with("Truly feasible solutions, and their mean objective, along the way:", figure),
@@ -129,6 +145,39 @@ def _case(
     if failures:
         text += ["Runs that failed, counted as infeasible:", "\n".join(failures)]
     return Section(case.title, "\n\n".join(text), (figure,))
+
+
+def _protocols(case: Case) -> list[str]:
+    """Tell how trials are cut where rows differ in that."""
+    rows = case.rows.values()
+    if not any(row.optimizer for row in rows):
+        return []
+    worst = case.study.worst_case_constraint
+    text = []
+    contexts = sorted({row.contexts for row in rows if row.protocol == RANDOM})
+    if contexts:
+        text.append(
+            f"*Random*: each trial is cut in {' or '.join(map(str, contexts))} contexts drawn "
+            f"anew, and its worst case is the largest {worst.name if worst else 'value'} seen."
+        )
+    if any(row.protocol != RANDOM and row.optimizer for row in rows):
+        text.append(
+            "*Worst case*: the trial is cut as one of Algorithm IV's, in drawn contexts and then "
+            "by our search of the worst context."
+        )
+    return [" ".join(text)]
+
+
+def _points(
+    experiment: Experiment,
+    case: Case,
+    summaries: Sequence[RowSummary],
+    done: Mapping[str, Record],
+) -> str:
+    """Lay out the parametrizations judged, and what the paper says of them."""
+    table = tables.neighbourhood_table(experiment, case, summaries, done)
+    said = findings.about_points(case, done)
+    return "\n\n".join([table, *(["\n".join(f"- {s}" for s in said)] if said else [])])
 
 
 def _exceptions(case: Case) -> str:
@@ -178,11 +227,13 @@ def provenance(
         if runs:
             lines.append(f"- {_duration(name, runs)}")
     lines.append(f"- Seeds: {', '.join(f'{name} 1 to {n}' for name, n in seeds.items())}.")
-    for key, words in (("commit", "Commit"), ("machine", "Machine"), ("versions", "Versions")):
+    for key, words in (("commit", "Commit"), ("machine", "Machine")):
         values = sorted({str(record["about"][key]) for record in done.values()})
         lines.append(f"- {words}: {'; '.join(values)}.")
-    dates = sorted({record["about"]["date"] for record in done.values()})
-    lines.append(f"- Begun at {', '.join(dates)}.")
+    versions = {v for record in done.values() for v in record["about"]["versions"].split(", ")}
+    lines.append(f"- Versions: {', '.join(sorted(versions, key=str.lower))}.")
+    dates = sorted(record["about"]["date"] for record in done.values())
+    lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
     if missing:
         lines.append(f"- **Not on record yet**: {', '.join(missing)}.")
     return "\n".join(lines)

@@ -1,6 +1,6 @@
 """Means and shares with what their numbers of runs leave open."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,16 +35,14 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Exponent:
-    """Fitted power law y = factor x^value, with the confidence interval of the exponent."""
+class Power:
+    """Fitted power law y = factor x^exponent."""
 
-    value: float
-    low: float
-    high: float
+    exponent: float
     factor: float
 
 
-def mean(values: Sequence[float]) -> Mean:
+def mean(values: Sequence[float], confidence: float = CONFIDENCE) -> Mean:
     """Mean with Student's t interval."""
     count = len(values)
     if count == 0:
@@ -52,7 +50,7 @@ def mean(values: Sequence[float]) -> Mean:
     value = float(np.mean(values))
     if count == 1:
         return Mean(value, np.nan, np.nan, 1)
-    half = float(stats.sem(values) * stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1))
+    half = float(stats.sem(values) * stats.t.ppf(0.5 + confidence / 2, count - 1))
     return Mean(value, value - half, value + half, count)
 
 
@@ -62,21 +60,27 @@ def share(count: int, runs: int) -> Share:
     return Share(count, runs, float(interval.low), float(interval.high))
 
 
-def difference(first: Sequence[float], second: Sequence[float]) -> Mean:
-    """Difference of two means, first minus second, with the interval of Welch (1947)."""
-    if min(len(first), len(second)) < 2:
-        return Mean(np.nan, np.nan, np.nan, min(len(first), len(second)))
-    result = stats.ttest_ind(first, second, equal_var=False)
-    interval = result.confidence_interval(CONFIDENCE)
-    value = float(np.mean(first) - np.mean(second))
-    low, high = float(interval.low), float(interval.high)
-    return Mean(value, low, high, min(len(first), len(second)))
+def difference(
+    first: Mapping[int, float], second: Mapping[int, float], confidence: float = CONFIDENCE
+) -> Mean:
+    """Mean difference, first minus second, of the seeds that both have, with Student's t interval.
+
+    Runs with one seed share their initial samples and their validation's draws, so that they are
+    pairs; what they have in common cancels.
+    """
+    return mean([first[seed] - second[seed] for seed in first if seed in second], confidence)
 
 
-def exponent(x: Sequence[float], y: Sequence[float]) -> Exponent:
+def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """Probability that two counts of successes, each with its runs, differ so much by chance.
+
+    The two-sided exact test of Fisher (1922) for one common probability of success.
+    """
+    table = [[count, runs - count] for count, runs in (first, second)]
+    return float(stats.fisher_exact(table).pvalue)
+
+
+def power(x: Sequence[float], y: Sequence[float]) -> Power:
     """Fit a power law to positive values by least squares of their logarithms."""
-    fit = stats.linregress(np.log(x), np.log(y))
-    degrees = len(x) - 2
-    half = float(fit.stderr * stats.t.ppf(0.5 + CONFIDENCE / 2, degrees)) if degrees > 0 else np.nan
-    slope = float(fit.slope)
-    return Exponent(slope, slope - half, slope + half, float(np.exp(fit.intercept)))
+    slope, offset = np.polyfit(np.log(x), np.log(y), 1)
+    return Power(float(slope), float(np.exp(offset)))

@@ -1,6 +1,6 @@
 """What the runs of a row say together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ class RowSummary:
     row
         The row.
     results
-        Results of the runs that ended, in the order of their seeds; see `runs.run`.
+        Results of the runs that ended, by seed; see `runs.run`.
     failures
         Reasons of the runs that raised something.
     validated
@@ -44,10 +44,12 @@ class RowSummary:
         Lowest validated objective of a validated answer.
     cuts, check_cuts
         Cuts of the trials, and of the checks of candidates.
+    most_cuts
+        Both together in the run that took the most.
     """
 
     row: Row
-    results: tuple[Record, ...]
+    results: Mapping[int, Record]
     failures: tuple[str, ...]
     validated: Share
     feasible: Share
@@ -60,16 +62,30 @@ class RowSummary:
     best: float | None
     cuts: Mean
     check_cuts: Mean
+    most_cuts: int
 
     @property
-    def answers(self) -> list[Record]:
-        """Answers of the runs that have one."""
-        return [result["answer"] for result in self.results if result["answer"] is not None]
+    def answers(self) -> dict[int, Record]:
+        """Answers by seed, of the runs that have one."""
+        found = {seed: result["answer"] for seed, result in self.results.items()}
+        return {seed: answer for seed, answer in found.items() if answer is not None}
 
     @property
-    def feasible_objectives(self) -> list[float]:
-        """True objectives of the truly feasible answers."""
-        return [a["truth"]["objective"] for a in self.answers if a["truth"]["feasible"]]
+    def held(self) -> dict[int, Record]:
+        """Answers by seed that were believed feasible and held in the validation's draws."""
+        return {seed: answer for seed, answer in self.answers.items() if _holds(answer)}
+
+    @property
+    def feasible_objectives(self) -> dict[int, float]:
+        """True objectives of the truly feasible answers by seed."""
+        truths = {seed: answer["truth"] for seed, answer in self.answers.items()}
+        return {seed: truth["objective"] for seed, truth in truths.items() if truth["feasible"]}
+
+    @property
+    def validated_objectives(self) -> dict[int, float]:
+        """Objectives in the validation by seed, of the answers that have one."""
+        found = {seed: answer["validation"]["objective"] for seed, answer in self.answers.items()}
+        return {seed: value for seed, value in found.items() if value is not None}
 
 
 def summarise(
@@ -86,10 +102,10 @@ def summarise(
     optimum
         Objective of the grid's optimum.
     """
-    records = [done[f"run/{case.name}/{row.name}/{seed}"] for seed in range(1, case.runs + 1)]
-    results = tuple(r["result"] for r in records if not r["failed"])
-    answers = [result["answer"] for result in results if result["answer"] is not None]
-    validated = [a for a in answers if a["believed"] and a["validation"]["feasible"]]
+    records = {s: done[f"run/{case.name}/{row.name}/{s}"] for s in range(1, case.runs + 1)}
+    results = {seed: r["result"] for seed, r in records.items() if not r["failed"]}
+    answers = [result["answer"] for result in results.values() if result["answer"] is not None]
+    validated = [answer for answer in answers if _holds(answer)]
     feasible = [a["truth"]["objective"] for a in answers if a["truth"]["feasible"]]
     whole = [a for a in answers if a["validation"]["objective"] is not None]
     sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
@@ -97,7 +113,7 @@ def summarise(
     return RowSummary(
         row=row,
         results=results,
-        failures=tuple(r["failed"] for r in records if r["failed"]),
+        failures=tuple(r["failed"] for r in records.values() if r["failed"]),
         validated=share(len(validated), case.runs),
         feasible=share(len(feasible), case.runs),
         narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers),
@@ -109,9 +125,14 @@ def summarise(
         else mean([100.0 * sign * (E / optimum - 1.0) for E in feasible]),
         worst=mean([a["truth"]["worst"] for a in answers if a["truth"]["worst"] is not None]),
         best=None if not objectives else min(objectives, key=lambda E: sign * E),
-        cuts=mean([result["cuts"] for result in results]),
-        check_cuts=mean([result["check_cuts"] for result in results]),
+        cuts=mean([result["cuts"] for result in results.values()]),
+        check_cuts=mean([result["check_cuts"] for result in results.values()]),
+        most_cuts=max((r["cuts"] + r["check_cuts"] for r in results.values()), default=0),
     )
+
+
+def _holds(answer: Record) -> bool:
+    return bool(answer["believed"] and answer["validation"]["feasible"])
 
 
 def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:
@@ -121,9 +142,9 @@ def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:
     longer the step; an integer's step is what it is.
     """
     space = study.search_space()
-    integers = [name for name, integer in zip(space.names, space.integer, strict=True) if integer]
-    judged = [item for item in neighbours if not integers or item["changed"] in integers]
-    return not all(item["tolerable"] for item in judged)
+    integers = {name for name, integer in zip(space.names, space.integer, strict=True) if integer}
+    judged = [n for n in neighbours if not integers or integers.intersection(n["changed"])]
+    return not all(neighbour["tolerable"] for neighbour in judged)
 
 
 def incumbent_at(result: Record, cuts: int) -> Record | None:
@@ -137,7 +158,7 @@ def incumbent_at(result: Record, cuts: int) -> Record | None:
     return found
 
 
-def feasible_at(results: Sequence[Record], cuts: int) -> list[float]:
+def feasible_at(results: Iterable[Record], cuts: int) -> list[float]:
     """Return the true objectives of the truly feasible incumbents after so many cuts."""
     found = [incumbent_at(result, cuts) for result in results]
     return [item["objective"] for item in found if item is not None and item["feasible"]]

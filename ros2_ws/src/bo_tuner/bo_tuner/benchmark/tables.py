@@ -1,6 +1,7 @@
 """The tables of a campaign, as text; the same for the same records, on every machine."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from bo_tuner.trials import Value
 
 MARKS = 4
 """Parts of the budget after which the table of convergence looks."""
+
+SKEWED = 0.05
+"""Where mean and median differ by more than this part of the mean, the median is shown too."""
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -39,7 +43,7 @@ def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
             "" if s.distance is None else _mean(s.distance, digits=1),
             _mean(s.worst),
             f"{s.narrow} of {len(s.answers)}",
-            f"{s.cuts.value:.0f} + {s.check_cuts.value:.0f}",
+            _cuts(s),
         ]
         for s in summaries
     ]
@@ -66,24 +70,37 @@ def published_table(summaries: Sequence[RowSummary]) -> str:
         line = [s.row.name]
         for key in used:
             value = s.row.published.get(key)
-            shown = "" if value is None else f"{value:.0%}" if key == "feasible" else f"{value:g}"
-            line += [shown, columns[key][1](s)]
+            line += ["" if value is None else _printed(s, key), columns[key][1](s)]
         rows.append(line)
     return markdown(header, rows)
 
 
 def convergence_table(case: Case, summaries: Sequence[RowSummary]) -> str:
-    """Truly feasible incumbents and their objective after parts of the budget (Fig. 4)."""
+    """Truly feasible incumbents and their objective after parts of the budget (Fig. 4).
+
+    The answers stand last: with the checks a run's last moment may be beyond the budget.
+    """
     marks = [round(case.cuts * (i + 1) / MARKS) for i in range(MARKS)]
     rows = []
     for s in summaries:
-        line = [s.row.name]
-        for cuts in marks:
-            found = feasible_at(s.results, cuts)
-            value = f": {np.mean(found):.4f}" if found else ""
-            line.append(f"{len(found)} of {case.runs}{value}")
-        rows.append(line)
-    return markdown(["row", *(f"after {cuts} cuts" for cuts in marks)], rows)
+        found = [feasible_at(s.results.values(), cuts) for cuts in marks]
+        found.append(list(s.feasible_objectives.values()))
+        rows.append([s.row.name, *(_found(values, case.runs) for values in found)])
+    return markdown(["row", *(f"after {cuts} cuts" for cuts in marks), "answer"], rows)
+
+
+def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Lay out what Algorithm IV's rule would answer of others' trials; empty without any."""
+    rows = []
+    for s in summaries:
+        found = [result.get("ranked") for result in s.results.values()]
+        truths = [ranked["truth"] for ranked in found if ranked is not None]
+        if truths:
+            ranked = [truth["objective"] for truth in truths if truth["feasible"]]
+            own = list(s.feasible_objectives.values())
+            rows.append([s.row.name, _found(ranked, case.runs), _found(own, case.runs)])
+    header = ["row", "Algorithm IV's choice, truly feasible", "own choice, truly feasible"]
+    return markdown(header, rows) if rows else ""
 
 
 def neighbourhood_table(
@@ -98,17 +115,18 @@ def neighbourhood_table(
     names = study.search_space().names
     header = ["", *names, "objective", worst.name if worst else "", "feasible", "verdict", "paper"]
     rows = []
-    for label, entry, published in _judged(case, summaries, done):
+    for judged in _judged(case, summaries, done):
+        entry = judged.entry
         rows.append(
             [
-                f"**{label}**",
+                f"**{judged.label}**",
                 *_point(study, entry["parameters"]),
                 *_truth(entry["truth"]),
                 _verdict(study, entry),
-                _quoted(published),
+                _quoted(judged.published),
             ]
         )
-        for neighbour in entry["neighbours"]:
+        for neighbour in entry["neighbours"] if judged.listed else ():
             rows.append(
                 [
                     "",
@@ -121,21 +139,30 @@ def neighbourhood_table(
     return markdown(header, rows) if rows else ""
 
 
+@dataclass(frozen=True)
+class _Judged:
+    """A parametrization of Table 3, and whether its neighbours are listed below it."""
+
+    label: str
+    entry: Record
+    listed: bool = True
+    published: Mapping[str, float] = field(default_factory=dict)
+
+
 def _judged(
     case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
-) -> list[tuple[str, Record, Mapping[str, float]]]:
-    """Best truly feasible answer of each row, then the points that the experiment names."""
-    found: list[tuple[str, Record, Mapping[str, float]]] = []
+) -> list[_Judged]:
+    """Best answer of each row by what its user knows, then the points of the experiment."""
+    found = []
     sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
     for s in summaries:
-        feasible = [answer for answer in s.answers if answer["truth"]["feasible"]]
-        if feasible:
-            best = min(feasible, key=lambda a: sign * a["truth"]["objective"])
-            found.append((f"best of {s.row.name}", best, {}))
+        if s.held:
+            best = min(s.held.values(), key=lambda a: sign * a["validation"]["objective"])
+            found.append(_Judged(f"best of {s.row.name}", best))
     for name, point in case.points.items():
         record = done[f"point/{case.name}/{name}"]
         if not record["failed"]:
-            found.append((name, record["result"], point.published))
+            found.append(_Judged(name, record["result"], point.neighbours, point.published))
     return found
 
 
@@ -143,20 +170,47 @@ def cost_table(experiment: Experiment, done: Mapping[str, Record]) -> str:
     """Optimizer's processor time of a run by number of parameters and trials."""
     rows = []
     for (dimension, trials), seconds in costs(experiment, done).items():
-        rows.append([str(dimension), str(trials), _mean(mean(seconds), digits=1)])
+        shown = _mean(mean(list(seconds.values())), digits=1)
+        rows.append([str(dimension), str(trials), shown])
     return markdown(["parameters", "trials", "processor time [s]"], rows) if rows else ""
 
 
-def costs(experiment: Experiment, done: Mapping[str, Record]) -> dict[tuple[int, int], list[float]]:
-    """Seconds of the runs by number of parameters and trials."""
-    found: dict[tuple[int, int], list[float]] = {}
+def costs(
+    experiment: Experiment, done: Mapping[str, Record]
+) -> dict[tuple[int, int], dict[int, float]]:
+    """Seconds of the runs by seed, for each number of parameters and trials."""
+    found: dict[tuple[int, int], dict[int, float]] = {}
     if experiment.cost is not None:
         for dimension in experiment.cost.dimensions:
             for seed in range(1, experiment.cost.seeds + 1):
                 result = done[f"cost/{dimension}/{seed}"]["result"] or {"trials": [], "seconds": []}
                 for trials, seconds in zip(result["trials"], result["seconds"], strict=True):
-                    found.setdefault((dimension, trials), []).append(seconds)
+                    found.setdefault((dimension, trials), {})[seed] = seconds
     return found
+
+
+def _cuts(s: RowSummary) -> str:
+    if not s.results:
+        return "none"
+    return f"{s.cuts.value:.0f} + {s.check_cuts.value:.0f}, at most {s.most_cuts}"
+
+
+def _printed(s: RowSummary, key: str) -> str:
+    """Lay out a number of the paper."""
+    value, runs = s.row.published[key], s.row.published.get("runs")
+    if key != "feasible":
+        return f"{value:g}"
+    return f"{value:.0%}" if runs is None else f"{value:.0%} of {runs:g}"
+
+
+def _found(objectives: Sequence[float], runs: int) -> str:
+    """Count feasible ones of so many runs, with their mean, and the median if that is elsewhere."""
+    counted = f"{len(objectives)} of {runs}"
+    if not objectives:
+        return counted
+    average, median = float(np.mean(objectives)), float(np.median(objectives))
+    skewed = abs(average - median) > SKEWED * abs(average)
+    return f"{counted}: {average:.4f}" + (f" (median {median:.4f})" if skewed else "")
 
 
 def _share(share: Share) -> str:
@@ -186,10 +240,10 @@ def _truth(truth: Mapping[str, Any]) -> list[str]:
 
 
 def _verdict(study: Study, entry: Record) -> str:
-    if not entry["neighbours"]:
-        return ""
     if not entry["truth"]["feasible"]:
         return "infeasible"
+    if not entry["neighbours"]:
+        return ""
     return "narrow" if is_narrow(study, entry["neighbours"]) else "robust"
 
 
