@@ -1,8 +1,13 @@
+import re
+from pathlib import Path
+
 import pytest
 
 from bo_tuner.benchmark.experiment_file import load_experiment, shipped_experiments
 from bo_tuner.errors import StudyError
 from bo_tuner.methods import METHODS
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "campaigns.md"
 
 
 @pytest.mark.parametrize("name", shipped_experiments())
@@ -67,3 +72,11 @@ def test_mistakes_are_one_line_with_their_place(experiment_file, old, new, messa
 def test_unknown_names_list_what_is_shipped():
     with pytest.raises(StudyError, match="unknown experiment 'papr'; shipped are paper, small"):
         load_experiment("papr")
+
+
+def test_the_documented_experiment_is_one(tmp_path):
+    (block,) = re.findall(r"```yaml\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    (tmp_path / "mine.yaml").write_text(block)
+    (case,) = load_experiment(str(tmp_path / "mine.yaml")).cases.values()
+    assert list(case.rows) == ["IV", "IV, random", "mine"]
+    assert case.rows["mine"].optimizer == "my_module:MyOptimizer"
