@@ -21,6 +21,8 @@ DESCRIPTION = """\
 Run the algorithms of the paper, or other optimizers, many times on a study,
 judge each answer by the truth, and write a page of tables and figures. Records
 are kept task by task: a campaign that was ended goes on where it was.
+BoTorch, Optuna, SMAC3 and CMA-ES are compared by `make benchmark` in the
+repository, which installs them first.
 """
 
 EPILOG = """\
@@ -36,9 +38,6 @@ examples:
   benchmark --experiment small --jobs 2  all algorithms, in half a minute
   benchmark --experiment ./mine.yaml --output mine
   benchmark --cluster tcp://10.0.0.5:8786
-
-The other optimizers (BoTorch, Optuna, SMAC3, CMA-ES) are in the repository's
-folder benchmarks/; there `make benchmark` installs them and runs all.
 """
 
 PAGE = "results.md"
