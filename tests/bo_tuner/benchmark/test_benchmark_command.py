@@ -207,6 +207,16 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
     assert re.search(r"- valley: \d+ runs took [\d.]+ minutes, summed over the processes", page)
     assert "**Not on record yet**: 1 of 2 runs of valley." in page
 
+    # As published records are, to those who have another version of the code or of a library.
+    records = tmp_path / "out" / "closed.jsonl"
+    records.write_text(re.sub(r'"version":\s*"\w+"', '"version": "older"', records.read_text()))
+    code, again, err = finish(benchmark("out", "--page-only"))
+    assert code == 0, err
+    assert again == tables
+    code, _, err = finish(benchmark("out"))
+    assert code == 2
+    assert "of another version of the code" in err
+
 
 @pytest.mark.slow
 def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_path):

@@ -24,6 +24,8 @@ class Records:
     versions
         Version of each task of the campaign by its name. Records of other tasks are kept in the
         file and not looked at.
+    any_version
+        Take records of other versions too: to read them only.
 
     Raises
     ------
@@ -31,7 +33,9 @@ class Records:
         If the file cannot be read, or holds a record of another version of one of the tasks.
     """
 
-    def __init__(self, path: Path, versions: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: Path, versions: Mapping[str, str], *, any_version: bool = False
+    ) -> None:
         self._path = path
         self._file: Any = None
         self.done: dict[str, dict[str, Any]] = {}
@@ -46,7 +50,7 @@ class Records:
                 raise OutputError(f"{path}: line {number} is no record of a task") from None
             if name not in versions:
                 continue
-            if version != versions[name]:
+            if version != versions[name] and not any_version:
                 raise OutputError(
                     f"{path}: holds {name} of another version of the code or the experiment "
                     f"({version}, now {versions[name]}); results of two versions do not mix: "

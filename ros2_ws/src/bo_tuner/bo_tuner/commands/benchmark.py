@@ -83,7 +83,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--page-only",
         action="store_true",
-        help="write the page from what is on record so far",
+        help="write the page from what is on record so far, by whatever version of the code",
     )
     return parser
 
@@ -111,7 +111,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     plans = [(experiment, tasks_of(experiment)) for experiment in experiments]
     # All are checked against their records before the first task runs.
     records = [
-        Records(folder / f"{experiment.name}.jsonl", {task.name: task.version for task in tasks})
+        Records(
+            folder / f"{experiment.name}.jsonl",
+            {task.name: task.version for task in tasks},
+            any_version=arguments.page_only,
+        )
         for experiment, tasks in plans
     ]
     for (experiment, tasks), recorded in zip(plans, records, strict=True):
