@@ -116,10 +116,7 @@ def _medians(found: Sequence[Sequence[float]]) -> Array:
 
 
 def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
-    """Modelled against measured metric, and what the line through them says.
-
-    The line compares; the model's own constants are not fitted to it.
-    """
+    """Modelled against measured metric, and the line that calibrates the one to the other."""
     given = experiment.calibration
     if given is None:
         raise ValueError("calibration: expected one in the experiment")
@@ -138,13 +135,14 @@ def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
     shown, scale = ("ms", 1e3) if unit == "s" else (unit, 1.0)
     text = (
         f"Measured = {offset:.3g} {unit} + {slope:.3g} × modelled, over {len(whole)} settings; "
-        f"correlation {correlation:.3f}. The model stands for a computer whose steps take "
-        f"{1.0 / slope:.1f} times as long as on this machine, beyond the constant part."
+        f"correlation {correlation:.3f}. This line calibrates the model to this machine. Its own "
+        f"constants are settings of the study and stand for a computer whose steps take "
+        f"{1.0 / slope:.1f} times as long, beyond the constant part."
     )
     ends = np.array([modelled.min(), modelled.max()])
     figure = Figure(
         name="calibration",
-        title=f"{shown_key}: a comparison of modelled and measured",
+        title=f"{shown_key}: modelled and measured",
         caption=(
             f"Each point is a cut with other horizons; measured: the lowest of {given.repeats} "
             f"repetitions, the bar up to their median.{_other_key(given)}"
