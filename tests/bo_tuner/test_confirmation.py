@@ -78,6 +78,28 @@ def test_nothing_holds(study, make_trial, function_backend):
     assert len(answer.checked) == 3
 
 
+def test_without_time_for_more_checks_the_next_in_rank_is_taken_unconfirmed(
+    study, make_trial, function_backend
+):
+    """Not the one farthest within the limits, which tracks the worst."""
+    trials = worst_at_two(flattering(make_trial))
+    answer = recommend(study, function_backend(study, axis), trials, most_checked=1)
+    assert not answer.feasible
+    # x = 0.6 was refuted.
+    assert answer.candidate.trial.parameters["x"] == pytest.approx(0.5)
+    assert [trials[number].parameters["x"] for number in answer.checked] == pytest.approx([0.6])
+
+
+def test_if_all_are_refuted_the_objective_still_counts(study, make_trial, function_backend, failed):
+    """Crashes say nothing of the limits, so that all stay where the models put them."""
+    trials = flattering(make_trial)[:4]
+    backend = function_backend(study, lambda **_: failed("axis: stalled"))
+    answer = recommend(study, backend, trials)
+    assert not answer.feasible
+    assert len(answer.checked) == len(trials)
+    assert answer.candidate.trial.parameters["x"] == pytest.approx(0.3)
+
+
 def test_a_failed_cut_refutes(study, make_trial, function_backend, failed):
     backend = function_backend(study, lambda **_: failed("axis: stalled"))
     seen = []

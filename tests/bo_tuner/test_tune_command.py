@@ -121,7 +121,7 @@ class TestRun:
         assert (latest(tmp_path) / "best.yaml").exists()
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
         assert "no parametrization is feasible" in out
-        assert "the file holds the least violating one" in out
+        assert "the file holds the one nearest to it" in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1"}))

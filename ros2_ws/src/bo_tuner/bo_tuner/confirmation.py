@@ -33,7 +33,8 @@ class Recommendation:
     Attributes
     ----------
     candidate
-        The recommended trial with its checks, or the least violating one.
+        The recommended trial with its checks. If none held, the first that is believed feasible
+        and was not checked any more, or else the least violating one.
     feasible
         Whether it is believed feasible and held in the checks.
     checked
@@ -107,7 +108,11 @@ def recommend(
     for candidate in ranked:
         if candidate.trial.number in held:
             return Recommendation(candidate, True, tuple(checked))
-    least = min(ranked, key=lambda c: c.violation)
+    if open_ones:
+        return Recommendation(open_ones[0], False, tuple(checked))
+    # Of several within the limits the first in rank, not the one that stays the farthest away: a
+    # machine that hardly moves keeps every limit.
+    least = min(ranked, key=lambda c: max(c.violation, 0.0))
     return Recommendation(least, False, tuple(checked))
 
 

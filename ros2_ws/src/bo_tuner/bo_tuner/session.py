@@ -289,7 +289,7 @@ def _amiss(study: Study, best: Recommendation, tuned: Validation) -> str:
     if not best.feasible:
         text = (
             "no parametrization is feasible as far as the checks can tell; the file holds the "
-            "least violating one"
+            "one nearest to it"
         )
     broken = [study.constraints[check.name] for check in tuned.constraints if not check.holds]
     metrics = [study.metrics[constraint.metric] for constraint in broken]

@@ -82,9 +82,7 @@ def answer(analysis: Analysis) -> Answer:
         _holds("The default", default),
     ]
     if not found_feasible:
-        sentences.append(
-            "The parameter file holds the least violating one; do not use it as it is."
-        )
+        sentences.append("The parameter file holds the one nearest to it; do not use it as it is.")
     elif default.feasible and not _better(analysis, tuned.objective, default.objective):
         status = Status.WARNING
         sentences.append("The default is feasible as well and not worse: there is little to gain.")
