@@ -145,7 +145,7 @@ def _client(cluster: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError:
         raise BackendError(
-            "--cluster needs the package distributed: pip install 'bo_tuner[cluster]'"
+            "--cluster needs the package distributed: pip install 'distributed>=2024.8'"
         ) from None
     address = "tcp://" + cluster.partition("://")[2]
     try:
