@@ -1,7 +1,7 @@
 """The peers: what each has to keep, and that each optimizes a problem with a known optimum.
 
-Only the random one runs in the environment of `make test`; for the others install
-requirements/benchmarks.txt.
+In the environment of `make test` the light ones run; for BoTorch, SMAC3 and Optuna's Gaussian
+processes install requirements/benchmarks.txt.
 """
 
 import importlib
