@@ -31,6 +31,7 @@ from threadpoolctl import threadpool_limits
 
 from bo_tuner.benchmark.truth import SEED, Effort, Truth
 from bo_tuner.parameter import Parameter
+from bo_tuner.recommendation import TOLERABLE
 from bo_tuner.study import Study
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import Value
@@ -39,7 +40,6 @@ from mpc_controller.errors import ControllerError
 OPTIMA = BENCHMARKS.parent / "ros2_ws/src/bo_tuner/config/experiments/grid_search.json"
 JUDGE = "milling_plant.truth:Judge"
 EFFORT = Effort(real_cuts=50)
-TOLERABLE = 0.2
 FINE_STEP = 0.05
 COARSE_STEPS = 12
 """Intervals of a double's range on the coarse grid."""

@@ -84,6 +84,7 @@ def record(found, trajectory=(), incumbents=None):
         "trajectory": list(trajectory),
         "incumbents": incumbents or {},
         "answer": found,
+        "ranked": None,
         "seconds": {"optimizer": 1.0, "cuts": 3.0},
     }
     about = {"commit": "c0ffee", "machine": "m", "versions": "v", "date": "2026-01-01"}

@@ -193,6 +193,11 @@ class Objective:
         checks.choice(self.scale, (LINEAR, LOG), "scale")
         checks.choice(self.direction, (MINIMIZE, MAXIMIZE), "direction")
 
+    @property
+    def sign(self) -> float:
+        """Factor that makes a metric the better the smaller it is: 1, or -1 to maximize."""
+        return 1.0 if self.direction == MINIMIZE else -1.0
+
     def to_cost(self, values: ArrayLike) -> FloatArray:
         """Return costs, the smaller the better, for metric values, both of shape (...).
 
@@ -201,13 +206,11 @@ class Objective:
         cost = np.asarray(values, dtype=np.float64)
         if self.scale == LOG:
             cost = np.log(np.where(cost > 0.0, cost, np.nan))
-        return cost if self.direction == MINIMIZE else -cost
+        return self.sign * cost
 
     def from_cost(self, cost: ArrayLike) -> FloatArray:
         """Return metric values for costs, both of shape (...); the inverse of `to_cost`."""
-        values = np.asarray(cost, dtype=np.float64)
-        if self.direction == MAXIMIZE:
-            values = -values
+        values = self.sign * np.asarray(cost, dtype=np.float64)
         return np.exp(values) if self.scale == LOG else values
 
 

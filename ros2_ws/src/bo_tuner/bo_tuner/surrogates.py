@@ -17,7 +17,7 @@ from bo_tuner.context_space import ContextSpace
 from bo_tuner.joint import JointConstraint, candidate_contexts
 from bo_tuner.special import Array
 from bo_tuner.study import Study
-from bo_tuner.study_parts import MINIMIZE, Constraint
+from bo_tuner.study_parts import Constraint
 from bo_tuner.surrogate.gaussian_process import GaussianProcess
 from bo_tuner.surrogate.hyperpriors import Hyperparameters
 from bo_tuner.surrogate.neighbours import NeighbourClassifier
@@ -126,9 +126,12 @@ class Surrogates:
             x, y, number = _observations(complete, cube, metric)
             if options.reject_outliers:
                 # On the metric's own scale, where off-the-charts values stand out the most.
-                sign = 1.0 if study.objective.direction == MINIMIZE else -1.0
                 mask, models[OUTLIERS] = find_outliers(
-                    x, sign * y, rng=rng, minimum_length_scales=minimum, start=warm.get(OUTLIERS)
+                    x,
+                    study.objective.sign * y,
+                    rng=rng,
+                    minimum_length_scales=minimum,
+                    start=warm.get(OUTLIERS),
                 )
                 outliers = frozenset(number[mask].tolist())
             # What has an outlying objective would mislead the other models as well.
@@ -206,12 +209,18 @@ def single_cut_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> A
     """Return what a cut in the worst context of each trial reaches, shape (n,).
 
     It stays below with the constraint's probability. Trials without a worst case are left out.
+    """
+    worst = [t.worst_case.value for t in trials if t.worst_case is not None]
+    return np.array(worst) + single_cut_margin(trials, constraint)
+
+
+def single_cut_margin(trials: Sequence[Trial], constraint: Constraint) -> float:
+    """Return the distance of a mean from the limit that a single cut's noise asks for.
 
     The noise is taken as equal everywhere: the few cuts of one trial say little of it.
     """
-    worst = [t.worst_case for t in trials if t.worst_case is not None]
-    noise = float(np.median([w.noise for w in worst])) if worst else 0.0
-    return np.array([w.value for w in worst]) + constraint.deviations * noise
+    noise = [t.worst_case.noise for t in trials if t.worst_case is not None]
+    return constraint.deviations * float(np.median(noise)) if noise else 0.0
 
 
 def _tuned(trial: Trial, names: Sequence[str]) -> dict[str, int | float]:

@@ -10,7 +10,7 @@ from bo_tuner.errors import ParameterError
 from bo_tuner.methods import Method
 from bo_tuner.stage_one import Proposal, RandomSearch, StageOne
 from bo_tuner.study import Study
-from bo_tuner.surrogates import single_cut_worst_cases
+from bo_tuner.surrogates import single_cut_margin
 from bo_tuner.trials import Trial, TrialState
 
 ASKED = "asked"
@@ -110,8 +110,6 @@ def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observat
         constraints[chance.name] = value - chance.upper
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        # The trial comes first, then those that its noise is pooled with.
-        others = [t for t in trials if t.number != trial.number]
-        reached = float(single_cut_worst_cases([trial, *others], worst)[0])
+        reached = trial.worst_case.value + single_cut_margin(trials, worst)
         constraints[worst.name] = reached - worst.upper
     return Observation(parameters, False, float(cost.mean()), constraints)

@@ -62,8 +62,7 @@ def conduct(
     Interrupted
         On a signal. What has ended is on record.
     """
-    whole = {name for name, record in records.done.items() if not record["failed"]}
-    missing = [task for task in tasks if task.name not in whole]
+    missing = unfinished(tasks, records)
     if not missing:
         return
     with _client(cluster) as client:
@@ -85,6 +84,12 @@ def conduct(
                 # They would go on with their tasks, whose results nobody takes any more.
                 get_reusable_executor().shutdown(wait=True, kill_workers=True)
             raise
+
+
+def unfinished(tasks: Sequence[Task], records: Records) -> list[Task]:
+    """List the tasks without a record, and those that failed."""
+    whole = {name for name, record in records.done.items() if not record["failed"]}
+    return [task for task in tasks if task.name not in whole]
 
 
 def _results(

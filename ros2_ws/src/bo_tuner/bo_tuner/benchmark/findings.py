@@ -77,12 +77,11 @@ def _about_order(a: RowSummary, b: RowSummary, paper: float, ours: Mean) -> str:
 
 def _unordered(case: Case, s: RowSummary, ordered: Sequence[RowSummary]) -> str:
     said = f"No answer of {s.row.name} is truly feasible, so that it has no place in the order"
-    minimized = case.study.objective.direction == "minimize"
-    sign = 1.0 if minimized else -1.0
+    sign = case.study.objective.sign
     others = [sign * o.validation.value for o in ordered if o.validation.count]
     if others and s.validation.count and sign * s.validation.value < min(others):
         said += (
-            f": its objective is {'low' if minimized else 'high'} because the limits are not kept"
+            f": its objective is {'low' if sign > 0.0 else 'high'} because the limits are not kept"
         )
     return f"{said}."
 
@@ -154,7 +153,7 @@ def beside_others(case: Case, summaries: Sequence[RowSummary]) -> list[str]:
     ours = [s for s in summaries if s.row.algorithm]
     if not ours or not any(s.row.optimizer for s in summaries):
         return []
-    sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
+    sign = case.study.objective.sign
     best = max(ours, key=lambda s: _quality(s, sign))
     others = [s for s in summaries if s is not best]
     level = (1.0 - CONFIDENCE) / len(others)

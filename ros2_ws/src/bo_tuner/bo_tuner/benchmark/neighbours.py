@@ -26,7 +26,7 @@ def judge_neighbours(
     for neighbour in space.neighbours(parameters):
         found = truth.verdict(neighbour, FEW_REAL_CUTS)
         worse = abs(verdict.objective) * TOLERABLE
-        sign = 1.0 if truth.study.objective.direction == "minimize" else -1.0
+        sign = truth.study.objective.sign
         tolerable = (
             found.worst <= truth.limit + TOLERABLE * abs(truth.limit)
             and sign * (found.objective - verdict.objective) <= worse

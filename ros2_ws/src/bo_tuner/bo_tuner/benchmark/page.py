@@ -176,8 +176,8 @@ def _points(
 ) -> str:
     """Lay out the parametrizations judged, and what the paper says of them."""
     table = tables.neighbourhood_table(experiment, case, summaries, done)
-    said = findings.about_points(case, done)
-    return "\n\n".join([table, *(["\n".join(f"- {s}" for s in said)] if said else [])])
+    said = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
+    return f"{table}\n\n{said}".strip()
 
 
 def _exceptions(case: Case) -> str:

@@ -9,7 +9,7 @@ import hashlib
 import importlib.util
 import platform
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -65,7 +65,7 @@ def versions(roots: Iterable[str]) -> list[str]:
 @cache
 def _versions(roots: tuple[str, ...]) -> tuple[str, ...]:
     names = {name.partition(".")[0] for path in imported(roots).values() for name in _imports(path)}
-    distributions = metadata.packages_distributions()
+    distributions = _distributions()
     own = {root.partition(".")[0] for root in roots}
     libraries = {d for name in names - own for d in distributions.get(name, ())}
     found = sorted(f"{name} {metadata.version(name)}" for name in libraries)
@@ -86,6 +86,12 @@ def commit(roots: Iterable[str]) -> str:
         if head and changed < len(files):
             return head[0] + (f" with {changed} changed files" if changed else "")
     return "unknown"
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Distributions by the modules that they hold; this reads the record of every one."""
+    return metadata.packages_distributions()
 
 
 def _file(name: str) -> Path | None:

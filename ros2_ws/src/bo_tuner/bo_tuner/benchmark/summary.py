@@ -22,6 +22,14 @@ class RowSummary:
         The row.
     results
         Results of the runs that ended, by seed; see `runs.run`.
+    answers
+        Their answers by seed, of those that have one.
+    held
+        The answers that were believed feasible and held in the validation's draws.
+    validated_objectives
+        Objectives in the validation by seed, of the answers that have one.
+    feasible_objectives
+        True objectives of the truly feasible answers by seed.
     failures
         Reasons of the runs that raised something.
     validated
@@ -50,6 +58,10 @@ class RowSummary:
 
     row: Row
     results: Mapping[int, Record]
+    answers: Mapping[int, Record]
+    held: Mapping[int, Record]
+    validated_objectives: Mapping[int, float]
+    feasible_objectives: Mapping[int, float]
     failures: tuple[str, ...]
     validated: Share
     feasible: Share
@@ -63,29 +75,6 @@ class RowSummary:
     cuts: Mean
     check_cuts: Mean
     most_cuts: int
-
-    @property
-    def answers(self) -> dict[int, Record]:
-        """Answers by seed, of the runs that have one."""
-        found = {seed: result["answer"] for seed, result in self.results.items()}
-        return {seed: answer for seed, answer in found.items() if answer is not None}
-
-    @property
-    def held(self) -> dict[int, Record]:
-        """Answers by seed that were believed feasible and held in the validation's draws."""
-        return {seed: answer for seed, answer in self.answers.items() if _holds(answer)}
-
-    @property
-    def feasible_objectives(self) -> dict[int, float]:
-        """True objectives of the truly feasible answers by seed."""
-        truths = {seed: answer["truth"] for seed, answer in self.answers.items()}
-        return {seed: truth["objective"] for seed, truth in truths.items() if truth["feasible"]}
-
-    @property
-    def validated_objectives(self) -> dict[int, float]:
-        """Objectives in the validation by seed, of the answers that have one."""
-        found = {seed: answer["validation"]["objective"] for seed, answer in self.answers.items()}
-        return {seed: value for seed, value in found.items() if value is not None}
 
 
 def summarise(
@@ -104,35 +93,39 @@ def summarise(
     """
     records = {s: done[f"run/{case.name}/{row.name}/{s}"] for s in range(1, case.runs + 1)}
     results = {seed: r["result"] for seed, r in records.items() if not r["failed"]}
-    answers = [result["answer"] for result in results.values() if result["answer"] is not None]
-    validated = [answer for answer in answers if _holds(answer)]
-    feasible = [a["truth"]["objective"] for a in answers if a["truth"]["feasible"]]
-    whole = [a for a in answers if a["validation"]["objective"] is not None]
-    sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
-    objectives = [a["validation"]["objective"] for a in validated]
+    answers = {k: r["answer"] for k, r in results.items() if r["answer"] is not None}
+    held = {k: a for k, a in answers.items() if a["believed"] and a["validation"]["feasible"]}
+    validated = {
+        k: a["validation"]["objective"]
+        for k, a in answers.items()
+        if a["validation"]["objective"] is not None
+    }
+    feasible = {k: a["truth"]["objective"] for k, a in answers.items() if a["truth"]["feasible"]}
+    sign = case.study.objective.sign
+    objectives = [a["validation"]["objective"] for a in held.values()]
     return RowSummary(
         row=row,
         results=results,
+        answers=answers,
+        held=held,
+        validated_objectives=validated,
+        feasible_objectives=feasible,
         failures=tuple(r["failed"] for r in records.values() if r["failed"]),
-        validated=share(len(validated), case.runs),
+        validated=share(len(held), case.runs),
         feasible=share(len(feasible), case.runs),
-        narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers),
-        validation=mean([a["validation"]["objective"] for a in whole]),
-        difference=mean([a["validation"]["objective"] - a["training"] for a in whole]),
-        objective=mean(feasible),
+        narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers.values()),
+        validation=mean(list(validated.values())),
+        difference=mean([E - answers[k]["training"] for k, E in validated.items()]),
+        objective=mean(list(feasible.values())),
         distance=None
         if optimum is None
-        else mean([100.0 * sign * (E / optimum - 1.0) for E in feasible]),
-        worst=mean([a["truth"]["worst"] for a in answers if a["truth"]["worst"] is not None]),
+        else mean([100.0 * sign * (E / optimum - 1.0) for E in feasible.values()]),
+        worst=mean([w for a in answers.values() if (w := a["truth"]["worst"]) is not None]),
         best=None if not objectives else min(objectives, key=lambda E: sign * E),
         cuts=mean([result["cuts"] for result in results.values()]),
         check_cuts=mean([result["check_cuts"] for result in results.values()]),
         most_cuts=max((r["cuts"] + r["check_cuts"] for r in results.values()), default=0),
     )
-
-
-def _holds(answer: Record) -> bool:
-    return bool(answer["believed"] and answer["validation"]["feasible"])
 
 
 def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:

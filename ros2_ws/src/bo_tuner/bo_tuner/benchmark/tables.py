@@ -93,7 +93,7 @@ def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
     """Lay out what Algorithm IV's rule would answer of others' trials; empty without any."""
     rows = []
     for s in summaries:
-        found = [result.get("ranked") for result in s.results.values()]
+        found = [result["ranked"] for result in s.results.values()]
         truths = [ranked["truth"] for ranked in found if ranked is not None]
         if truths:
             ranked = [truth["objective"] for truth in truths if truth["feasible"]]
@@ -154,7 +154,7 @@ def _judged(
 ) -> list[_Judged]:
     """Best answer of each row by what its user knows, then the points of the experiment."""
     found = []
-    sign = 1.0 if case.study.objective.direction == "minimize" else -1.0
+    sign = case.study.objective.sign
     for s in summaries:
         if s.held:
             best = min(s.held.values(), key=lambda a: sign * a["validation"]["objective"])

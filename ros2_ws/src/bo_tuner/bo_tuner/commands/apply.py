@@ -33,7 +33,7 @@ from bo_tuner.deploy.parameter_file import NodeValues, node_values
 from bo_tuner.errors import BackendError
 from bo_tuner.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.interruption import Interruption
-from bo_tuner.live.display import plain_console
+from bo_tuner.live.display import plain_console, say
 from bo_tuner.run.folder import RunFolder
 from bo_tuner.run.record import RunRecord, read_run
 
@@ -117,13 +117,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 rows = differences(record.study, now, new)
                 _show(rows, f"{record.study.name}: {title}")
                 if all(row.equal for row in rows):
-                    _say("these values are in force already; nothing to set")
+                    say("these values are in force already; nothing to set")
                     return EXIT_OK
                 if not arguments.yes:
                     if not sys.stdin.isatty():
                         return _refuse("no terminal to ask in; --yes does not ask", EXIT_USAGE)
                     if not _confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
-                        _say("nothing was set")
+                        say("nothing was set")
                         return EXIT_INFEASIBLE
                     if read_values(nodes, new) != now:
                         return _refuse("the nodes run something else by now", EXIT_INFEASIBLE)
@@ -154,9 +154,9 @@ def _set(
     except ApplyError as error:
         kept = "" if is_rollback else f"; {rollback} has what was there before"
         return _refuse(f"{error}{kept}", EXIT_FAULT)
-    _say(f"set and read back on {', '.join(new)}")
+    say(f"set and read back on {', '.join(new)}")
     if not is_rollback:
-        _say(f"what was there before: {rollback}; back by: apply {folder} --rollback")
+        say(f"what was there before: {rollback}; back by: apply {folder} --rollback")
     return EXIT_OK
 
 
@@ -189,10 +189,6 @@ def _confirmed(question: str, interruption: Interruption) -> bool:
     while not select.select([sys.stdin], [], [], 0.1)[0]:
         interruption.check()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
-def _say(text: str) -> None:
-    plain_console().print(text, soft_wrap=True)
 
 
 def _warn(text: str) -> None:

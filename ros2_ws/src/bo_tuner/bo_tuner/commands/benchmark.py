@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.benchmark import page, plugins, sources
-from bo_tuner.benchmark.campaign import conduct
+from bo_tuner.benchmark.campaign import conduct, unfinished
 from bo_tuner.benchmark.experiment import Experiment
 from bo_tuner.benchmark.experiment_file import load_experiment, shipped_experiments
 from bo_tuner.benchmark.partial import on_record
@@ -119,7 +119,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         for experiment, tasks in plans
     ]
     for (experiment, tasks), recorded in zip(plans, records, strict=True):
-        left = [task for task in tasks if task.name not in recorded.done]
+        left = unfinished(tasks, recorded)
         if left and not arguments.cluster and not arguments.page_only:
             _check_plugins(experiment)
     for (experiment, tasks), recorded in zip(plans, records, strict=True):

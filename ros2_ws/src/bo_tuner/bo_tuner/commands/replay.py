@@ -20,7 +20,7 @@ from bo_tuner.commands.common import (
 from bo_tuner.errors import OutputError
 from bo_tuner.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
-from bo_tuner.live.display import plain_console
+from bo_tuner.live.display import plain_console, say
 from bo_tuner.recording.bag import Message
 from bo_tuner.replay.bag import Inbox, write_side_by_side
 from bo_tuner.replay.replay import (
@@ -138,7 +138,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         path = output / f"trial_{recorded.cut.trial:04d}_cut_{recorded.cut.index:02d}"
         notes = _notes(record, recorded, result.replayed, default, inbox.lost)
         if write_side_by_side(path, sides, notes):
-            _say(f"bag of {' and '.join(sides)}: {path}")
+            say(f"bag of {' and '.join(sides)}: {path}")
         else:
             console.print("no bag: no message was heard", soft_wrap=True)
     return EXIT_OK if result.confirmed else EXIT_INFEASIBLE
@@ -252,26 +252,22 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     plain_console().print(table)
     measured = [row.metric.name for row in result.metrics if not row.judged]
     if measured:
-        _say(f"measured by the clock, hence not judged: {', '.join(measured)}")
+        say(f"measured by the clock, hence not judged: {', '.join(measured)}")
     before, after = result.recorded.outcome, result.replayed.outcome
     if result.same_end:
         how = f"{after.state}, as recorded"
-        _say(f"{how}: {after.reason}" if after.reason else how)
+        say(f"{how}: {after.reason}" if after.reason else how)
     else:
-        _say(f"recorded: {before.state}{f': {before.reason}' if before.reason else ''}")
-        _say(f"replayed: {after.state}{f': {after.reason}' if after.reason else ''}")
-    _say("confirmed" if result.confirmed else "NOT confirmed")
+        say(f"recorded: {before.state}{f': {before.reason}' if before.reason else ''}")
+        say(f"replayed: {after.state}{f': {after.reason}' if after.reason else ''}")
+    say("confirmed" if result.confirmed else "NOT confirmed")
     now = provenance(record.study, backend, record.algorithm)
     changed = changed_provenance(record, now)
     if changed and not result.confirmed:
-        _say(f"recorded with something else: {'; '.join(changed)}")
+        say(f"recorded with something else: {'; '.join(changed)}")
 
 
 def _word(row: Comparison) -> str:
     if not row.judged:
         return "not judged"
     return "equal" if row.equal else "DIFFERENT"
-
-
-def _say(text: str) -> None:
-    plain_console().print(text, soft_wrap=True)

@@ -94,6 +94,11 @@ def plain_console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
+def say(text: str) -> None:
+    """Print a line as it is, however long, on standard output."""
+    plain_console().print(text, soft_wrap=True)
+
+
 def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
     """Table of the default against the tuned parametrization on the same fresh draws."""
     table = Table(
