@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --constraint requirements/constraints.txt
-PACKAGES := mpc_controller milling_plant bo_tuner
+PACKAGES := mpc_controller milling_plant bo_tuner tuning_benchmark
 # With the folders, so that a deleted file counts as a change too.
 SOURCES := $(shell find $(PACKAGES:%=ros2_ws/src/%) \
 	\( -name __pycache__ -o -name '*.egg-info' -o -name build \) -prune -o -print)
@@ -26,7 +26,7 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 
 # Processes of the benchmark and of the tests.
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
-EXPERIMENTS ?= paper benchmarks/experiments/peers.yaml benchmarks/experiments/choices.yaml
+EXPERIMENTS ?= paper peers choices
 
 .PHONY: help setup tune benchmark test lint types format check colcon clean
 .NOTPARALLEL:
@@ -49,7 +49,7 @@ tune: setup
 	$(BIN)/tune $(ARGS)
 
 benchmark: setup $(VENV)/.benchmarks
-	PYTHONPATH='$(CURDIR)/benchmarks' $(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
+	$(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
 		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
 
 test: setup $(VENV)/.dev

@@ -30,10 +30,10 @@ from scipy import sparse
 from sensor_msgs.msg import JointState
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros import RosBackend
-from bo_tuner.study_file import load_study
-from bo_tuner.trials import Cut, CutState, Stage
-from bo_tuner.tuning import run_cut
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.tuning.loop import run_cut
 from mpc_controller.controller import MpcController
 from mpc_controller.kalman_filter import kalman_filter
 from mpc_controller.model import delay_augmented, feed_axis
@@ -56,11 +56,11 @@ def seconds(work: Callable[[], Any]) -> float:
     return time.perf_counter() - begin
 
 
-def cut(backend: Any, seed: int = 1) -> None:
+def evaluation(backend: Any, seed: int = 1) -> None:
     """Run one cut of the hand-tuned parametrization; a failed one ends the benchmark."""
-    planned = Cut(0, 0, Stage.DRAWN, CONTEXT, seed)
+    planned = Evaluation(0, 0, Stage.DRAWN, CONTEXT, seed)
     outcome = run_cut(STUDY, backend, PARAMETERS, planned).outcome
-    if outcome.state is not CutState.COMPLETE:
+    if outcome.state is not EvaluationState.COMPLETE:
         raise SystemExit(f"error: a cut failed: {outcome.reason}")
 
 
@@ -95,7 +95,7 @@ class BareSteps:
         Mpc.solve, MpcController.step = recording_solve, recording_step  # type: ignore[method-assign]
         try:
             with opened(InProcessBackend(STUDY)) as backend:
-                cut(backend)
+                evaluation(backend)
         finally:
             Mpc.solve, MpcController.step = solve, step  # type: ignore[method-assign]
         if len(self._loop) != SAMPLES:
@@ -213,7 +213,7 @@ def spread(ratios: list[float], target: float | None = None) -> dict[str, float 
     }
 
 
-def run(repetitions: int, memory_cuts: int) -> None:
+def run(repetitions: int, memory_evaluations: int) -> None:
     """Measure, write the result file and print."""
     about = provenance()
     bare = BareSteps()
@@ -225,13 +225,18 @@ def run(repetitions: int, memory_cuts: int) -> None:
         # After the backend, which has put domain and discovery into the environment.
         pings = Echo()
         try:
-            for warm_up in (lambda: cut(inprocess), bare.time, lambda: cut(ros), pings.round_trips):
+            for warm_up in (
+                lambda: evaluation(inprocess),
+                bare.time,
+                lambda: evaluation(ros),
+                pings.round_trips,
+            ):
                 warm_up()
             numerics, transport, laps, shares = [], [], [], []
             for repetition in range(repetitions):
-                in_process = seconds(lambda r=repetition: cut(inprocess, r))
+                in_process = seconds(lambda r=repetition: evaluation(inprocess, r))
                 numerics.append(in_process / bare.time())
-                over_ros = seconds(lambda r=repetition: cut(ros, r))
+                over_ros = seconds(lambda r=repetition: evaluation(ros, r))
                 lap = seconds(pings.round_trips)
                 transport.append(over_ros / (1.5 * lap + in_process))
                 laps.append(lap / in_process)
@@ -245,7 +250,7 @@ def run(repetitions: int, memory_cuts: int) -> None:
             ),
             f"{SAMPLES} round trips / cut in process": spread(laps),
             "cut over ROS / cut in process": spread(shares),
-        } | memory_growth(ros, memory_cuts)
+        } | memory_growth(ros, memory_evaluations)
     write_result(RESULTS / "closed_loop.json", {"provenance": about, "ratios": ratios})
     rows = [
         [what, r["median"], r["lowest"], r["highest"], r["target"]] for what, r in ratios.items()
@@ -253,19 +258,19 @@ def run(repetitions: int, memory_cuts: int) -> None:
     print(table(["ratio", "median", "lowest", "highest", "at most"], rows))
 
 
-def memory_growth(ros: RosBackend, cuts: int) -> dict[str, dict[str, float | None]]:
+def memory_growth(ros: RosBackend, evaluations: int) -> dict[str, dict[str, float | None]]:
     """Run cuts and compare each node's memory in the last quarter of them with the first."""
     pids = {key: process.pid for key, process in ros.processes.items()}
     used: dict[str, list[int]] = {key: [] for key in pids}
-    for number in range(cuts):
-        cut(ros, number)
+    for number in range(evaluations):
+        evaluation(ros, number)
         for key, pid in pids.items():
             used[key].append(resident_memory(pid))
-    quarter = cuts // 4
+    quarter = evaluations // 4
     if quarter == 0:
         return {}
     return {
-        f"memory of {key}, last quarter of {cuts} cuts / first": spread(
+        f"memory of {key}, last quarter of {evaluations} cuts / first": spread(
             [size / statistics.median(sizes[:quarter]) for size in sizes[-quarter:]], 1.02
         )
         for key, sizes in used.items()
@@ -282,7 +287,7 @@ def main() -> None:
     if arguments.echo:
         echo()
     else:
-        run(arguments.repetitions, arguments.memory_cuts)
+        run(arguments.repetitions, arguments.memory_evaluations)
 
 
 if __name__ == "__main__":

@@ -29,17 +29,17 @@ import numpy as np
 from common import BENCHMARKS, provenance, table, write_result
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.benchmark.truth import SEED, Effort, Truth
-from bo_tuner.parameter import Parameter
-from bo_tuner.recommendation import TOLERABLE
-from bo_tuner.study import Study
-from bo_tuner.study_file import load_study
+from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Value
 from mpc_controller.errors import ControllerError
+from tuning_benchmark.truth import SEED, Effort, Truth
 
-OPTIMA = BENCHMARKS.parent / "ros2_ws/src/bo_tuner/config/experiments/grid_search.json"
-JUDGE = "milling_plant.truth:Judge"
-EFFORT = Effort(real_cuts=50)
+OPTIMA = BENCHMARKS.parent / "ros2_ws/src/tuning_benchmark/config/experiments/grid_search.json"
+JUDGE = "tuning_benchmark.milling.judge:Judge"
+EFFORT = Effort(real_evaluations=50)
 FINE_STEP = 0.05
 COARSE_STEPS = 12
 """Intervals of a double's range on the coarse grid."""

@@ -27,9 +27,9 @@ from pathlib import Path
 import numpy as np
 from common import RESULTS, provenance, table, write_result
 
-from bo_tuner.run.record import RunRecord, read_run
-from bo_tuner.study_file import load_study, study_to_yaml
-from bo_tuner.trials import CutState
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.study.study_file import load_study, study_to_yaml
+from bo_tuner.trials import EvaluationState
 
 SEED = 1
 VICTIMS = ("tuner", "milling_plant", "mpc_controller")
@@ -51,7 +51,7 @@ class Tuner:
         """Begin a run, or go on with the present one."""
         if self._run is None:
             study = load_study("benchmark").replace(seed=SEED + self.runs)
-            study = study.replace(drawn_contexts=3, search_cuts=2)
+            study = study.replace(drawn_contexts=3, search_evaluations=2)
             (self._folder / "study.yaml").write_text(study_to_yaml(study))
             arguments = ["--study", "study.yaml", "--output", f"runs-{self.runs}"]
             self.runs += 1
@@ -89,24 +89,24 @@ class Tuner:
         """Read the present run."""
         return read_run(self._run)
 
-    def whole_cuts(self) -> int:
+    def whole_evaluations(self) -> int:
         """Count the whole cuts on record."""
         if self.journal is None:
             return 0
         with contextlib.suppress(sqlite3.Error):
             db = sqlite3.connect(f"{self.journal.as_uri()}?mode=ro", uri=True)
             with contextlib.closing(db):
-                query = "SELECT count(*) FROM cut WHERE state = 'complete'"
+                query = "SELECT count(*) FROM evaluation WHERE state = 'complete'"
                 return db.execute(query).fetchone()[0]
         return 0
 
-    def seconds_to_replace(self, cuts: int) -> float:
+    def seconds_to_replace(self, evaluations: int) -> float:
         """Add up what lost cuts took, of those after the first `cuts`, and the next whole one."""
         total = 0.0
-        for recorded in self.record().cuts[cuts:]:
-            complete = recorded.cut.outcome.state is CutState.COMPLETE
+        for recorded in self.record().evaluations[evaluations:]:
+            complete = recorded.evaluation.outcome.state is EvaluationState.COMPLETE
             if not complete or total > 0.0:
-                total += recorded.cut.seconds
+                total += recorded.evaluation.seconds
             if complete and total > 0.0:
                 break
         return total
@@ -130,10 +130,10 @@ class Tuner:
             self._process.wait()
 
 
-def wait_for_more_cuts(tuner: Tuner, count: int) -> None:
+def wait_for_more_evaluations(tuner: Tuner, count: int) -> None:
     """Wait until more than `count` whole cuts are on record."""
     deadline = time.monotonic() + LONGEST_WAIT
-    while tuner.whole_cuts() <= count:
+    while tuner.whole_evaluations() <= count:
         if time.monotonic() > deadline:
             raise SystemExit(f"error: no cut for {LONGEST_WAIT:g} s")
         tuner.keep_running()
@@ -163,21 +163,21 @@ def main() -> None:
     origin = provenance()
     rng = np.random.default_rng(SEED)
     order = rng.permutation(np.resize(VICTIMS, arguments.kills)).tolist()
-    until_next_cut: dict[str, list[float]] = {victim: [] for victim in VICTIMS}
+    until_next_evaluation: dict[str, list[float]] = {victim: [] for victim in VICTIMS}
     recovery: dict[str, list[float]] = {victim: [] for victim in VICTIMS[1:]}
-    lost_cuts = lost_trials = damaged = seen_cuts = seen_trials = 0
+    lost_evaluations = lost_trials = damaged = seen_evaluations = seen_trials = 0
     with tempfile.TemporaryDirectory() as name:
         tuner = Tuner(Path(name))
         tuner.start()
         try:
-            wait_for_more_cuts(tuner, 0)
+            wait_for_more_evaluations(tuner, 0)
             for number, victim in enumerate(order):
                 moment = time.monotonic() + rng.uniform(0.0, 2.5)
                 while time.monotonic() < moment or (pid := tuner.pid_of(victim)) is None:
                     tuner.keep_running()
                     time.sleep(POLL)
                 if tuner.journal is None:  # between two runs
-                    wait_for_more_cuts(tuner, 0)
+                    wait_for_more_evaluations(tuner, 0)
                 run, before = tuner.journal, tuner.record()
                 begin = time.perf_counter()
                 with contextlib.suppress(ProcessLookupError):
@@ -185,17 +185,17 @@ def main() -> None:
                 while tuner.pid_of(victim) in (pid, None):
                     tuner.keep_running()
                     time.sleep(POLL)
-                wait_for_more_cuts(tuner, tuner.whole_cuts())
-                until_next_cut[victim].append(time.perf_counter() - begin)
+                wait_for_more_evaluations(tuner, tuner.whole_evaluations())
+                until_next_evaluation[victim].append(time.perf_counter() - begin)
                 if victim != "tuner" and run == tuner.journal:
-                    recovery[victim].append(tuner.seconds_to_replace(len(before.cuts)))
+                    recovery[victim].append(tuner.seconds_to_replace(len(before.evaluations)))
                 after = read_run(run.parent)
-                lost_cuts += missing(before.cuts, after.cuts)
+                lost_evaluations += missing(before.evaluations, after.evaluations)
                 lost_trials += missing(before.trials, after.trials)
                 damaged += bool(after.damage)
-                seen_cuts += len(before.cuts)
+                seen_evaluations += len(before.evaluations)
                 seen_trials += len(before.trials)
-                print(f"{number} {victim}: {until_next_cut[victim][-1]:.2f} s", flush=True)
+                print(f"{number} {victim}: {until_next_evaluation[victim][-1]:.2f} s", flush=True)
         finally:
             tuner.stop()
     result = {
@@ -204,14 +204,16 @@ def main() -> None:
         "kills": dict(Counter(order)),
         "runs": tuner.runs,
         "ended_by_itself": dict(tuner.ended),
-        "cuts_on_record_at_a_kill": seen_cuts,
+        "cuts_on_record_at_a_kill": seen_evaluations,
         "trials_on_record_at_a_kill": seen_trials,
-        "lost_cuts": lost_cuts,
+        "lost_cuts": lost_evaluations,
         "lost_trials": lost_trials,
         "damaged_journals": damaged,
         "load_average": os.getloadavg(),
         "recovery": {victim: summary(times) for victim, times in recovery.items()},
-        "until_next_cut": {victim: summary(times) for victim, times in until_next_cut.items()},
+        "until_next_cut": {
+            victim: summary(times) for victim, times in until_next_evaluation.items()
+        },
     }
     write_result(arguments.result, result)
     rows = [
@@ -221,7 +223,7 @@ def main() -> None:
         if figures["seconds"]
     ]
     print(table(["what", "times", "median [s]", "worst [s]"], rows))
-    print(f"lost cuts: {lost_cuts}, lost trials: {lost_trials}, damaged journals: {damaged}")
+    print(f"lost cuts: {lost_evaluations}, lost trials: {lost_trials}, damaged journals: {damaged}")
 
 
 if __name__ == "__main__":

@@ -20,15 +20,15 @@ from pathlib import Path
 
 from common import RESULTS, provenance, table, write_result
 
-import bo_tuner.session
+import bo_tuner.cli.session
+from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.interruption import Interruption
-from bo_tuner.live.monitor import Monitor
-from bo_tuner.live.node import HEADLINES, LiveNode
-from bo_tuner.live.stop_advice import StopAdvisor
-from bo_tuner.progress import RunProgress
-from bo_tuner.run.folder import RunFolder
-from bo_tuner.session import RunOptions, Session
-from bo_tuner.study_file import load_study
+from bo_tuner.monitoring.monitor import Monitor
+from bo_tuner.monitoring.node import HEADLINES, LiveNode
+from bo_tuner.monitoring.progress import RunProgress
+from bo_tuner.optimizers.stopping import StopAdvisor
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.study_file import load_study
 
 LISTENER = f"""\
 import rclpy
@@ -93,7 +93,7 @@ def install(meter: Meter) -> list[subprocess.Popen]:
     for name in ("begin", "recall", "cut", "advance", "trial"):
         setattr(Monitor, name, meter.timed("calls", getattr(Monitor, name)))
     StopAdvisor.consider = meter.timed("advice", StopAdvisor.consider)
-    bo_tuner.session.rank = meter.timed("incumbent", bo_tuner.session.rank)
+    bo_tuner.cli.session.rank = meter.timed("incumbent", bo_tuner.cli.session.rank)
     enter, leave, draw_no_more = LiveNode.__init__, LiveNode.close, RunProgress.__exit__
 
     def start(self: LiveNode, *arguments: object) -> None:

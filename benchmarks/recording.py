@@ -13,34 +13,38 @@ from pathlib import Path
 
 from common import RESULTS, provenance, table, write_result
 
-from bo_tuner.backends.ros import RosBackend
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.retention import Policy, RecordOptions
-from bo_tuner.recording.run import RunRecording
-from bo_tuner.study import Study
-from bo_tuner.study_file import load_study
-from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState
+from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState
 
 
-def run_trial(study: Study, backend: RosBackend, number: int, cuts: int, folder: Path | None):
+def run_trial(
+    study: Study, backend: RosBackend, number: int, evaluations: int, folder: Path | None
+):
     """Run a trial; returns its wall time per cut [s], and what the recording says of itself."""
     parameters = study.search_space().defaults
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
     options = RecordOptions(Policy.ALL if folder else Policy.NONE)
     with RunRecording(folder or Path(), study, options, backend.listen, print) as recording:
-        record: list[Cut] = []
+        record: list[Evaluation] = []
         start = time.perf_counter()
-        for index in range(cuts):
+        for index in range(evaluations):
             seed = 1 + index
             outcome = backend.run_cut(study.assignments(parameters, nominal, seed))
-            if outcome.state is not CutState.COMPLETE:
+            if outcome.state is not EvaluationState.COMPLETE:
                 raise SystemExit(f"error: {outcome.reason}")
-            record.append(Cut(number, index, Stage.DRAWN, nominal, seed, outcome))
-            recording.cut(record[-1], parameters)
-        trial = Trial(number, parameters, "benchmark", TrialState.COMPLETE, cuts=tuple(record))
+            record.append(Evaluation(number, index, Stage.DRAWN, nominal, seed, outcome))
+            recording.evaluation(record[-1], parameters)
+        trial = Trial(
+            number, parameters, "benchmark", TrialState.COMPLETE, evaluations=tuple(record)
+        )
         recording.trial(trial, best=False)
         elapsed = time.perf_counter() - start
-    return elapsed / cuts, recording.summary
+    return elapsed / evaluations, recording.summary
 
 
 def main() -> None:
@@ -60,12 +64,14 @@ def main() -> None:
         backend = RosBackend(study, folder / "log")
         try:
             backend.open()
-            run_trial(study, backend, 0, arguments.cuts, None)
+            run_trial(study, backend, 0, arguments.evaluations, None)
             for k in range(arguments.rounds):
                 for with_bag in (False, True) if k % 2 else (True, False):
                     run = folder if with_bag else None
-                    time_per_cut, said = run_trial(study, backend, k, arguments.cuts, run)
-                    (recorded if with_bag else plain).append(time_per_cut)
+                    time_per_evaluation, said = run_trial(
+                        study, backend, k, arguments.evaluations, run
+                    )
+                    (recorded if with_bag else plain).append(time_per_evaluation)
                     if with_bag:
                         missing += said["dropped_messages"] + said["lost_messages"]
         finally:
@@ -74,7 +80,7 @@ def main() -> None:
     quartiles = statistics.quantiles(ratios, n=4)
     result = {
         "provenance": provenance(),
-        "cuts_per_trial": arguments.cuts,
+        "cuts_per_trial": arguments.evaluations,
         "seconds_per_cut_plain": plain,
         "seconds_per_cut_recorded": recorded,
         "ratio_median": statistics.median(ratios),

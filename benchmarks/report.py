@@ -17,10 +17,10 @@ from pathlib import Path
 
 from common import BENCHMARKS, RESULTS, provenance, table, write_result
 
-from bo_tuner.commands import tune
+from bo_tuner.cli import tune
 from bo_tuner.interruption import Interruption
 from bo_tuner.report.page import write_report
-from bo_tuner.run.record import read_run
+from bo_tuner.storage.record import read_run
 
 # The browser is driven as in the tests.
 sys.path.append(str(BENCHMARKS.parent / "tests" / "browser"))

@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 from common import RESULTS, provenance, table, write_result
 
-from bo_tuner.backends.ros import RosBackend
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import RecordOptions
-from bo_tuner.recording.run import RunRecording
-from bo_tuner.run.journal import Journal
-from bo_tuner.study_file import load_study
-from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState
+from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.storage.journal import Journal
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState
 
 SEED = 1
 CUTS_PER_TRIAL = 12
@@ -46,10 +46,12 @@ def look(pid: int) -> dict[str, int]:
     }
 
 
-def growth(cuts: list[int], values: list[int]) -> dict[str, float]:
+def growth(evaluations: list[int], values: list[int]) -> dict[str, float]:
     """First and last value after the warm-up, the largest, and the slope per 1000 cuts."""
     start = int(WARM_UP * len(values))
-    slope = np.polyfit(cuts[start:], values[start:], 1)[0] if len(values) - start > 1 else 0.0
+    slope = (
+        np.polyfit(evaluations[start:], values[start:], 1)[0] if len(values) - start > 1 else 0.0
+    )
     return {
         "first": values[start],
         "last": values[-1],
@@ -58,11 +60,11 @@ def growth(cuts: list[int], values: list[int]) -> dict[str, float]:
     }
 
 
-def run(cuts: int, folder: Path) -> dict[str, object]:
+def run(evaluations: int, folder: Path) -> dict[str, object]:
     """Run cuts and look at the processes meanwhile."""
     study = load_study("benchmark")
     space, contexts = study.search_space(), study.context_space()
-    trials = -(-cuts // CUTS_PER_TRIAL)
+    trials = -(-evaluations // CUTS_PER_TRIAL)
     rng = np.random.default_rng(SEED)
     design = space.latin_hypercube(trials, rng)
     (folder / "log").mkdir()
@@ -92,25 +94,27 @@ def run(cuts: int, folder: Path) -> dict[str, object]:
             best = float("inf")
             for number in range(trials):
                 parameters = space.to_parameters(design[number])
-                record: list[Cut] = []
-                for index in range(min(CUTS_PER_TRIAL, cuts - done)):
+                record: list[Evaluation] = []
+                for index in range(min(CUTS_PER_TRIAL, evaluations - done)):
                     context = contexts.to_dict(contexts.draw(1, rng)[0])
                     seed = int(rng.integers(2**31))
                     outcome = backend.run_cut(study.assignments(parameters, context, seed))
-                    cut = Cut(number, index, Stage.DRAWN, context, seed, outcome)
-                    journal.record_cut(cut, parameters)
-                    recording.cut(cut, parameters)
-                    record.append(cut)
+                    evaluation = Evaluation(number, index, Stage.DRAWN, context, seed, outcome)
+                    journal.record_evaluation(evaluation, parameters)
+                    recording.evaluation(evaluation, parameters)
+                    record.append(evaluation)
                     states[str(outcome.state)] += 1
-                    if outcome.state is not CutState.COMPLETE:
+                    if outcome.state is not EvaluationState.COMPLETE:
                         reasons[outcome.reason] += 1
                     ignored += int(outcome.details.get("ignored_results", 0))
                     done += 1
                     if done % LOOK_EVERY == 0:
                         look_around()
-                whole = all(cut.outcome.state is CutState.COMPLETE for cut in record)
+                whole = all(
+                    evaluation.outcome.state is EvaluationState.COMPLETE for evaluation in record
+                )
                 state = TrialState.COMPLETE if whole else TrialState.FAILED
-                trial = Trial(number, parameters, "soak", state, cuts=tuple(record))
+                trial = Trial(number, parameters, "soak", state, evaluations=tuple(record))
                 journal.record_trial(trial)
                 worst = max((c.outcome.metrics.get("overshoot", 9.0) for c in record), default=9.0)
                 recording.trial(trial, best=whole and worst < best)
@@ -145,7 +149,7 @@ def main() -> None:
     arguments = parser.parse_args()
     origin = provenance()
     with tempfile.TemporaryDirectory() as name:
-        result = run(arguments.cuts, Path(name))
+        result = run(arguments.evaluations, Path(name))
     write_result(arguments.result, {"provenance": origin} | result)
     rows = [
         [name, quantity, *figures.values()]

@@ -51,11 +51,11 @@ from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.stage_one import BayesianOptimization
-from bo_tuner.study import Study
-from bo_tuner.study_file import load_study
-from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState, WorstCase
-from bo_tuner.tuning import run_cut
+from bo_tuner.optimizers.stage_one import BayesianOptimization
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.tuning.loop import run_cut
 
 SEED = 20_201_116
 REPLICATES = 5
@@ -81,22 +81,24 @@ def make_trials(study: Study, count: int) -> list[Trial]:
     for point in points:
         parameters = space.to_parameters(point)
         rows = [contexts.to_dict(row) for row in contexts.draw_stratified(REPLICATES, rng)]
-        cuts = []
+        evaluations = []
         for index, context in enumerate([*rows, WORST_CONTEXT]):
             seed = int(rng.integers(2**31))
             stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
-            planned = Cut(len(trials), index, stage, context, seed)
-            cuts.append(run_cut(study, backend, parameters, planned))
-        if any(cut.outcome.state is not CutState.COMPLETE for cut in cuts):
+            planned = Evaluation(len(trials), index, stage, context, seed)
+            evaluations.append(run_cut(study, backend, parameters, planned))
+        if any(
+            evaluation.outcome.state is not EvaluationState.COMPLETE for evaluation in evaluations
+        ):
             continue
-        worst = cuts[-1].outcome.metrics["overshoot"]
+        worst = evaluations[-1].outcome.metrics["overshoot"]
         trials.append(
             Trial(
                 number=len(trials),
                 parameters=parameters,
                 origin="initial",
                 state=TrialState.COMPLETE,
-                cuts=tuple(cuts),
+                evaluations=tuple(evaluations),
                 worst_case=WorstCase(worst, WORST_CONTEXT, worst, 0.01),
             )
         )

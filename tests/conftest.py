@@ -9,8 +9,10 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 # The test folders are no packages (tests/mpc_controller must not shadow mpc_controller), so the
-# independent implementations that several test modules compare with are put on the path.
-sys.path.append(str(Path(__file__).parent / "references"))
+# independent implementations that several test modules compare with, and what they share of
+# harness, are put on the path.
+for folder in ("references", "harness"):
+    sys.path.append(str(Path(__file__).parent / folder))
 
 settings.register_profile(
     "repeatable",

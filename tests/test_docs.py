@@ -14,12 +14,16 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bo_tuner.backends.isolation import DomainClaim, isolated_environment
-from bo_tuner.commands.common import split_ros_arguments
-from bo_tuner.executables import COMMANDS
-from bo_tuner.run.journal_reader import read_journal
-from bo_tuner.study_file import load_study, parse_study, study_to_yaml
+from bo_tuner.__main__ import COMMANDS as OF_TUNER
+from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
+from bo_tuner.cli.common import split_ros_arguments
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
+MODULES = {name: f"bo_tuner.cli.{name}" for name in OF_TUNER}
+MODULES["benchmark"] = "tuning_benchmark.command"
+COMMANDS = tuple(MODULES)
+PACKAGE_OF = {name: module.partition(".")[0] for name, module in MODULES.items()}
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "your_own_node"
 DOCUMENTS = sorted(
@@ -111,8 +115,8 @@ def check(words):
     program = program.removeprefix(".venv/bin/")
     if program == "ros2" and arguments[0] == "run":
         package, program, *arguments = arguments[1:]
-        assert program in (COMMANDS if package == "bo_tuner" else NODES), f"{package} {program}"
-        assert package == "bo_tuner" or package == program
+        expected = PACKAGE_OF.get(program, program if program in NODES else None)
+        assert package == expected, f"{package} {program}"
     if program == "ros2":
         if arguments[0] == "launch":
             check_launch(*arguments[1:])
@@ -134,7 +138,7 @@ def check(words):
 
 def check_options(command, arguments):
     own, _ = split_ros_arguments(arguments)
-    parser = importlib.import_module(f"bo_tuner.commands.{command}").make_parser()
+    parser = importlib.import_module(MODULES[command]).make_parser()
     assert takes(parser, own), f"{command} does not take {own}"
 
 
@@ -231,7 +235,7 @@ def test_options_in_the_text_exist(document):
     for span in SPAN.findall(prose(document)):
         command, *rest = span.split()
         if command in COMMANDS and any(word.startswith("--") for word in rest):
-            module = importlib.import_module(f"bo_tuner.commands.{command}")
+            module = importlib.import_module(MODULES[command])
             known = module.make_parser().format_help()
             for option in re.findall(r"--[a-z-]+", span.partition("--ros-args")[0]):
                 assert re.search(rf"{option}\b", known), f"{span}: {command} has no {option}"
@@ -239,7 +243,7 @@ def test_options_in_the_text_exist(document):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_examples_in_the_help_work(command):
-    epilog = importlib.import_module(f"bo_tuner.commands.{command}").make_parser().epilog
+    epilog = importlib.import_module(MODULES[command]).make_parser().epilog
     examples = epilog.partition("examples:\n")[2].splitlines()
     assert examples
     for line in examples:
@@ -313,7 +317,7 @@ def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
 @pytest.mark.ros
 def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     study = load_study(EXAMPLE / "study.yaml").replace(
-        trials=4, initial_trials=3, drawn_contexts=2, search_cuts=3, validation_draws=2
+        trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=3, validation_draws=2
     )
     (tmp_path / "study.yaml").write_text(study_to_yaml(study))
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"):

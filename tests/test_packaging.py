@@ -17,7 +17,8 @@ SOURCE = ROOT / "ros2_ws" / "src"
 EXECUTABLES = {
     "mpc_controller": ["mpc_controller"],
     "milling_plant": ["milling_plant"],
-    "bo_tuner": ["tune", "report", "validate", "replay", "apply", "benchmark"],
+    "bo_tuner": ["tune", "report", "validate", "replay", "apply"],
+    "tuning_benchmark": ["benchmark"],
 }
 # Import name -> rosdep key and name for pip; None where there is no key.
 PIP_PACKAGES = {

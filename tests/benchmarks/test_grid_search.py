@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from grid_search import GridSearch, Score, coarse_axis
 
-from bo_tuner.study_file import load_study
+from bo_tuner.study.study_file import load_study
 
 OPTIMUM = (6, 9, -1.05, 0.4)
 

@@ -42,6 +42,6 @@ def harmful_page(tmp_path_factory):
 
 def _page(run, tmp_path_factory):
     from bo_tuner.report.page import write_report
-    from bo_tuner.run.record import read_run
+    from bo_tuner.storage.record import read_run
 
     return write_report(read_run(run), tmp_path_factory.mktemp("page") / "report.html")

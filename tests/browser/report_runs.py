@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
-from bo_tuner.commands import tune
+from bo_tuner.cli import tune
 from bo_tuner.interruption import Interruption
-from bo_tuner.study_file import load_study, study_to_yaml
+from bo_tuner.study.study_file import load_study, study_to_yaml
 
 HARM = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>&\"$x$"
 """In a page of which a part is not escaped, this leaves a mark on `window`."""
@@ -65,7 +65,7 @@ def axis_study(**sections):
             "trials": 7,
             "initial_trials": 5,
             "drawn_contexts": 2,
-            "search_cuts": 2,
+            "search_evaluations": 2,
             "validation_draws": 5,
         },
     } | sections
@@ -73,7 +73,7 @@ def axis_study(**sections):
 
 
 def with_ends(ends, **node):
-    """Sections of a study whose cuts fail if the gain exceeds `ends`."""
+    """Sections of a study whose evaluations fail if the gain exceeds `ends`."""
     of_node = NODE | {"result": "~/cut_result", "object": "report_objects:Traced"} | node
     return {"nodes": {"axis": of_node | {"parameters": {"ends": ends}}}}
 
@@ -84,7 +84,7 @@ def feed_axis_study(**budget):
         "trials": 7,
         "initial_trials": 5,
         "drawn_contexts": 3,
-        "search_cuts": 3,
+        "search_evaluations": 3,
         "validation_draws": 6,
     }
     return study_to_yaml(load_study("benchmark").replace(**small | budget))

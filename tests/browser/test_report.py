@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.run.record import read_run
+from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Stage
 
 DRAWN = "document.documentElement.dataset.drawn === 'all'"
@@ -60,9 +60,13 @@ def test_the_numbers_shown_are_those_of_the_journal(chromium, feed_axis_page, fe
         "[row.cells[0].textContent.trim(), [row.cells[1].textContent, row.cells[2].textContent]]))"
     )
     record = read_run(feed_axis_run)
-    cuts = [r.cut for r in record.cuts if r.cut.stage is Stage.VALIDATION]
+    evaluations = [
+        r.evaluation for r in record.evaluations if r.evaluation.stage is Stage.VALIDATION
+    ]
     for column in (0, 1):
-        of_column = [cut.outcome.metrics for cut in cuts if cut.trial == column]
+        of_column = [
+            evaluation.outcome.metrics for evaluation in evaluations if evaluation.trial == column
+        ]
         assert len(of_column) == record.study.budget.validation_draws
         errors = [metrics["tracking_error"] for metrics in of_column]
         overshoots = [metrics["overshoot"] for metrics in of_column]
@@ -82,7 +86,7 @@ def test_a_legend_hides_and_shows(chromium, feed_axis_page):
     before = browser.evaluate(lines)
     browser.evaluate(f"{button}.click()")
     assert browser.evaluate(f"{button}.getAttribute('aria-pressed')") == "false"
-    # One line of the tuned parametrization in each panel.
+    # One line of the tuned parameter set in each panel.
     panels = browser.evaluate("document.querySelectorAll('#figure-trajectories .plot').length")
     assert browser.evaluate(lines) == before - panels
     browser.evaluate(f"{button}.click()")

@@ -7,8 +7,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 
-from bo_tuner.backends.ros import RosBackend
-from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState
 
 pytestmark = pytest.mark.ros

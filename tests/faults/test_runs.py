@@ -14,11 +14,11 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.methods import METHODS
-from bo_tuner.run.record import read_run
-from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState, TrialState
-from bo_tuner.tuning import Tuning
+from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
 
@@ -33,7 +33,7 @@ def small_study(trials=7):
             trials=trials,
             initial_trials=min(trials, 5),
             drawn_contexts=2,
-            search_cuts=1,
+            search_evaluations=1,
             validation_draws=1,
         )
     )

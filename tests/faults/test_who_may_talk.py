@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.backends.isolation import isolated_environment
+from bo_tuner.backends.ros.isolation import isolated_environment
 
 pytestmark = pytest.mark.ros
 

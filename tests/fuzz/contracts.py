@@ -10,21 +10,21 @@ import shutil
 from pathlib import Path
 
 from hypothesis import strategies as st
+from milling_plant.evaluation import MillingPlant
 
-from bo_tuner import strict_yaml
-from bo_tuner.backends.collect import outcome
-from bo_tuner.backends.cut_results import CutResults
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
-from bo_tuner.methods import METHODS
-from bo_tuner.run.folder import JOURNAL, STUDY
-from bo_tuner.run.journal import Journal
-from bo_tuner.run.journal_reader import salvage
-from bo_tuner.run.record import read_run
-from bo_tuner.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
-from bo_tuner.trials import CutState
-from bo_tuner.tuning import Tuning
-from milling_plant.cut import MillingPlant
+from bo_tuner.metrics.collect import outcome
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.journal_reader import salvage
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import JOURNAL, STUDY
+from bo_tuner.study import strict_yaml
+from bo_tuner.study.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
+from bo_tuner.trials import EvaluationState
+from bo_tuner.tuning.loop import Tuning
 from milling_plant.settings import PlantSettings
 from mpc_controller.controller import MpcController
 from mpc_controller.parameters import specifications
@@ -128,7 +128,7 @@ def check_study_bytes(data, folder):
 def make_run(folder):
     """Make a run folder with a journal of a few trials."""
     study = load_study("benchmark").replace(
-        trials=3, initial_trials=3, drawn_contexts=2, search_cuts=1, validation_draws=1
+        trials=3, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_draws=1
     )
     folder.mkdir()
     (folder / STUDY).write_text(study_to_yaml(study))
@@ -136,7 +136,7 @@ def make_run(folder):
     backend.open()
     provenance = {"algorithm": "IV", "backend": "inprocess"}
     with Journal(folder / JOURNAL, provenance) as journal:
-        for trial in Tuning(study, backend, METHODS["IV"], observe=journal.record_cut):
+        for trial in Tuning(study, backend, METHODS["IV"], observe=journal.record_evaluation):
             journal.record_trial(trial)
     return read_run(folder)
 
@@ -173,19 +173,19 @@ def check_journal(run, record, damage, scratch):
         one_line(error)
         return
     assert _files(scratch.parent) == before
-    assert found.cuts == record.cuts[: len(found.cuts)]
+    assert found.evaluations == record.evaluations[: len(found.evaluations)]
     assert found.trials == record.trials[: len(found.trials)]
-    if (found.cuts, found.trials) != (record.cuts, record.trials):
+    if (found.evaluations, found.trials) != (record.evaluations, record.trials):
         one_line(found.damage)
     try:
         content, text = salvage(journal)
     except BoTunerError as error:
         one_line(error)
         return
-    assert (content.cuts, content.trials) == (found.cuts, found.trials)
+    assert (content.evaluations, content.trials) == (found.evaluations, found.trials)
     assert bool(text) == bool(found.damage)
     again = read_run(scratch)
-    assert (again.cuts, again.trials, again.damage) == (found.cuts, found.trials, "")
+    assert (again.evaluations, again.trials, again.damage) == (found.evaluations, found.trials, "")
     if text:
         one_line(text)
         (kept,) = [p for p in scratch.iterdir() if ".damaged-" in p.name and p.suffix == ".sqlite"]
@@ -253,7 +253,7 @@ BENCHMARK = load_study("benchmark")
 
 def check_results(early, late):
     """A result is taken for the present cut or counted; a cut has finite metrics, or has failed."""
-    results = CutResults()
+    results = RunResults()
     results.begin()
     for key, pairs in early:
         results.add(key, dict(pairs))
@@ -268,10 +268,10 @@ def check_results(early, late):
     assert results.take_ignored() == len(early) + len(late) - taken
     assert results.said == {}
     assert set(result.metrics) == (
-        set(BENCHMARK.metrics) if result.state is CutState.COMPLETE else set()
+        set(BENCHMARK.metrics) if result.state is EvaluationState.COMPLETE else set()
     )
     assert all(math.isfinite(value) for value in result.metrics.values())
-    if result.state is not CutState.COMPLETE:
+    if result.state is not EvaluationState.COMPLETE:
         one_line(result.reason)
         assert result.reason.isprintable()
     assert all(len(value) <= 500 for value in result.details.values())

@@ -11,7 +11,7 @@ import bo_tuner
 import milling_plant
 import mpc_controller
 from bo_tuner.errors import StudyError
-from bo_tuner.study_file import parse_study
+from bo_tuner.study.study_file import parse_study
 
 PACKAGES = (bo_tuner, milling_plant, mpc_controller)
 

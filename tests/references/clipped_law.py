@@ -1,4 +1,4 @@
-"""The milling scenario with a linear MPC whose input is clipped, for many cuts at once.
+"""The milling scenario with a linear MPC whose input is clipped, for many evaluations at once.
 
 Written from the scenario's equations alone, on numpy: the loop of all contexts and noise draws
 advances together. Numbers are those of the scenario's table, not of any configuration file.
@@ -18,7 +18,7 @@ WINDOW = 5
 
 
 @dataclass
-class Cuts:
+class Evaluations:
     """Velocities and commands (N, cuts) with tracking error and overshoot of each cut."""
 
     velocity: np.ndarray
@@ -64,13 +64,13 @@ def _first_move(control_horizon, prediction_horizon, lambda_mpc):
 
 
 def simulate(parameters, stiffness, damping, noise):
-    """Run one cut for each context and column of noise (N, cuts) [m/s].
+    """Run one evaluation for each context and column of noise (N, evaluations) [m/s].
 
     `parameters` are (H_u, H_p, lambda_MPC, lambda_KF).
     """
     control_horizon, prediction_horizon, lambda_mpc, lambda_kf = parameters
     Kr, Kx, Ku = _first_move(control_horizon, prediction_horizon, lambda_mpc)
-    samples, cuts = noise.shape
+    samples, evaluations = noise.shape
     F, G = _axis(1.0, 1.0)
     contexts = [_axis(s, d) for s, d in zip(stiffness, damping, strict=True)]
     plant_F = np.array([f for f, _ in contexts])
@@ -82,11 +82,11 @@ def simulate(parameters, stiffness, damping, noise):
     Q = 10.0**lambda_kf * np.eye(3)
     P = Q
     start = REFERENCE[0]
-    x = np.tile([start, 0.0], (cuts, 1))
-    estimate = np.tile([start, 0.0, start], (cuts, 1))
-    queued = np.full(cuts, start)
+    x = np.tile([start, 0.0], (evaluations, 1))
+    estimate = np.tile([start, 0.0, start], (evaluations, 1))
+    queued = np.full(evaluations, start)
     preview = np.append(REFERENCE, np.full(prediction_horizon, REFERENCE[-1]))
-    velocity, command = np.empty((samples, cuts)), np.empty((samples, cuts))
+    velocity, command = np.empty((samples, evaluations)), np.empty((samples, evaluations))
     for k in range(samples):
         velocity[k] = x[:, 0]
         L = P[:, 0] / (P[0, 0] + NOISE_VARIANCE)
@@ -102,7 +102,7 @@ def simulate(parameters, stiffness, damping, noise):
     ceiling = np.array(
         [REFERENCE[max(0, k - WINDOW) : k + WINDOW + 1].max() for k in range(samples)]
     )
-    return Cuts(
+    return Evaluations(
         velocity,
         command,
         np.sum((REFERENCE[:, None] - velocity) ** 2, axis=0),
@@ -110,6 +110,6 @@ def simulate(parameters, stiffness, damping, noise):
     )
 
 
-def draw_noise(rng, cuts):
-    """Measurement noise (N, cuts) [m/s]."""
-    return rng.normal(0.0, np.sqrt(NOISE_VARIANCE), (REFERENCE.size, cuts))
+def draw_noise(rng, evaluations):
+    """Measurement noise (N, evaluations) [m/s]."""
+    return rng.normal(0.0, np.sqrt(NOISE_VARIANCE), (REFERENCE.size, evaluations))

@@ -1,4 +1,4 @@
-"""The valley of `bo_tuner.benchmark.cost` in closed form: its truth, and optimizers for it."""
+"""The valley of `tuning_benchmark.cost` in closed form: its truth, and optimizers for it."""
 
 import os
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ import yaml
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.commands import apply as command
-from bo_tuner.study_file import study_from_mapping
+from bo_tuner.cli import apply as command
+from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.ros
 
@@ -186,7 +186,7 @@ def test_in_a_terminal_it_asks(record, now):
     leader, follower = pty.openpty()
     program = (
         "import sys; from bo_tuner.interruption import Interruption; stop = Interruption(); "
-        "from bo_tuner.commands import apply; sys.exit(apply.run(sys.argv[1:], stop))"
+        "from bo_tuner.cli import apply; sys.exit(apply.run(sys.argv[1:], stop))"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program, record.path],

@@ -15,10 +15,10 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.commands import replay as command
+from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import find_cut
-from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
 
@@ -35,7 +35,7 @@ DEADLINE = 60.0
 
 def small_study(**plant_parameters):
     study = load_study("benchmark").replace(
-        trials=2, initial_trials=2, drawn_contexts=1, search_cuts=1, seed=3
+        trials=2, initial_trials=2, drawn_contexts=1, search_evaluations=1, seed=3
     )
     mapping = json.loads(json.dumps(study_to_mapping(study)))
     mapping["nodes"]["plant"]["parameters"] = plant_parameters
@@ -88,7 +88,7 @@ def attached(shared_pair, tmp_path_factory):
         lines = []
         patch.setattr(command, "_say", lines.append)
         # They may still be starting, on a busy machine.
-        patch.setattr("bo_tuner.backends.ros.ATTACH_TIMEOUT", DEADLINE)
+        patch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", DEADLINE)
         code = command.run(
             [str(folder), "--trial", "1", "--backend", "ros", "--attach"], Uninterrupted()
         )
@@ -163,7 +163,7 @@ def test_a_failed_cut_on_nodes_of_its_own(ros_environment, tmp_path):
     cut = record.trials[0].cuts[-1]
     assert "the loop diverged" in cut.outcome.reason
     code = (
-        "import sys; from bo_tuner.commands import replay; "
+        "import sys; from bo_tuner.cli import replay; "
         "from bo_tuner.interruption import Interruption; "
         "sys.exit(replay.run(sys.argv[1:], Interruption()))"
     )
@@ -188,7 +188,7 @@ def test_a_failed_cut_on_nodes_of_its_own(ros_environment, tmp_path):
 
 
 def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("bo_tuner.backends.ros.ATTACH_TIMEOUT", 1.0)
+    monkeypatch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", 1.0)
     study = small_study()
     nodes = {key: replace(spec, node=f"no_{spec.node}") for key, spec in study.nodes.items()}
     study = replace(study, nodes=nodes)

@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
-COMMANDS = ["tune", "report", "validate", "replay", "apply", "benchmark"]
+COMMANDS = ["tune", "report", "validate", "replay", "apply"]
 
 
 def shared(folder):
@@ -48,33 +48,19 @@ setup(
     python_requires=">=3.11",
     install_requires=[
         "Jinja2>=3.1,<4",
-        "joblib>=1.4,<2",
         "matplotlib>=3.8,<4",
         "numpy>=1.26,<3",
         "plotly>=6,<8",
         "scipy>=1.11,<2",
-        "scikit-learn>=1.4,<2",
         "PyYAML>=6,<7",
         "rich>=13,<16",
         "rosbags>=0.10,<0.12",
         "threadpoolctl>=3,<4",
     ],
-    extras_require={
-        "cluster": ["distributed>=2024.8"],
-        # The other optimizers of the benchmark, see benchmarks/peers.
-        "peers": [
-            "torch",
-            "botorch>=0.18,<0.19",
-            "optuna>=5,<6",
-            "greenlet",
-            "smac>=2.4,<3",
-            "cma>=4.5,<5",
-        ],
-        "test": ["pytest"],
-    },
+    extras_require={"test": ["pytest"]},
     keywords=[f"commit-{commit()}"],
     entry_points={
-        "console_scripts": [f"{command} = {NAME}.executables:{command}" for command in COMMANDS]
+        "console_scripts": [f"{command} = {NAME}.cli.executables:{command}" for command in COMMANDS]
     },
     zip_safe=False,
 )

@@ -8,12 +8,20 @@ from scipy import stats
 
 from bo_tuner.certificate.neighbourhood import look_around
 from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance, posterior_samples
-from bo_tuner.recommendation import TOLERABLE
-from bo_tuner.study_file import load_study
-from bo_tuner.surrogate.gaussian_process import GaussianProcess
-from bo_tuner.surrogate.kernel import latent_covariance
-from bo_tuner.surrogates import Surrogates
-from bo_tuner.trials import Cut, CutOutcome, CutState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.kernel import latent_covariance
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
 
 LIMIT = 1.0
 NODE = {"node": "axis"}
@@ -25,17 +33,17 @@ def plane(make_study, **contexts):
     return make_study(contexts=variables | contexts)
 
 
-def cuts_of(study, function, count=40, noise=0.0, seed=0):
-    """Cuts in contexts all over the box, whose peak is a function of the context plus noise."""
+def evaluations_of(study, function, count=40, noise=0.0, seed=0):
+    """Evaluations all over the box, whose peak is a function of the context plus noise."""
     rng = np.random.default_rng(seed)
     space = study.context_space()
-    cuts = []
+    evaluations = []
     for row in space.to_contexts(rng.random((count, space.dimension))):
         context = space.to_dict(row)
         peak = float(function(**context) + noise * rng.standard_normal())
-        outcome = CutOutcome(CutState.COMPLETE, {"error": 1.0, "peak": peak})
-        cuts.append(Cut(0, 0, Stage.SEARCH, context, 0, outcome))
-    return cuts
+        outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": peak})
+        evaluations.append(Evaluation(0, 0, Stage.SEARCH, context, 0, outcome))
+    return evaluations
 
 
 def by_name(tolerance):
@@ -49,7 +57,8 @@ class TestDrift:
         """0.5 + 0.4 (load - 1) + 0.6 (wear - 0.5) breaks at load 2.25, and wear 1.33 alone."""
         study = plane(make_study, load=UNIFORM | {"bounds": [-1.0, 3.0]})
         found = context_tolerance(
-            study, cuts_of(study, lambda load, wear: 0.5 + 0.4 * (load - 1) + 0.6 * (wear - 0.5))
+            study,
+            evaluations_of(study, lambda load, wear: 0.5 + 0.4 * (load - 1) + 0.6 * (wear - 0.5)),
         )
         assert found.limit == LIMIT
         assert found.worst_context == {"load": pytest.approx(3.0), "wear": pytest.approx(1.0)}
@@ -76,7 +85,7 @@ class TestDrift:
         study = plane(make_study)
         found = context_tolerance(
             study,
-            cuts_of(
+            evaluations_of(
                 study, lambda load, wear: 0.2 + 2 * (wear - 0.5) ** 2 + 1.2 * (1 - load) ** 2, 60
             ),
         )
@@ -90,32 +99,36 @@ class TestDrift:
         study = plane(make_study)
         held, runs = 0, 50
         for seed in range(runs):
-            cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1), 25, 0.1, seed)
-            band = by_name(context_tolerance(study, cuts))["load"].up.limit
+            evaluations = evaluations_of(
+                study, lambda load, wear: 0.6 + 0.8 * (load - 1), 25, 0.1, seed
+            )
+            band = by_name(context_tolerance(study, evaluations))["load"].up.limit
             held += band.low <= 1.5 <= band.high
         # Fewer would come about by chance once in a thousand times if it held it in 80 %.
         assert held >= stats.binom.ppf(1e-3, runs, CREDIBLE - 0.1)
 
-    def test_more_cuts_make_a_narrower_band(self, make_study):
+    def test_more_evaluations_make_a_narrower_band(self, make_study):
         study = plane(make_study)
         widths = []
         for count in (12, 150):
-            cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1), count, 0.1)
-            band = by_name(context_tolerance(study, cuts))["load"].up.limit
+            evaluations = evaluations_of(
+                study, lambda load, wear: 0.6 + 0.8 * (load - 1), count, 0.1
+            )
+            band = by_name(context_tolerance(study, evaluations))["load"].up.limit
             widths.append(band.high - band.low)
         assert widths[1] < 0.6 * widths[0]
 
     def test_noise_alone_breaks_nothing(self, make_study):
-        """The limit is on the expectation: single cuts beyond it are noise."""
+        """The limit is on the expectation: single evaluations beyond it are noise."""
         study = plane(make_study)
-        cuts = cuts_of(study, lambda load, wear: 0.7, 200, 0.2)
-        assert max(cut.outcome.metrics["peak"] for cut in cuts) > LIMIT
-        found = context_tolerance(study, cuts)
+        evaluations = evaluations_of(study, lambda load, wear: 0.7, 200, 0.2)
+        assert max(evaluation.outcome.metrics["peak"] for evaluation in evaluations) > LIMIT
+        found = context_tolerance(study, evaluations)
         assert all(v.up.breaks < 0.05 and v.down.breaks < 0.05 for v in found.variables)
 
     def test_a_metric_that_never_changes(self, make_study):
         found = context_tolerance(
-            plane(make_study), cuts_of(plane(make_study), lambda load, wear: 0.0)
+            plane(make_study), evaluations_of(plane(make_study), lambda load, wear: 0.0)
         )
         assert found.worst.median == pytest.approx(0.0, abs=1e-3)
         assert all(v.up.breaks == v.worst_down.breaks == 0.0 for v in found.variables)
@@ -128,14 +141,14 @@ class TestDrift:
             "probabilities": [0.2, 0.4, 0.2, 0.2],
         }
         study = plane(make_study, load=tool)
-        found = context_tolerance(study, cuts_of(study, lambda load, wear: 0.15 * load))
+        found = context_tolerance(study, evaluations_of(study, lambda load, wear: 0.15 * load))
         up = by_name(found)["load"].up
         assert (up.bound, up.limit.low, up.limit.median, up.limit.high) == (8.0, 5.0, 5.0, 5.0)
         assert by_name(found)["load"].down.limit.median == 1.0
 
     def test_a_nominal_value_at_its_bound(self, make_study):
         study = plane(make_study, wear=UNIFORM | {"bounds": [0.0, 1.0], "nominal": 0.0})
-        found = context_tolerance(study, cuts_of(study, lambda load, wear: 0.5 + wear))
+        found = context_tolerance(study, evaluations_of(study, lambda load, wear: 0.5 + wear))
         wear = by_name(found)["wear"]
         assert wear.down.limit.median == wear.down.bound == 0.0
         assert wear.down.breaks == 0.0
@@ -144,21 +157,28 @@ class TestDrift:
     def test_nothing_to_tell(self, make_study):
         study = plane(make_study)
         assert context_tolerance(study, []) is None
-        assert context_tolerance(study, cuts_of(study, lambda load, wear: load, 4)) is None
-        assert context_tolerance(make_study(contexts={}), [make_cut({}) for _ in range(9)]) is None
+        assert context_tolerance(study, evaluations_of(study, lambda load, wear: load, 4)) is None
+        assert (
+            context_tolerance(make_study(contexts={}), [make_evaluation({}) for _ in range(9)])
+            is None
+        )
         free = make_study(contexts=None, constraints={})
-        assert context_tolerance(free, [make_cut({}) for _ in range(9)]) is None
+        assert context_tolerance(free, [make_evaluation({}) for _ in range(9)]) is None
 
-    def test_failed_cuts_are_left_out(self, make_study):
+    def test_failed_evaluations_are_left_out(self, make_study):
         study = plane(make_study)
-        cuts = cuts_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1))
-        failed = [Cut(0, 0, Stage.SEARCH, cut.context, 0) for cut in cuts]
-        assert context_tolerance(study, [*failed, *cuts]) == context_tolerance(study, cuts)
+        evaluations = evaluations_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1))
+        failed = [
+            Evaluation(0, 0, Stage.SEARCH, evaluation.context, 0) for evaluation in evaluations
+        ]
+        assert context_tolerance(study, [*failed, *evaluations]) == context_tolerance(
+            study, evaluations
+        )
 
 
-def make_cut(context):
-    outcome = CutOutcome(CutState.COMPLETE, {"error": 1.0, "peak": 0.5})
-    return Cut(0, 0, Stage.SEARCH, context, 0, outcome)
+def make_evaluation(context):
+    outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5})
+    return Evaluation(0, 0, Stage.SEARCH, context, 0, outcome)
 
 
 def test_posterior_samples_have_the_moments_of_the_posterior():
@@ -181,14 +201,15 @@ def test_posterior_samples_have_the_moments_of_the_posterior():
 
 
 def trial(number, parameters, objective, worst):
-    """A trial with five equal cuts, and its worst case."""
-    outcome = CutOutcome(
-        CutState.COMPLETE, {"tracking_error": objective, "overshoot": worst, "return_time": 0.001}
+    """A trial with five equal evaluations, and its worst case."""
+    outcome = Outcome(
+        EvaluationState.COMPLETE,
+        {"tracking_error": objective, "overshoot": worst, "return_time": 0.001},
     )
     context = {"stiffness_factor": 1.0, "damping_factor": 1.0}
-    cuts = tuple(Cut(number, k, Stage.DRAWN, context, k, outcome) for k in range(5))
+    evaluations = tuple(Evaluation(number, k, Stage.DRAWN, context, k, outcome) for k in range(5))
     return Trial(
-        number, parameters, "", TrialState.COMPLETE, cuts=cuts,
+        number, parameters, "", TrialState.COMPLETE, evaluations=evaluations,
         worst_case=WorstCase(worst, context, worst),
     )  # fmt: skip
 

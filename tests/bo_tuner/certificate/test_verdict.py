@@ -12,11 +12,11 @@ from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.verdict import judge, most_draws_needed
 from bo_tuner.certificate.winners_curse import training_gaps
 from bo_tuner.errors import RunError
-from bo_tuner.methods import METHODS
-from bo_tuner.recommendation import rank
-from bo_tuner.trials import Cut, CutOutcome, CutState, Stage
-from bo_tuner.tuning import Tuning
-from bo_tuner.validation import validate
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import rank
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.validation import validate
 
 LIMIT = 1.0
 CHANCE = {
@@ -32,19 +32,21 @@ PLANE = {
 }
 
 
-def cut(peak, stage=Stage.VALIDATION, error=1.0, load=1.5):
-    """A cut with this peak; a failed one without."""
-    outcome = CutOutcome(CutState.FAILED, reason="axis: stalled")
+def evaluation(peak, stage=Stage.VALIDATION, error=1.0, load=1.5):
+    """An evaluation with this peak; a failed one without."""
+    outcome = Outcome(EvaluationState.FAILED, reason="axis: stalled")
     if peak is not None:
-        outcome = CutOutcome(CutState.COMPLETE, {"error": error, "peak": peak})
-    return Cut(0, 0, stage, {"load": load}, 7, outcome)
+        outcome = Outcome(EvaluationState.COMPLETE, {"error": error, "peak": peak})
+    return Evaluation(0, 0, stage, {"load": load}, 7, outcome)
 
 
 def evidence(peaks, repeated=((0.5, 0.6),)):
     return Evidence(
         {"gain": 0.5},
-        tuple(cut(peak) for peak in peaks),
-        repeated=tuple(tuple(cut(p, Stage.CHECK_WORST) for p in peaks) for peaks in repeated),
+        tuple(evaluation(peak) for peak in peaks),
+        repeated=tuple(
+            tuple(evaluation(p, Stage.CHECK_WORST) for p in peaks) for peaks in repeated
+        ),
     )
 
 
@@ -86,7 +88,7 @@ class TestChance:
         """At the limit in at most one of twenty, well within it nearly always."""
         study = make_study(**CHANCE)
         rng = np.random.default_rng(20)
-        fine, bad = cut(0.5), cut(2.0)
+        fine, bad = evaluation(0.5), evaluation(2.0)
         runs = 400
         passed = 0
         for _ in range(runs):
@@ -133,11 +135,12 @@ class TestWorstCase:
         """With the worst mean at the limit in at most one of twenty, however many candidates."""
         study = make_study()
         rng = np.random.default_rng(8)
-        draws = [cut(0.5)] * 10
+        draws = [evaluation(0.5)] * 10
         runs, passed = 400, 0
         for _ in range(runs):
             repeated = tuple(
-                tuple(cut(value) for value in rng.normal(at, 0.1, 20)) for at in (mean, 0.7, mean)
+                tuple(evaluation(value) for value in rng.normal(at, 0.1, 20))
+                for at in (mean, 0.7, mean)
             )
             passed += judge(study, Evidence({}, tuple(draws), (), repeated), 0.95).passed
         if mean == 1.0:
@@ -149,16 +152,16 @@ class TestWorstCase:
 
 class TestFailures:
     @pytest.mark.parametrize("where", ["draw", "search", "repeated"])
-    def test_one_failed_cut_fails(self, make_study, where):
-        whole = [cut(0.5)] * 100
-        failed = (cut(None),)
+    def test_one_failed_evaluation_fails(self, make_study, where):
+        whole = [evaluation(0.5)] * 100
+        failed = (evaluation(None),)
         found = judge(
             make_study(),
             Evidence(
                 {},
                 (*whole, *(failed if where == "draw" else ())),
                 failed if where == "search" else (),
-                ((cut(0.5), cut(0.5), *(failed if where == "repeated" else ())),),
+                ((evaluation(0.5), evaluation(0.5), *(failed if where == "repeated" else ())),),
             ),
             0.95,
         )
@@ -186,11 +189,11 @@ class TestFailures:
 
         def function(**_):
             if next(states) == "lost":
-                return failed("gone", CutState.LOST)
+                return failed("gone", EvaluationState.LOST)
             return {"error": 1.0, "peak": 0.5}
 
         backend = function_backend(study, function)
-        with pytest.raises(RunError, match="3 cuts in a row were lost with their nodes: gone"):
+        with pytest.raises(RunError, match="3 runs in a row were lost with their nodes: gone"):
             collect(study, backend, 50, default=0.5, tuned=0.2)
         assert len(backend.calls) == 6
 
@@ -199,8 +202,8 @@ class TestObjective:
     @pytest.mark.parametrize("direction", ["minimize", "maximize"])
     def test_the_tail_is_on_the_bad_side(self, make_study, direction):
         study = make_study(objective={"metric": "error", "direction": direction})
-        drawn = tuple(cut(0.5, error=float(value)) for value in range(1, 101))
-        found = judge(study, Evidence({}, drawn, (), ((cut(0.5), cut(0.5)),)), 0.95)
+        drawn = tuple(evaluation(0.5, error=float(value)) for value in range(1, 101))
+        found = judge(study, Evidence({}, drawn, (), ((evaluation(0.5), evaluation(0.5)),)), 0.95)
         assert found.objective.value == pytest.approx(50.5)
         assert found.tail == pytest.approx(98.0 if direction == "minimize" else 3.0)
 
@@ -208,7 +211,7 @@ class TestObjective:
         assert judge(make_study(constraints={}), evidence([9.0] * 5), 0.95).passed
 
 
-class TestCuts:
+class TestEvaluations:
     def test_the_same_draws_for_both_and_fresh_ones(self, make_study, function_backend):
         study = make_study()
         backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
@@ -222,7 +225,7 @@ class TestCuts:
         for key in ("load", "seed"):
             drawn = {c.context[key] if key == "load" else c.seed for c in tuned.drawn}
             assert not drawn & {call[key] for call in before.calls}
-        seeds = [c.seed for c in tuned.cuts]
+        seeds = [c.seed for c in tuned.evaluations]
         assert len(set(seeds)) == len(seeds)
 
     def test_they_follow_the_distribution(self, make_study, function_backend):
@@ -249,7 +252,7 @@ class TestCuts:
         worst = constraint.worst[0]
         assert worst.context == {"load": pytest.approx(1.0), "wear": pytest.approx(0.0, abs=1e-9)}
         assert worst.mean.value == pytest.approx(height, rel=1e-3)
-        assert worst.cuts == REPEATS
+        assert worst.evaluations == REPEATS
         assert verdict.passed is (height < LIMIT)
 
     def test_nothing_varies(self, make_study, function_backend):
@@ -257,7 +260,7 @@ class TestCuts:
         backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
         (found,) = collect(study, backend, 10, tuned=0.5)
         assert judge(study, found, 0.95).passed
-        assert [len(cuts) for cuts in found.repeated] == [REPEATS]
+        assert [len(evaluations) for evaluations in found.repeated] == [REPEATS]
 
 
 class TestWinnersCurse:

@@ -6,9 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from bo_tuner.certificate.worst_case_search import APART, CANDIDATES, find_worst_contexts, most_cuts
-from bo_tuner.context_space import ContextSpace
-from bo_tuner.distributions import Discrete, TruncatedNormal, Uniform
+from bo_tuner.certificate.worst_case_search import (
+    APART,
+    CANDIDATES,
+    find_worst_contexts,
+    most_evaluations,
+)
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.distributions import Discrete, TruncatedNormal, Uniform
 
 FACTOR = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 PLANE = ContextSpace({"stiffness": FACTOR, "damping": FACTOR})
@@ -95,10 +100,10 @@ class TestSearch:
         for one, other in itertools.combinations(points, 2):
             assert np.abs(one - other).max() > APART
 
-    def test_no_more_cuts_than_promised(self):
+    def test_no_more_evaluations_than_promised(self):
         metric = Metric(lambda stiffness, damping: math.sin(20 * stiffness) * damping)
         search(PLANE, metric, known=[{"stiffness": 1.0, "damping": 1.0}])
-        assert len(metric.calls) <= most_cuts(PLANE, 1)
+        assert len(metric.calls) <= most_evaluations(PLANE, 1)
 
     def test_discrete_contexts_stay_possible(self):
         tool = Discrete(values=(1.0, 2.0, 5.0), probabilities=(0.5, 0.3, 0.2))
@@ -112,9 +117,9 @@ class TestSearch:
         assert find_worst_contexts(
             ContextSpace({}), lambda _: 1.0, [({}, 1.0)], [{}], np.random.default_rng(0)
         ) == [{}]
-        assert most_cuts(ContextSpace({}), 1) == 0
+        assert most_evaluations(ContextSpace({}), 1) == 0
 
-    def test_every_cut_fails(self):
+    def test_every_evaluation_fails(self):
         found = find_worst_contexts(PLANE, lambda _: None, [], [], np.random.default_rng(0))
         corners = [list(context.values()) for context in found]
         assert sorted(corners) == [[0.7, 0.7], [0.7, 1.3], [1.3, 0.7], [1.3, 1.3]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 
-from bo_tuner.commands import apply as command
+from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -135,11 +135,11 @@ class TestCertificate:
             ),
             (
                 lambda record, trial: write_certificate(record, trial, gain=0.123),
-                "is of another parametrization",
+                "is of another parameter set",
             ),
             (
                 lambda record, trial: write_certificate(record, record.trials[2]),
-                "is of another parametrization",
+                "is of another parameter set",
             ),
             (
                 lambda record, trial: write_certificate(
@@ -149,7 +149,7 @@ class TestCertificate:
             ),
             (
                 lambda record, trial: write_certificate(record, trial, more=1.0),
-                "is of another parametrization",
+                "is of another parameter set",
             ),
         ],
     )

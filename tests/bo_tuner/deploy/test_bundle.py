@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.deploy.bundle import read_rollback, result_of, write_bundle
-from bo_tuner.deploy.parameter_file import from_yaml, node_values, to_yaml
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.run.folder import RunFolder
+from bo_tuner.storage.parameter_file import from_yaml, node_values, to_yaml
+from bo_tuner.storage.run_folder import RunFolder
 
 FILES = {"parameters.yaml", "rollback.yaml", "difference.csv", "provenance.json"}
 

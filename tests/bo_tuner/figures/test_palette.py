@@ -3,14 +3,7 @@
 import pytest
 
 from bo_tuner.figures.figure import Color
-from bo_tuner.figures.palette import (
-    DARK,
-    DARK_GROUND,
-    DIVERGING,
-    LIGHT,
-    LIGHT_GROUND,
-    SEQUENTIAL,
-)
+from bo_tuner.figures.palette import DARK, DARK_GROUND, DIVERGING, LIGHT, LIGHT_GROUND, SEQUENTIAL
 
 
 def luminance(shade):

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.run.record import read_run
+from bo_tuner.storage.record import read_run
 
 sys.path.append(str(Path(__file__).parents[2] / "browser"))
 

@@ -6,8 +6,8 @@ import pytest
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.answer import Status, answer
-from bo_tuner.report.certified import certificate
+from bo_tuner.report.sections.answer import Status, answer
+from bo_tuner.report.sections.certified import certificate
 
 
 def findings(violations, passed):
@@ -30,7 +30,7 @@ def findings(violations, passed):
     }
     mean = {"value": 1.5, "standard_error": 0.02, "upper": 1.54}
     return {
-        "objective": mean, "tail": 1.9, "cuts": 320, "failures": 0, "constraints": [constraint]
+        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0, "constraints": [constraint]
     }  # fmt: skip
 
 

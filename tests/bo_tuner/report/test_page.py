@@ -12,8 +12,8 @@ import pytest
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
-from bo_tuner.run.record import read_run
-from bo_tuner.trials import CutState, Stage
+from bo_tuner.storage.record import read_run
+from bo_tuner.trials import EvaluationState, Stage
 
 # Elements without an end.
 VOID = {"meta", "link", "img", "br", "input"}
@@ -79,20 +79,20 @@ def table(page, beginning):
 def test_the_answer_is_that_of_the_journal(page, tuned):
     rows = table(page, "Default and tuned")
     for column in (0, 1):
-        cuts = [
-            recorded.cut.outcome.metrics
-            for recorded in tuned.cuts
-            if recorded.cut.stage is Stage.VALIDATION and recorded.cut.trial == column
+        evaluations = [
+            recorded.evaluation.outcome.metrics
+            for recorded in tuned.evaluations
+            if recorded.evaluation.stage is Stage.VALIDATION and recorded.evaluation.trial == column
         ]
-        errors = [metrics["error"] for metrics in cuts]
+        errors = [metrics["error"] for metrics in evaluations]
         mean = math.fsum(errors) / len(errors)
         spread = math.sqrt(math.fsum((e - mean) ** 2 for e in errors) / (len(errors) - 1))
         assert rows["mean error"][column] == f"{mean:.4g}"
         shown = rows["standard error of the mean error"][column]
         assert shown == f"{spread / math.sqrt(len(errors)):.4g}"
-        assert rows["largest peak"][column] == f"{max(m['peak'] for m in cuts):.4g}"
-        above = sum(metrics["peak"] > 1.0 for metrics in cuts)
-        assert rows["draws above 1"][column] == f"{above} of {len(cuts)}"
+        assert rows["largest peak"][column] == f"{max(m['peak'] for m in evaluations):.4g}"
+        above = sum(metrics["peak"] > 1.0 for metrics in evaluations)
+        assert rows["draws above 1"][column] == f"{above} of {len(evaluations)}"
     best = tuned.trials[tuned.summary["trial"]].parameters["gain"]
     assert rows["gain"][:2] == ["0.5", f"{best:.4g}"]
 
@@ -100,31 +100,38 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
 def test_every_trial_is_listed_with_its_values(page, tuned):
     rows = table(page, f"{len(tuned.trials)} trials")
     for trial in tuned.trials:
-        origin, gain, mean, worst, cuts, outcome = rows[str(trial.number)]
+        origin, gain, mean, worst, evaluations, outcome = rows[str(trial.number)]
         assert (origin, gain) == (trial.origin, f"{trial.parameters['gain']:.4g}")
         values = trial.observations("error")
         if trial.parameters["gain"] > 0.6:
             assert (mean, worst, outcome) == ("–", "–", "failed")
         else:
             checked = [
-                recorded.cut.outcome.metrics["error"]
-                for recorded in tuned.cuts
-                if recorded.cut.stage is Stage.CHECK_DRAWN and recorded.cut.trial == trial.number
+                recorded.evaluation.outcome.metrics["error"]
+                for recorded in tuned.evaluations
+                if recorded.evaluation.stage is Stage.CHECK_DRAWN
+                and recorded.evaluation.trial == trial.number
             ]
             every = [*values, *checked]
             assert mean == f"{math.fsum(every) / len(every):.4g}"
-            assert int(cuts) >= len(trial.cuts)
+            assert int(evaluations) >= len(trial.evaluations)
 
 
 def test_failures_are_listed_with_what_repeats_them(page, tuned):
-    (rows,) = [rows for name, rows in page.tables.items() if name.startswith("Cuts that failed")]
-    failed = [r.cut for r in tuned.cuts if r.cut.outcome.state is not CutState.COMPLETE]
+    (rows,) = [
+        rows for name, rows in page.tables.items() if name.startswith("Evaluations that failed")
+    ]
+    failed = [
+        r.evaluation
+        for r in tuned.evaluations
+        if r.evaluation.outcome.state is not EvaluationState.COMPLETE
+    ]
     assert failed
-    assert [row[0] for row in rows[1:]] == [str(cut.trial) for cut in failed]
-    for row, cut in zip(rows[1:], failed, strict=True):
-        assert row[3] == cut.outcome.reason
-        assert row[5] == f"load {cut.context['load']:.4g}"
-        assert row[6] == str(cut.seed)
+    assert [row[0] for row in rows[1:]] == [str(evaluation.trial) for evaluation in failed]
+    for row, evaluation in zip(rows[1:], failed, strict=True):
+        assert row[3] == evaluation.outcome.reason
+        assert row[5] == f"load {evaluation.context['load']:.4g}"
+        assert row[6] == str(evaluation.seed)
 
 
 def test_the_page_needs_nothing_else(page):
@@ -175,15 +182,17 @@ def test_a_run_in_progress_has_a_report(tuned, tmp_path):
         tuned,
         summary=None,
         trials=tuned.trials[:4],
-        cuts=tuple(recorded for recorded in tuned.cuts if recorded.cut.trial < 4),
+        evaluations=tuple(
+            recorded for recorded in tuned.evaluations if recorded.evaluation.trial < 4
+        ),
     )
     page = page_of(going_on, tmp_path)
-    assert "Default and best parametrization so far" in page.tables
+    assert "Default and best parameter set so far" in page.tables
     assert "4 trials" in page.tables
 
 
 def test_a_run_without_any_trial_has_a_report(tuned, tmp_path):
-    page = page_of(dataclasses.replace(tuned, summary=None, trials=(), cuts=()), tmp_path)
+    page = page_of(dataclasses.replace(tuned, summary=None, trials=(), evaluations=()), tmp_path)
     assert "0 trials" in page.tables
 
 
@@ -194,7 +203,7 @@ def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
     page = page_of(run, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "No result: no trial is complete" in text
-    assert len(page.tables["Cuts that failed, in the order in which they ran"]) == 1 + 7
+    assert len(page.tables["Evaluations that failed, in the order in which they ran"]) == 1 + 7
 
 
 def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
@@ -236,9 +245,11 @@ def test_other_studies_have_a_report(axis_run, tmp_path, changes):
 
 
 def test_damage_is_told(tuned, tmp_path):
-    write_report(dataclasses.replace(tuned, damage="cut 7 is <damaged>"), tmp_path / "a.html")
+    write_report(
+        dataclasses.replace(tuned, damage="evaluation 7 is <damaged>"), tmp_path / "a.html"
+    )
     text = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "The record is damaged: cut 7 is &lt;damaged&gt;" in text
+    assert "The record is damaged: evaluation 7 is &lt;damaged&gt;" in text
 
 
 def test_a_report_replaces_the_one_before(tuned, tmp_path):

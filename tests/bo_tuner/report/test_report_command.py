@@ -2,7 +2,7 @@
 
 import pytest
 
-from bo_tuner.commands import report as report_command
+from bo_tuner.cli import report as report_command
 from bo_tuner.interruption import Interruption
 
 

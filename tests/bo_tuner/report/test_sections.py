@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
-from bo_tuner.methods import METHODS
-from bo_tuner.recommendation import rank
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import rank
 from bo_tuner.report.analysis import Analysis, Outcome
-from bo_tuner.report.contexts import contexts
-from bo_tuner.report.contours import contours
-from bo_tuner.report.convergence import convergence
-from bo_tuner.report.drift import drift
 from bo_tuner.report.grid import parameter_grid, permitted
-from bo_tuner.report.landscape import landscape
-from bo_tuner.report.neighbours import neighbours
-from bo_tuner.report.slices import slices
-from bo_tuner.report.timing import timing
-from bo_tuner.study_file import study_from_mapping
+from bo_tuner.report.sections.contexts import contexts
+from bo_tuner.report.sections.contours import contours
+from bo_tuner.report.sections.convergence import convergence
+from bo_tuner.report.sections.drift import drift
+from bo_tuner.report.sections.landscape import landscape
+from bo_tuner.report.sections.neighbours import neighbours
+from bo_tuner.report.sections.slices import slices
+from bo_tuner.report.sections.timing import timing
+from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Stage
 
 
@@ -30,7 +30,7 @@ def named(panel, name, kind):
 
 def test_the_incumbent_is_the_one_that_rank_names(analysis):
     figure, _ = convergence(analysis).figures
-    over_trials, over_cuts = figure.panels
+    over_trials, over_evaluations = figure.panels
     line = named(over_trials, "incumbent", Line)
     trials = analysis.record.trials
     expected = {}
@@ -41,9 +41,9 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
             expected[n - 1.0] = first.objective if first.believed_feasible else math.nan
     np.testing.assert_array_equal(line.x, list(expected))
     np.testing.assert_array_equal(line.y, list(expected.values()))
-    cuts = np.cumsum([len(trial.cuts) for trial in trials])
+    evaluations = np.cumsum([len(trial.evaluations) for trial in trials])
     np.testing.assert_array_equal(
-        named(over_cuts, "incumbent", Line).x, [cuts[int(k)] for k in expected]
+        named(over_evaluations, "incumbent", Line).x, [evaluations[int(k)] for k in expected]
     )
 
 
@@ -87,7 +87,7 @@ def test_the_slice_is_the_surrogate(analysis):
     tuned = named(objective, "tuned", Limit)
     assert tuned.value == analysis.answer.parameters["gain"]
     assert named(objective, "default", Limit).value == 0.5
-    # A worst case has no margin for the noise of single cuts.
+    # A worst case has no margin for the noise of single evaluations.
     assert named(peak, "limit", Limit).value == 1.0
 
 
@@ -141,14 +141,16 @@ def test_contours_show_what_the_models_say(axis_run):
     assert "contours" in [figure.name for figure in landscape(analysis).figures]
 
 
-def test_the_map_has_every_cut_of_both(analysis):
+def test_the_map_has_every_evaluation_of_both(analysis):
     (figure,) = contexts(analysis).figures
     default, tuned = figure.panels
     best = analysis.answer.parameters["gain"]
     for panel, gain in ((default, 0.5), (tuned, best)):
-        cuts = [r.cut for r in analysis.record.cuts if r.parameters["gain"] == gain]
+        evaluations = [
+            r.evaluation for r in analysis.record.evaluations if r.parameters["gain"] == gain
+        ]
         points = named(panel, "cut", Points)
-        assert sorted(points.x) == sorted(cut.context["load"] for cut in cuts)
+        assert sorted(points.x) == sorted(evaluation.context["load"] for evaluation in evaluations)
         np.testing.assert_allclose(points.y, 2.0 * gain * np.array(points.x))
         assert named(panel, "limit", Limit).value == 1.0
 
@@ -171,14 +173,16 @@ def test_times_add_up(analysis):
         replace(
             trial,
             seconds=2.0,
-            cuts=tuple(replace(cut, seconds=0.5) for cut in trial.cuts),
+            evaluations=tuple(replace(evaluation, seconds=0.5) for evaluation in trial.evaluations),
         )
         for trial in analysis.record.trials
     )
     section = timing(Analysis(replace(analysis.record, trials=trials)))
-    n, cuts = len(trials), sum(len(trial.cuts) for trial in trials)
-    share = 100.0 * 2.0 * n / (2.0 * n + 0.5 * cuts)
-    assert f"took {0.5 * cuts:.4g} s, proposals {2.0 * n:.4g} s ({share:.0f} %" in section.lead
+    n, evaluations = len(trials), sum(len(trial.evaluations) for trial in trials)
+    share = 100.0 * 2.0 * n / (2.0 * n + 0.5 * evaluations)
+    assert (
+        f"took {0.5 * evaluations:.4g} s, proposals {2.0 * n:.4g} s ({share:.0f} %" in section.lead
+    )
 
 
 def test_a_record_without_times_is_told():
@@ -188,7 +192,7 @@ def test_a_record_without_times_is_told():
             self.record = record
 
     class Record:
-        cuts = ()
+        evaluations = ()
 
     from bo_tuner.trials import Trial, TrialState
 
@@ -199,10 +203,10 @@ def test_a_record_without_times_is_told():
 
 def test_paired_differences_are_of_equal_draws(analysis):
     seen = {0: {}, 1: {}}
-    for recorded in analysis.record.cuts:
-        cut = recorded.cut
-        if cut.stage is Stage.VALIDATION:
-            seen[cut.trial][cut.index] = cut.outcome.metrics["error"]
+    for recorded in analysis.record.evaluations:
+        evaluation = recorded.evaluation
+        if evaluation.stage is Stage.VALIDATION:
+            seen[evaluation.trial][evaluation.index] = evaluation.outcome.metrics["error"]
     differences = np.array([seen[1][k] - seen[0][k] for k in sorted(seen[0])])
     mean, error = analysis.paired_difference()
     assert mean == pytest.approx(differences.mean())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.trajectories import trajectories
+from bo_tuner.report.sections.trajectories import trajectories
 
 
 @pytest.fixture

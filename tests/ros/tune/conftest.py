@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from bo_tuner.run.journal_reader import read_journal
+from bo_tuner.storage.journal_reader import read_journal
 
 DEADLINE = 60.0
 MARK = "TUNE_TEST_MARK"
@@ -132,7 +132,7 @@ def drive_study(**changes):
             "trials": 4,
             "initial_trials": 4,
             "drawn_contexts": 2,
-            "search_cuts": 0,
+            "search_evaluations": 0,
             "validation_draws": 2,
         },
     }

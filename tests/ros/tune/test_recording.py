@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import custom_data
-from bo_tuner.study_file import load_study, study_to_mapping
+from bo_tuner.study.study_file import load_study, study_to_mapping
 from bo_tuner.trials import TrialState
 from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
@@ -37,7 +37,7 @@ def small_study(trials, **plant_parameters):
             trials=trials,
             initial_trials=trials,
             drawn_contexts=2,
-            search_cuts=2,
+            search_evaluations=2,
             validation_draws=2,
         )
     )

@@ -153,7 +153,7 @@ class TestEnd:
         os.killpg(command.popen.pid, signal.SIGINT)
         assert command.finish() == 130
         assert len(command.trials()) == (cut - 1) // 2
-        assert (command.run_folder / "cuts.csv").read_text().count("\n") == cut
+        assert (command.run_folder / "evaluations.csv").read_text().count("\n") == cut
 
     def test_at_the_start(self, tune):
         command = tune()

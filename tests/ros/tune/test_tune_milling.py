@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.methods import METHODS
-from bo_tuner.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState, TrialState
-from bo_tuner.tuning import Tuning
+from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
 
@@ -32,7 +32,7 @@ def small_study(trials, **plant_parameters):
             trials=trials,
             initial_trials=trials,
             drawn_contexts=2,
-            search_cuts=2,
+            search_evaluations=2,
             validation_draws=2,
         )
     )
@@ -61,7 +61,7 @@ class TestRun:
         command, _ = finished
         trials = command.trials()
         assert [trial.state for trial in trials] == [TrialState.COMPLETE] * 3
-        with (command.run_folder / "cuts.csv").open(newline="") as file:
+        with (command.run_folder / "evaluations.csv").open(newline="") as file:
             cuts = list(csv.DictReader(file))
         in_trials = sum(len(trial.cuts) for trial in trials)
         validated = [cut for cut in cuts if cut["stage"] == "validation"]

@@ -2,9 +2,11 @@
 
 import sys
 
-from bo_tuner.executables import COMMANDS, run
+from bo_tuner.cli import executables
+
+COMMANDS = ("tune", "report", "validate", "replay", "apply")
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
         sys.exit(f"error: expected one of {', '.join(COMMANDS)} (python -m bo_tuner tune --help)")
-    run(sys.argv[1], sys.argv[2:])
+    executables.run(f"bo_tuner.cli.{sys.argv[1]}", sys.argv[2:])

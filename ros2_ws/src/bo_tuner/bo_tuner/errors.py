@@ -13,7 +13,7 @@ class PackageFilesError(BoTunerError, FileNotFoundError):
 
 
 class ParameterError(BoTunerError, ValueError):
-    """A parametrization or a context that does not belong to its space."""
+    """A parameter set or a context that does not belong to its space."""
 
 
 class StudyError(BoTunerError, ValueError):

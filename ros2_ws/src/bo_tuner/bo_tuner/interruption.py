@@ -51,7 +51,7 @@ class Interruption:
 
 
 class Pause:
-    """Makes a run wait between two cuts while it is asked to; asked from any thread."""
+    """Makes a run wait between two evaluations while it is asked to; asked from any thread."""
 
     def __init__(self) -> None:
         self._go_on = threading.Event()

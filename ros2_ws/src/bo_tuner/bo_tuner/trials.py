@@ -1,4 +1,4 @@
-"""The record of a run: cuts, and the trials that they make up."""
+"""The record of a run: evaluations, and the trials that they make up."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ Value = int | float
 
 
 class Stage(StrEnum):
-    """What a cut was run for."""
+    """What an evaluation was run for."""
 
     NOMINAL = "nominal"
     DRAWN = "drawn"
@@ -25,8 +25,8 @@ ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 """Stages whose contexts follow the distribution that the objective is an expectation over."""
 
 
-class CutState(StrEnum):
-    """How a cut ended: whole, failed in itself, or lost with a node."""
+class EvaluationState(StrEnum):
+    """How an evaluation ended: whole, failed in itself, or lost with a node."""
 
     COMPLETE = "complete"
     FAILED = "failed"
@@ -41,45 +41,45 @@ class TrialState(StrEnum):
 
 
 @dataclass(frozen=True)
-class CutOutcome:
-    """What a backend reports of one cut.
+class Outcome:
+    """What a backend reports of one evaluation.
 
     Attributes
     ----------
     state
-        A cut whose metrics are not all finite is not complete.
+        An evaluation whose metrics are not all finite is not complete.
     metrics
         The study's metrics by name, each in its unit; empty unless complete.
     reason
-        Why the cut is not complete.
+        Why the evaluation is not complete.
     details
-        All else that the nodes said of the cut, as text.
+        All else that the nodes said of the evaluation, as text.
     """
 
-    state: CutState
+    state: EvaluationState
     metrics: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Cut:
+class Evaluation:
     """One closed-loop run of a trial.
 
     Attributes
     ----------
     trial, index
-        Number of the trial, and of the cut within it, both from 0.
+        Number of the trial, and of the evaluation within it, both from 0.
     stage
-        What the cut was run for.
+        What the evaluation was run for.
     context
         Value of each context variable.
     seed
         Seed of the noise.
     outcome
-        What came of it; of a cut that is only planned, that it was not run.
+        What came of it; of an evaluation that is only planned, that it was not run.
     seconds
-        How long it took [s]; no part of what makes two cuts equal.
+        How long it took [s]; no part of what makes two evaluations equal.
     """
 
     trial: int
@@ -87,7 +87,7 @@ class Cut:
     stage: Stage
     context: Mapping[str, float]
     seed: int
-    outcome: CutOutcome = CutOutcome(CutState.FAILED, reason="not run")
+    outcome: Outcome = Outcome(EvaluationState.FAILED, reason="not run")
     seconds: float = field(default=0.0, compare=False)
 
 
@@ -116,7 +116,7 @@ class WorstCase:
 
 @dataclass(frozen=True)
 class Trial:
-    """One parametrization and all that was found out about it.
+    """One parameter set and all that was found out about it.
 
     Attributes
     ----------
@@ -128,8 +128,8 @@ class Trial:
         What proposed it, such as ``initial`` or ``acquisition``.
     state, reason
         Outcome, and why the trial failed.
-    cuts
-        All its cuts.
+    evaluations
+        All its evaluations.
     worst_case
         Worst case of the constrained metric, if the study has such a constraint.
     warnings
@@ -146,16 +146,17 @@ class Trial:
     origin: str
     state: TrialState
     reason: str = ""
-    cuts: tuple[Cut, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
     worst_case: WorstCase | None = None
     warnings: tuple[str, ...] = ()
     hyperparameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     seconds: float = field(default=0.0, compare=False)
 
     def observations(self, metric: str) -> list[float]:
-        """Values of `metric` in the cuts that estimate its distribution, not in the search."""
+        """Values of `metric` in the evaluations that estimate its distribution."""
         return [
-            cut.outcome.metrics[metric]
-            for cut in self.cuts
-            if cut.stage in ESTIMATING and cut.outcome.state is CutState.COMPLETE
+            evaluation.outcome.metrics[metric]
+            for evaluation in self.evaluations
+            if evaluation.stage in ESTIMATING
+            and evaluation.outcome.state is EvaluationState.COMPLETE
         ]

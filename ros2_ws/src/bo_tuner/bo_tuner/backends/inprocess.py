@@ -1,19 +1,19 @@
-"""Cuts on plain objects in this process, without ROS.
+"""Evaluations on plain objects in this process, without ROS.
 
 The study names a class for each node. An object takes ``set_parameters(values)``, refusing by
-ValueError; the trigger's object runs a cut by ``run_cut(*others)``, the others being the objects
-of the remaining nodes in the study's order, and returns what its node would publish; the others
-give theirs by ``cut_result()``.
+ValueError; the trigger's object runs an evaluation by ``run_cut(*others)``, the others being the
+objects of the remaining nodes in the study's order, and returns what its node would publish; the
+others give theirs by ``cut_result()``.
 """
 
 import importlib
 from typing import Any
 
-from bo_tuner.backends import Assignments
-from bo_tuner.backends.collect import STATUS_OK, outcome
+from bo_tuner.backends.protocol import Assignments
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study import Study
-from bo_tuner.trials import CutOutcome, CutState
+from bo_tuner.metrics.collect import STATUS_OK, outcome
+from bo_tuner.study.study import Study
+from bo_tuner.trials import EvaluationState, Outcome
 
 
 class InProcessBackend:
@@ -61,17 +61,19 @@ class InProcessBackend:
                 problem = str(error) if isinstance(error, ValueError) else repr(error)
                 raise StudyError(problem, ("nodes", key, "parameters")) from error
 
-    def run_cut(self, assignments: Assignments) -> CutOutcome:
-        """Set parameters, run one cut, and collect its metrics."""
+    def run_cut(self, assignments: Assignments) -> Outcome:
+        """Set parameters, run one evaluation, and collect its metrics."""
         if not self._objects:
             raise BackendError("the backend is not open")
-        # Foreign code: whatever it raises is a failed cut with its reason, never a lost run.
+        # Foreign code: whatever it raises is a failed evaluation with its reason, never a lost run.
         for key, values in assignments.items():
             try:
                 self._objects[key].set_parameters(values)
             except Exception as error:
                 reason = str(error) if isinstance(error, ValueError) else repr(error)
-                return CutOutcome(CutState.FAILED, {}, f"{key} refused its parameters: {reason}")
+                return Outcome(
+                    EvaluationState.FAILED, {}, f"{key} refused its parameters: {reason}"
+                )
         trigger = self._study.trigger.node
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
@@ -80,7 +82,7 @@ class InProcessBackend:
                 said |= {key: other.cut_result() for key, other in others.items()}
             return outcome(self._study, said)
         except Exception as error:
-            return CutOutcome(CutState.FAILED, {}, f"{type(error).__name__}: {error}")
+            return Outcome(EvaluationState.FAILED, {}, f"{type(error).__name__}: {error}")
 
     def close(self) -> None:
         """Forget the objects."""

@@ -1,19 +1,19 @@
-"""Cuts that a run has on record already, given again instead of being run anew."""
+"""Evaluations that a run has on record already, given again instead of being run anew."""
 
 import json
 from collections.abc import Iterable
 
-from bo_tuner.backends import Assignments, Backend
-from bo_tuner.run.journal_reader import RecordedCut
-from bo_tuner.study import Study
-from bo_tuner.trials import Cut, CutOutcome
+from bo_tuner.backends.protocol import Assignments, Backend
+from bo_tuner.storage.journal_reader import RecordedEvaluation
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Outcome
 
 
-class RecordedCuts:
-    """A backend that runs only the cuts which are not on record.
+class RecordedEvaluations:
+    """A backend that runs only the evaluations which are not on record.
 
-    A cut is known again by what is set for it: parametrization, context and seed of the noise. A
-    run that goes on sets the same, so that it takes the way it took before.
+    An evaluation is known again by what is set for it: parameter set, context and seed of the
+    noise. A run that goes on sets the same, so that it takes the way it took before.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class RecordedCuts:
         Runs the others.
     study
         The study.
-    cuts
+    evaluations
         The record, in its order; each is given once.
 
     Attributes
@@ -29,26 +29,30 @@ class RecordedCuts:
     backend
         The backend that runs the others.
     given
-        The recorded cut behind the last outcome; None if that was run.
+        The recorded evaluation behind the last outcome; None if that was run.
     """
 
-    def __init__(self, backend: Backend, study: Study, cuts: Iterable[RecordedCut]) -> None:
+    def __init__(
+        self, backend: Backend, study: Study, evaluations: Iterable[RecordedEvaluation]
+    ) -> None:
         self.name = backend.name
-        self.given: Cut | None = None
+        self.given: Evaluation | None = None
         self.backend = backend
-        self._cuts: dict[str, list[Cut]] = {}
-        for recorded in cuts:
-            cut = recorded.cut
-            assignments = study.assignments(recorded.parameters, cut.context, cut.seed)
-            self._cuts.setdefault(_key(assignments), []).append(cut)
+        self._evaluations: dict[str, list[Evaluation]] = {}
+        for recorded in evaluations:
+            evaluation = recorded.evaluation
+            assignments = study.assignments(
+                recorded.parameters, evaluation.context, evaluation.seed
+            )
+            self._evaluations.setdefault(_key(assignments), []).append(evaluation)
 
     def open(self) -> None:
-        """Get ready to run cuts."""
+        """Get ready to run evaluations."""
         self.backend.open()
 
-    def run_cut(self, assignments: Assignments) -> CutOutcome:
-        """Give a cut from the record, or run it."""
-        found = self._cuts.get(_key(assignments))
+    def run_cut(self, assignments: Assignments) -> Outcome:
+        """Give an evaluation from the record, or run it."""
+        found = self._evaluations.get(_key(assignments))
         self.given = found.pop(0) if found else None
         return self.backend.run_cut(assignments) if self.given is None else self.given.outcome
 

@@ -1,19 +1,19 @@
-"""The cuts of a certificate: fresh draws for all alike, then the worst contexts of each."""
+"""The evaluations of a certificate: fresh draws for all alike, then the worst contexts of each."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bo_tuner.backends import Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.evidence import Evidence
-from bo_tuner.certificate.worst_case_search import CANDIDATES, find_worst_contexts, most_cuts
+from bo_tuner.certificate.worst_case_search import CANDIDATES, find_worst_contexts, most_evaluations
 from bo_tuner.errors import RunError
-from bo_tuner.seeds import Stream, generator, noise_seed
-from bo_tuner.study import Study
-from bo_tuner.trials import Cut, CutState, Stage, Value
-from bo_tuner.tuning import LOST_IN_A_ROW, CutObserver, run_cut
+from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
+from bo_tuner.tuning.loop import LOST_IN_A_ROW, EvaluationObserver, run_cut
 
 REPEATS = 20
-"""Cuts with fresh noise in each context that may be the worst."""
+"""Evaluations with fresh noise in each context that may be the worst."""
 
 DRAWN, SEARCHED, REPEATED = 0, 1, 2
 """What noise is for, in its seed."""
@@ -21,14 +21,14 @@ DRAWN, SEARCHED, REPEATED = 0, 1, 2
 
 @dataclass(frozen=True)
 class Subject:
-    """A parametrization to be looked at.
+    """A parameter set to be looked at.
 
     Attributes
     ----------
     name
         What it is called in the progress.
     parameters
-        The parametrization.
+        The parameter set.
     suspected
         Contexts that are taken for its worst ones.
     """
@@ -46,9 +46,9 @@ class Certification:
     study
         The study.
     backend
-        Runs the cuts; open.
+        Runs the evaluations; open.
     observe
-        Called after each cut.
+        Called after each evaluation.
     begin
         Called with the name and the number of steps of each phase, for progress.
     advance
@@ -60,7 +60,7 @@ class Certification:
         study: Study,
         backend: Backend,
         *,
-        observe: CutObserver = lambda cut, parameters: None,
+        observe: EvaluationObserver = lambda evaluation, parameters: None,
         begin: Callable[[str, int], None] = lambda phase, steps: None,
         advance: Callable[[], None] = lambda: None,
     ) -> None:
@@ -80,7 +80,7 @@ class Certification:
         Raises
         ------
         RunError
-            If three cuts in a row were lost with their nodes.
+            If three evaluations in a row were lost with their nodes.
         """
         drawn = self._draw(subjects, draws)
         return [
@@ -88,48 +88,48 @@ class Certification:
             for number, subject in enumerate(subjects)
         ]
 
-    def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Cut]]:
+    def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
         self._begin("draws", draws)
         rows = self._contexts.draw(draws, generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS))
-        cuts: list[list[Cut]] = [[] for _ in subjects]
+        evaluations: list[list[Evaluation]] = [[] for _ in subjects]
         for k, row in enumerate(rows):
             seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, DRAWN, k)
             context = self._contexts.to_dict(row)
             for number, subject in enumerate(subjects):
-                planned = Cut(number, k, Stage.VALIDATION, context, seed)
-                cuts[number].append(self._run(subject, planned))
+                planned = Evaluation(number, k, Stage.VALIDATION, context, seed)
+                evaluations[number].append(self._run(subject, planned))
             self._advance()
-        return cuts
+        return evaluations
 
-    def _look_closely(self, number: int, subject: Subject, drawn: Sequence[Cut]) -> Evidence:
+    def _look_closely(self, number: int, subject: Subject, drawn: Sequence[Evaluation]) -> Evidence:
         constraint = self._study.worst_case_constraint
         if constraint is None:
             return Evidence(subject.parameters, tuple(drawn))
-        search: list[Cut] = []
+        search: list[Evaluation] = []
 
-        def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Cut:
+        def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
             # The same for all subjects, as far as they are cut in the same contexts.
             seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, *key)
-            cut = self._run(subject, Cut(number, index, stage, context, seed))
+            evaluation = self._run(subject, Evaluation(number, index, stage, context, seed))
             self._advance()
-            return cut
+            return evaluation
 
         def evaluate(context: Mapping[str, float]) -> float | None:
-            cut = run(Stage.SEARCH, context, len(search), SEARCHED, len(search))
-            search.append(cut)
-            return cut.outcome.metrics.get(constraint.metric)
+            evaluation = run(Stage.SEARCH, context, len(search), SEARCHED, len(search))
+            search.append(evaluation)
+            return evaluation.outcome.metrics.get(constraint.metric)
 
         self._begin(
             f"worst case of {subject.name}",
-            most_cuts(self._contexts, len(subject.suspected)) + CANDIDATES * REPEATS,
+            most_evaluations(self._contexts, len(subject.suspected)) + CANDIDATES * REPEATS,
         )
         candidates = find_worst_contexts(
             self._contexts,
             evaluate,
             [
-                (cut.context, cut.outcome.metrics[constraint.metric])
-                for cut in drawn
-                if cut.outcome.state is CutState.COMPLETE
+                (evaluation.context, evaluation.outcome.metrics[constraint.metric])
+                for evaluation in drawn
+                if evaluation.outcome.state is EvaluationState.COMPLETE
             ],
             subject.suspected,
             generator(self._study.seed, Stream.CERTIFICATE_SEARCH, number),
@@ -140,12 +140,13 @@ class Certification:
         ]
         return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
 
-    def _run(self, subject: Subject, planned: Cut) -> Cut:
-        cut = run_cut(self._study, self._backend, subject.parameters, planned)
-        self._observe(cut, subject.parameters)
-        self._lost = self._lost + 1 if cut.outcome.state is CutState.LOST else 0
+    def _run(self, subject: Subject, planned: Evaluation) -> Evaluation:
+        evaluation = run_cut(self._study, self._backend, subject.parameters, planned)
+        self._observe(evaluation, subject.parameters)
+        self._lost = self._lost + 1 if evaluation.outcome.state is EvaluationState.LOST else 0
         if self._lost >= LOST_IN_A_ROW:
             raise RunError(
-                f"{self._lost} cuts in a row were lost with their nodes: {cut.outcome.reason}"
+                f"{self._lost} runs in a row were lost with their nodes: "
+                f"{evaluation.outcome.reason}"
             )
-        return cut
+        return evaluation

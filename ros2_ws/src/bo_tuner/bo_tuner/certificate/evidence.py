@@ -1,10 +1,10 @@
-"""What a certificate is made of: the cuts, and what they show of each limit."""
+"""What a certificate is made of: the evaluations, and what they show of each limit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bo_tuner.certificate.risk import Mean
-from bo_tuner.trials import Cut, Value
+from bo_tuner.trials import Evaluation, Value
 
 TAIL = 0.95
 """Level of the conditional value at risk: it is the mean of the worst twentieth of the draws."""
@@ -12,34 +12,38 @@ TAIL = 0.95
 
 @dataclass(frozen=True)
 class Evidence:
-    """The cuts of one parametrization.
+    """The evaluations of one parameter set.
 
     Attributes
     ----------
     parameters
-        The parametrization.
+        The parameter set.
     drawn
         In independent draws of context and noise.
     search
         Of the search of the worst context.
     repeated
-        For each context that the search found, cuts with fresh noise in it.
+        For each context that the search found, evaluations with fresh noise in it.
     """
 
     parameters: Mapping[str, Value]
-    drawn: tuple[Cut, ...]
-    search: tuple[Cut, ...] = ()
-    repeated: tuple[tuple[Cut, ...], ...] = ()
+    drawn: tuple[Evaluation, ...]
+    search: tuple[Evaluation, ...] = ()
+    repeated: tuple[tuple[Evaluation, ...], ...] = ()
 
     @property
-    def cuts(self) -> tuple[Cut, ...]:
+    def evaluations(self) -> tuple[Evaluation, ...]:
         """All of them."""
-        return (*self.drawn, *self.search, *(cut for cuts in self.repeated for cut in cuts))
+        return (
+            *self.drawn,
+            *self.search,
+            *(evaluation for evaluations in self.repeated for evaluation in evaluations),
+        )
 
 
 @dataclass(frozen=True)
 class WorstContext:
-    """Cuts with fresh noise in a context that may be the worst.
+    """Evaluations with fresh noise in a context that may be the worst.
 
     Attributes
     ----------
@@ -49,14 +53,14 @@ class WorstContext:
         Of the metric over noise.
     largest
         Largest single value.
-    cuts, above, failures
-        Number of whole cuts, of those above the limit, and of failed ones.
+    evaluations, above, failures
+        Number of whole evaluations, of those above the limit, and of failed ones.
     """
 
     context: Mapping[str, float]
     mean: Mean
     largest: float
-    cuts: int
+    evaluations: int
     above: int
     failures: int
 
@@ -104,18 +108,18 @@ class ConstraintVerdict:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the cuts of a parametrization show.
+    """What the evaluations of a parameter set show.
 
     Attributes
     ----------
     parameters
-        The parametrization.
+        The parameter set.
     objective
         Mean of the objective's metric over the draws.
     tail
         Its conditional value at risk: the mean over the draws that are worst for the objective.
-    cuts, failures
-        Number of all cuts, and of those that failed, draws or not.
+    evaluations, failures
+        Number of all evaluations, and of those that failed, draws or not.
     first_failure
         Why the first of them failed, and in which context.
     constraints
@@ -125,19 +129,21 @@ class Findings:
     parameters: Mapping[str, Value]
     objective: Mean
     tail: float
-    cuts: int
+    evaluations: int
     failures: int
     first_failure: str
     constraints: tuple[ConstraintVerdict, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether every constraint is shown to hold and no cut failed."""
+        """Whether every constraint is shown to hold and no evaluation failed."""
         return self.failures == 0 and all(c.passed for c in self.constraints)
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why this does not pass; empty if it does."""
-        failed = (f"{self.failures} of {self.cuts} cuts failed, first: {self.first_failure}",)
+        failed = (
+            f"{self.failures} of {self.evaluations} runs failed, first: {self.first_failure}",
+        )
         of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
         return (failed if self.failures else ()) + of_constraints

@@ -1,4 +1,4 @@
-"""Whether an optimum is a calm place: what the surrogates say of the parametrizations around it.
+"""Whether an optimum is a calm place: what the surrogates say of the parameter sets around it.
 
 An optimum is narrow if a step to a neighbour is intolerable: it loses more than `TOLERABLE` of the
 objective, or exceeds a limit by more than that part of it. Then a controller that is rounded, tuned
@@ -15,21 +15,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.recommendation import TOLERABLE, intolerable, relative_excess
-from bo_tuner.special import Array
-from bo_tuner.study import Study
-from bo_tuner.surrogates import Surrogates
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A parametrization one step away from the optimum.
+    """A parameter set one step away from the optimum.
 
     Attributes
     ----------
     parameters
-        The parametrization.
+        The parameter set.
     changed
         The tuned parameters that differ, by name, with their values here.
     objective
@@ -99,7 +99,7 @@ class Neighbourhood:
 def look_around(
     study: Study, parameters: Mapping[str, Value], models: Surrogates
 ) -> Neighbourhood | None:
-    """Predict the neighbours of a parametrization.
+    """Predict the neighbours of a parameter set.
 
     Parameters
     ----------

@@ -16,14 +16,14 @@ from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, context_
 from bo_tuner.certificate.verdict import FAIL, PASS, judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.errors import OutputError
-from bo_tuner.methods import METHODS
-from bo_tuner.recommendation import rank
-from bo_tuner.run.folder import without_nan
-from bo_tuner.run.provenance import provenance
-from bo_tuner.run.record import RunRecord
-from bo_tuner.seeds import Stream, generator
-from bo_tuner.study import Study
-from bo_tuner.surrogates import Surrogates
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import rank
+from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_folder import without_nan
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Stage, Trial, Value
 
 CERTIFICATE = "certificate.json"
@@ -34,20 +34,20 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was found out about a parametrization, and how.
+    """What was found out about a parameter set, and how.
 
     Attributes
     ----------
     study
         The study.
     trial
-        Number of the trial whose parametrization this is of.
+        Number of the trial whose parameter set this is of.
     best_sha256
         Digest of the ``best.yaml`` that holds it; None if it is another trial's.
     draws, confidence
         As asked for.
     tuned, default
-        Findings of the parametrization and of the hand-tuned one.
+        Findings of the parameter set and of the hand-tuned one.
     gaps
         Training against validation.
     context, neighbours
@@ -70,7 +70,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether the tuned parametrization passes; the default is there for comparison."""
+        """Whether the tuned parameter set passes; the default is there for comparison."""
         return self.tuned.passed
 
     @property
@@ -79,13 +79,13 @@ class Certificate:
         narrow = self.neighbours.warning if self.neighbours is not None else ""
         return (narrow,) if narrow else ()
 
-    def layout(self, cuts_sha256: str) -> dict[str, object]:
+    def layout(self, evaluations_sha256: str) -> dict[str, object]:
         """Lay the certificate out for its file.
 
         Parameters
         ----------
         cuts_sha256
-            Digest of the file with the cuts.
+            Digest of the file with the evaluations.
         """
         return {
             "format": FORMAT,
@@ -98,7 +98,7 @@ class Certificate:
             "parameters": dict(self.tuned.parameters),
             "parameters_sha256": parameters_sha256(self.tuned.parameters),
             "best_yaml_sha256": self.best_sha256,
-            "cuts_sha256": cuts_sha256,
+            "cuts_sha256": evaluations_sha256,
             "draws": self.draws,
             "confidence": self.confidence,
             "tail_level": TAIL,
@@ -136,13 +136,13 @@ def make_certificate(
     record
         The run.
     trial
-        Whose parametrization is judged.
+        Whose parameter set is judged.
     evidence
-        Cuts of the parametrizations `TUNED` and `DEFAULT`.
+        Evaluations of the parameter sets `TUNED` and `DEFAULT`.
     confidence
         Of all bounds.
     backend
-        Where the cuts were run.
+        Where the evaluations were run.
     best_sha256
         As in `Certificate`.
     """
@@ -151,9 +151,15 @@ def make_certificate(
     findings = judge(study, tuned, confidence)
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(record.trials))
     surrogates = Surrogates.fit(study, record.trials, rng=rng, options=models)
-    in_training = [cut.cut for cut in record.cuts if cut.parameters == trial.parameters]
+    in_training = [
+        evaluation.evaluation
+        for evaluation in record.evaluations
+        if evaluation.parameters == trial.parameters
+    ]
     # Draws come last: beyond the most that the model takes they tell the least.
-    fresh = [cut for cut in tuned.cuts if cut.stage is not Stage.VALIDATION]
+    fresh = [
+        evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION
+    ]
     return Certificate(
         study=study,
         trial=trial.number,
@@ -172,7 +178,7 @@ def make_certificate(
 def write_certificate(
     folder: Path, name: str, certificate: Certificate, evidence: Mapping[str, Evidence]
 ) -> Path:
-    """Write the cuts, then the certificate that names their digest; returns the latter's path.
+    """Write the evaluations, then the certificate with their digest; returns the latter's path.
 
     Each file appears as a whole or not at all.
 
@@ -185,7 +191,7 @@ def write_certificate(
     certificate
         The certificate.
     evidence
-        Cuts by the name of their parametrization.
+        Evaluations by the name of their parameter set.
 
     Raises
     ------
@@ -200,7 +206,7 @@ def write_certificate(
 
 
 def parameters_sha256(parameters: Mapping[str, Value]) -> str:
-    """Digest of a parametrization: of its JSON with sorted keys and without spaces."""
+    """Digest of a parameter set: of its JSON with sorted keys and without spaces."""
     text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -219,7 +225,7 @@ def _neighbourhood(neighbours: Neighbourhood | None) -> dict[str, object] | None
 
 
 def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
-    """Lay out all cuts as CSV, a row each."""
+    """Lay out all evaluations as CSV, a row each."""
     text = io.StringIO()
     contexts, metrics = list(study.contexts), list(study.metrics)
     # Names of contexts and metrics may be the same.
@@ -227,12 +233,12 @@ def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["parametrization", "stage", "index", "seed", "state", *columns, "reason"])
     for name, found in evidence.items():
-        for cut in found.cuts:
-            outcome = cut.outcome
+        for evaluation in found.evaluations:
+            outcome = evaluation.outcome
             writer.writerow(
                 [
-                    *(name, cut.stage, cut.index, cut.seed, outcome.state),
-                    *(repr(cut.context[n]) for n in contexts),
+                    *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
+                    *(repr(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
                     outcome.reason,
                 ]

@@ -1,4 +1,4 @@
-"""What a sample of cuts shows of a probability, of a mean, and of the tail.
+"""What a sample of evaluations shows of a probability, of a mean, and of the tail.
 
 References
 ----------
@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import betaincinv
 
-from bo_tuner.special import Array
+from bo_tuner.numerics.arrays import Array
 
 ROUNDING = 1e-12
 """A bound that exceeds a probability by this much only is taken for equal to it."""

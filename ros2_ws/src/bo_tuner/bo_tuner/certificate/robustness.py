@@ -1,11 +1,12 @@
-"""Which context variable hurts a parametrization most, and how far each may drift.
+"""Which context variable hurts a parameter set most, and how far each may drift.
 
-All cuts of the parametrization, whatever they were run for, tell of the constrained metric as a
-function f of the context: its expectation over noise, a Gaussian process with the priors of stage
+All evaluations of the parameter set, whatever they were run for, tell of the constrained metric as
+a function f of the context: its expectation over noise, a Gaussian process with the priors of stage
 two. What is said of f comes from samples of the posterior along lines through the box, on which one
 variable moves from its nominal value to a bound: a quantity is computed for each sample, and its
 quantiles make up a credible band. The hyperparameters are the fitted ones; their uncertainty is not
-in the band. Nothing is said of contexts beyond the study's bounds, for which there are no cuts.
+in the band. Nothing is said of contexts beyond the study's bounds, for which there are no
+evaluations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,14 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from bo_tuner.distributions import Discrete, Distribution
-from bo_tuner.seeds import Stream, generator
-from bo_tuner.special import Array
-from bo_tuner.stage_two import PRIORS, maximise_over_contexts
-from bo_tuner.study import Study
-from bo_tuner.surrogate.gaussian_process import GaussianProcess
-from bo_tuner.surrogate.kernel import jittered_cholesky, latent_covariance
-from bo_tuner.trials import Cut, CutState
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.kernel import jittered_cholesky, latent_covariance
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState
+from bo_tuner.worst_case.search import PRIORS, maximise_over_contexts
 
 CREDIBLE = 0.9
 """Posterior probability of a band, the rest equally above and below."""
@@ -32,7 +33,7 @@ STEPS = 31
 
 FEWEST_CUTS = 5
 MOST_CUTS = 300
-"""Cuts beyond this are left out: the cost grows with their cube."""
+"""Evaluations beyond this are left out: the cost grows with their cube."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +93,14 @@ class VariableTolerance:
 
 @dataclass(frozen=True)
 class ContextTolerance:
-    """How the constrained metric of a parametrization depends on the context.
+    """How the constrained metric of a parameter set depends on the context.
 
     Attributes
     ----------
     metric, unit, limit
         Of the worst-case constraint.
-    cuts
-        How many cuts this comes from.
+    evaluations
+        How many evaluations this comes from.
     nominal
         The mean metric in the nominal context.
     worst, worst_context
@@ -111,35 +112,41 @@ class ContextTolerance:
     metric: str
     unit: str
     limit: float
-    cuts: int
+    evaluations: int
     nominal: Band
     worst: Band
     worst_context: Mapping[str, float]
     variables: tuple[VariableTolerance, ...]
 
 
-def context_tolerance(study: Study, cuts: Sequence[Cut]) -> ContextTolerance | None:
+def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> ContextTolerance | None:
     """Tell which context variable hurts most, and how far each may drift.
 
     Parameters
     ----------
     study
         The study.
-    cuts
-        Of one parametrization, of any stage; of more than `MOST_CUTS` whole ones the first.
+    evaluations
+        Of one parameter set, of any stage; of more than `MOST_CUTS` whole ones the first.
 
     Returns
     -------
     ContextTolerance or None
-        None without a worst-case constraint or contexts, or with too few cuts.
+        None without a worst-case constraint or contexts, or with too few evaluations.
     """
     constraint, space = study.worst_case_constraint, study.context_space()
-    whole = [cut for cut in cuts if cut.outcome.state is CutState.COMPLETE][:MOST_CUTS]
+    whole = [
+        evaluation
+        for evaluation in evaluations
+        if evaluation.outcome.state is EvaluationState.COMPLETE
+    ][:MOST_CUTS]
     if constraint is None or space.dimension == 0 or len(whole) < FEWEST_CUTS:
         return None
     rng = generator(study.seed, Stream.ROBUSTNESS)
-    points = space.to_cube([[cut.context[name] for name in space.names] for cut in whole])
-    values = np.array([cut.outcome.metrics[constraint.metric] for cut in whole])
+    points = space.to_cube(
+        [[evaluation.context[name] for name in space.names] for evaluation in whole]
+    )
+    values = np.array([evaluation.outcome.metrics[constraint.metric] for evaluation in whole])
     model = GaussianProcess.fit(points, values, rng=rng, priors=PRIORS)
     worst_context, _ = maximise_over_contexts(space, model.predict_mean, rng, points)
     nominal = space.nominal()
@@ -156,8 +163,8 @@ def context_tolerance(study: Study, cuts: Sequence[Cut]) -> ContextTolerance | N
         ]
         contexts = np.vstack([worst, *(_line(base, column, steps) for base, steps in lines)])
         sampled = posterior_samples(model, space.to_cube(contexts), SAMPLES, rng)
-        cuts_at = np.cumsum([1, *(len(steps) for _, steps in lines)])
-        at_worst, *along = np.split(sampled, cuts_at[:-1], axis=1)
+        evaluations_at = np.cumsum([1, *(len(steps) for _, steps in lines)])
+        at_worst, *along = np.split(sampled, evaluations_at[:-1], axis=1)
         drifts = [
             _drift(steps, path, constraint.upper, isinstance(distribution, Discrete))
             for (_, steps), path in zip(lines, along, strict=True)
@@ -179,7 +186,7 @@ def context_tolerance(study: Study, cuts: Sequence[Cut]) -> ContextTolerance | N
         metric=constraint.metric,
         unit=study.metrics[constraint.metric].unit,
         limit=constraint.upper,
-        cuts=len(whole),
+        evaluations=len(whole),
         nominal=_band(ends[:, 0]),
         worst=_band(ends[:, 1]),
         worst_context=worst_context,

@@ -11,7 +11,7 @@ from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, V
 
 
 def certificate_table(certificate: Certificate) -> Table:
-    """Lay out the default against the tuned parametrization, limit by limit."""
+    """Lay out the default against the tuned parameter set, limit by limit."""
     study = certificate.study
     both = (certificate.default, certificate.tuned)
     table = Table(
@@ -35,7 +35,7 @@ def certificate_table(certificate: Certificate) -> Table:
         for row in _constraint_rows(default, tuned, certificate.confidence):
             table.add_row(*row)
     table.add_section()
-    table.add_row("failed cuts", "", *[f"{f.failures} of {f.cuts}" for f in both])
+    table.add_row("failed evaluations", "", *[f"{f.failures} of {f.evaluations}" for f in both])
     table.add_row("verdict", "", *[_verdict(f) for f in both])
     return table
 
@@ -76,7 +76,7 @@ def _constraint_rows(
         yield [f"  {100.0 * confidence:g} % bound", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
         for k, name in enumerate(tuned.worst[0].context):
             yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
-        yield ["  single cuts above there", "", *[_above(w) for w in worst]]
+        yield ["  single evaluations above there", "", *[_above(w) for w in worst]]
 
 
 def _context(tolerance: ContextTolerance) -> Iterator[str]:
@@ -110,7 +110,7 @@ def _mean(mean: Mean) -> str:
 
 
 def _above(worst: WorstContext) -> str:
-    return f"{worst.above} of {worst.cuts}"
+    return f"{worst.above} of {worst.evaluations}"
 
 
 def _tail() -> str:

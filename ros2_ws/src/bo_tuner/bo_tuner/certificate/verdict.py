@@ -1,20 +1,21 @@
-"""The certificate of a parametrization: what fresh cuts show of it, and whether that is enough.
+"""The verdict on a parameter set: what fresh evaluations show of it, and whether that is enough.
 
-The burden of proof lies with the parametrization. A limit counts as kept only if the cuts show it
-with the stated confidence 1 - α; too few cuts to show it are a FAIL as well.
+The burden of proof lies with the parameter set. A limit counts as kept only if the evaluations show
+it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
 
 - A chance constraint (Eq. 3d) is shown if the Clopper-Pearson upper bound of the probability that a
   draw violates it is at most 1 - probability.
 - A worst-case constraint (Eq. 3e) is shown if no draw exceeds the limit, as in the validation of
   `tune` (Sec. 5.2), and in every context that a separate search takes for the worst, the upper
   bound of the mean over noise is within the limit. The worst case is an expectation over noise, as
-  in stage two, so a single noisy cut in a corner of the box refutes nothing; a draw, in a context
-  as operation brings it, does. To allow none among n draws is a success-run test: it shows a
-  violation probability below 1 - α^(1/n), and more draws are a harder test. What the tuner aims
-  at leaves room for both: a single cut in the worst context stays within the limit with the
+  in stage two, so a single noisy evaluation in a corner of the box refutes nothing; a draw, in a
+  context as operation brings it, does. To allow none among n draws is a success-run test: it shows
+  a violation probability below 1 - α^(1/n), and more draws are a harder test. What the tuner aims
+  at leaves room for both: a single evaluation in the worst context stays within the limit with the
   constraint's `probability`, 0.85 if not given, so the mean there keeps a standard deviation of
   distance.
-- A failed cut keeps no limit: it counts as a violation of every constraint, and one is a FAIL.
+- A failed evaluation keeps no limit: it counts as a violation of every constraint, and one is a
+FAIL.
 
 PASS needs all of them to be shown. Such a test of a union of hypotheses, each at level α, has level
 α itself, whatever the dependence between them (Berger 1982): whichever limit is in truth not kept,
@@ -39,10 +40,10 @@ from bo_tuner.certificate.risk import (
     most_events,
     probability_bound,
 )
-from bo_tuner.special import Array
-from bo_tuner.study import Constraint, Study
-from bo_tuner.study_parts import MAXIMIZE, WORST_CASE
-from bo_tuner.trials import Cut, CutState
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import MAXIMIZE, WORST_CASE, Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState
 
 PASS, FAIL = "PASS", "FAIL"
 
@@ -60,26 +61,30 @@ def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
 
 
 def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
-    """Judge the cuts of a parametrization.
+    """Judge the evaluations of a parameter set.
 
     Parameters
     ----------
     study
         Says what is judged.
     evidence
-        The cuts; at least one draw.
+        The evaluations; at least one draw.
     confidence
         Of all bounds, between 0 and 1.
     """
     metric = study.objective.metric
     values = _values(evidence.drawn, metric)
     sign = -1.0 if study.objective.direction == MAXIMIZE else 1.0
-    failed = [cut for cut in evidence.cuts if cut.outcome.state is not CutState.COMPLETE]
+    failed = [
+        evaluation
+        for evaluation in evidence.evaluations
+        if evaluation.outcome.state is not EvaluationState.COMPLETE
+    ]
     return Findings(
         parameters=dict(evidence.parameters),
         objective=mean_of(values, confidence),
         tail=sign * conditional_value_at_risk(sign * values, TAIL),
-        cuts=len(evidence.cuts),
+        evaluations=len(evidence.evaluations),
         failures=len(failed),
         first_failure=_failure(failed[0]) if failed else "",
         constraints=tuple(
@@ -99,8 +104,10 @@ def _judge(
     unit = study.metrics[constraint.metric].unit
     worst: tuple[WorstContext, ...] = ()
     if constraint.kind == WORST_CASE:
-        found = [_worst_context(cuts, constraint, confidence) for cuts in evidence.repeated]
-        # A context without a whole cut has no mean; nothing is worse.
+        found = [
+            _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
+        ]
+        # A context without a whole evaluation has no mean; nothing is worse.
         worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(w.mean.value, nan=np.inf)))
         passed, reason = _worst_case(constraint, draws, events, worst, unit)
     else:
@@ -151,7 +158,7 @@ def _worst_case(
     if not worst:
         return False, "no context was looked at closely"
     if failures := sum(w.failures for w in worst):
-        return False, f"{failures} cuts failed in the worst contexts, none may"
+        return False, f"{failures} evaluations failed in the worst contexts, none may"
     # That the mean of another context is larger does not make its bound the larger one.
     top = max(worst, key=lambda w: w.mean.upper)
     passed = top.mean.upper <= constraint.upper
@@ -163,24 +170,30 @@ def _worst_case(
     )
 
 
-def _worst_context(cuts: Sequence[Cut], constraint: Constraint, confidence: float) -> WorstContext:
-    values = _values(cuts, constraint.metric)
+def _worst_context(
+    evaluations: Sequence[Evaluation], constraint: Constraint, confidence: float
+) -> WorstContext:
+    values = _values(evaluations, constraint.metric)
     return WorstContext(
-        context=dict(cuts[0].context),
+        context=dict(evaluations[0].context),
         mean=mean_of(values, confidence),
         largest=float(values.max()) if len(values) else float("nan"),
-        cuts=len(values),
+        evaluations=len(values),
         above=int(np.sum(values > constraint.upper)),
-        failures=len(cuts) - len(values),
+        failures=len(evaluations) - len(values),
     )
 
 
-def _values(cuts: Sequence[Cut], metric: str) -> Array:
+def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
     return np.array(
-        [cut.outcome.metrics[metric] for cut in cuts if cut.outcome.state is CutState.COMPLETE]
+        [
+            evaluation.outcome.metrics[metric]
+            for evaluation in evaluations
+            if evaluation.outcome.state is EvaluationState.COMPLETE
+        ]
     )
 
 
-def _failure(cut: Cut) -> str:
-    context = ", ".join(f"{name} {value:.4g}" for name, value in cut.context.items())
-    return f"{cut.outcome.reason} (context {context or 'none'}; seed {cut.seed})"
+def _failure(evaluation: Evaluation) -> str:
+    context = ", ".join(f"{name} {value:.4g}" for name, value in evaluation.context.items())
+    return f"{evaluation.outcome.reason} (context {context or 'none'}; seed {evaluation.seed})"

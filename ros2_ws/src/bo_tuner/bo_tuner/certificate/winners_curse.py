@@ -1,8 +1,8 @@
-"""What a run believed of its winner against what fresh cuts show (Sec. 5.2).
+"""What a run believed of its winner against what fresh evaluations show (Sec. 5.2).
 
-A search picks winners, so the figures that made a parametrization the winner are too good on
+A search picks winners, so the figures that made a parameter set the winner are too good on
 average (the winner's curse). A gap of several standard errors says that the run's own figures must
-not be quoted; it is no reason for a FAIL, since only the fresh cuts are judged.
+not be quoted; it is no reason for a FAIL, since only the fresh evaluations are judged.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ from math import hypot, nan, sqrt
 import numpy as np
 
 from bo_tuner.certificate.evidence import Findings
-from bo_tuner.recommendation import Candidate
-from bo_tuner.study import Study
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
 
@@ -30,7 +30,7 @@ class Gap:
     predicted
         What the surrogates of all trials, or of the trial's own search, made of it.
     validated, validated_error
-        What the fresh cuts show, and the standard error.
+        What the fresh evaluations show, and the standard error.
     """
 
     name: str
@@ -66,7 +66,7 @@ def training_gaps(
     ranked
         What the surrogates make of the trials; the trial need not be among them.
     findings
-        Of the trial's parametrization.
+        Of the trial's parameter set.
     """
     metric = study.metrics[study.objective.metric]
     seen = np.array(trial.observations(metric.name))

@@ -1,8 +1,9 @@
 """A search of the worst context that shares nothing with stage two but the box it searches.
 
-Stage two spends ten cuts on a parametrization and starts where its neighbours were the worst. What
-it overlooked, a check in its own worst context overlooks as well. Here cuts go to every corner, all
-over the box, and then to the local maxima that a model of all these cuts has from many starts.
+Stage two spends ten evaluations on a parameter set and starts where its neighbours were the worst.
+What it overlooked, a check in its own worst context overlooks as well. Here evaluations go to every
+corner, all over the box, and then to the local maxima that a model of all these evaluations has
+from many starts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,18 +11,18 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.optimize import minimize
 
-from bo_tuner.context_space import ContextSpace
-from bo_tuner.latin_hypercube import latin_hypercube
-from bo_tuner.special import Array
-from bo_tuner.stage_two import DISTINCT, PRIORS, corners
-from bo_tuner.surrogate.gaussian_process import GaussianProcess
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.worst_case.search import DISTINCT, PRIORS, corners
 
 Context = dict[str, float]
 Evaluate = Callable[[Mapping[str, float]], float | None]
-"""Runs a cut in a context; returns the metric, or None if the cut failed."""
+"""Runs an evaluation in a context; returns the metric, or None if the evaluation failed."""
 
 SPREAD_CUTS = 12
-"""Cuts all over the box, by a Latin hypercube."""
+"""Evaluations all over the box, by a Latin hypercube."""
 
 ROUNDS, CUTS_A_ROUND = 4, 5
 """Rounds of local searches, and the most maxima that are cut after each."""
@@ -43,8 +44,8 @@ MOST_MODELLED = 150
 """Drawn contexts beyond this do not join the model, whose cost grows with their cube."""
 
 
-def most_cuts(space: ContextSpace, known: int) -> int:
-    """Return how many cuts `find_worst_contexts` asks for at most, with `known` contexts."""
+def most_evaluations(space: ContextSpace, known: int) -> int:
+    """Return how many evaluations `find_worst_contexts` asks for at most, with `known` contexts."""
     if space.dimension == 0:
         return 0
     return len(corners(space)) + SPREAD_CUTS + known + ROUNDS * CUTS_A_ROUND
@@ -64,7 +65,7 @@ def find_worst_contexts(
     space
         The contexts.
     evaluate
-        Called for each cut.
+        Called for each evaluation.
     drawn
         Contexts that were cut already, with the metric.
     known
@@ -84,13 +85,13 @@ def find_worst_contexts(
     spread = latin_hypercube(SPREAD_CUTS, space.dimension, rng)
     known_points = _points(space, known)
     for point in np.vstack([corners(space), spread, known_points]):
-        tried.cut(point, evaluate)
+        tried.evaluation(point, evaluate)
     for _ in range(ROUNDS):
         model = tried.fit(rng)
         if model is None:
             break
         for point in _local_maxima(space, model, _upper(model), rng)[:CUTS_A_ROUND]:
-            tried.cut(point, evaluate)
+            tried.evaluation(point, evaluate)
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(_points(space, [context])[0], value)
@@ -111,7 +112,7 @@ class _Tried:
         self._points.append(point)
         self._values.append(value)
 
-    def cut(self, point: Array, evaluate: Evaluate) -> None:
+    def evaluation(self, point: Array, evaluate: Evaluate) -> None:
         context = self._space.to_contexts(point[None])
         value = evaluate(self._space.to_dict(context[0]))
         if value is not None:
@@ -130,7 +131,7 @@ class _Tried:
         """Contexts (m, e) to look at closely, in own units."""
         edge = corners(self._space)
         if model is None:
-            # Every cut failed: the corners are as good as any.
+            # Every evaluation failed: the corners are as good as any.
             return self._space.to_contexts(_distinct([*known, *edge])[:CANDIDATES])
         points = np.array(self._points)
         maxima = _local_maxima(self._space, model, model.predict_mean, rng)

@@ -5,16 +5,16 @@ import json
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner import checks
-from bo_tuner.backends.collect import one_line
 from bo_tuner.certificate.record import CERTIFICATE
 from bo_tuner.certificate.verdict import FAIL, PASS
 from bo_tuner.deploy.bundle import same
-from bo_tuner.deploy.parameter_file import NodeValues
 from bo_tuner.errors import BoTunerError
-from bo_tuner.run.record import RunRecord
-from bo_tuner.study import Study
-from bo_tuner.study_file import study_to_yaml
+from bo_tuner.metrics.collect import one_line
+from bo_tuner.storage.parameter_file import NodeValues
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Trial
 
 
@@ -55,7 +55,7 @@ class Nodes(Protocol):
 
 
 def certificate_problem(record: RunRecord, trial: Trial) -> str:
-    """Tell in a line why a parametrization is not certified; an empty text if it is."""
+    """Tell in a line why a parameter set is not certified; an empty text if it is."""
     path = record.path / CERTIFICATE
     try:
         certificate = json.loads(path.read_text(encoding="utf-8"))
@@ -66,7 +66,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
     if not isinstance(certificate, dict):
         return f"{path}: is no certificate; validate makes one"
     if certificate.get("parameters") != dict(trial.parameters):
-        return f"{path}: is of another parametrization; validate makes one of this"
+        return f"{path}: is of another parameter set; validate makes one of this"
     if certificate.get("study_sha256") != study_sha256(record.study):
         return f"{path}: is of another study, as to its limits or nodes; validate makes one of this"
     verdict = certificate.get("verdict")

@@ -13,12 +13,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner import checks
 from bo_tuner.certificate.record import CERTIFICATE
-from bo_tuner.deploy.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.run.record import RunRecord
-from bo_tuner.study import Study
+from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
 DEPLOY = "deploy"

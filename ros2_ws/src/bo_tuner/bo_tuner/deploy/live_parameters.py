@@ -14,10 +14,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 
-from bo_tuner.backends.collect import one_line
-from bo_tuner.backends.isolation import DomainClaim
+from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
+from bo_tuner.metrics.collect import one_line
 
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0

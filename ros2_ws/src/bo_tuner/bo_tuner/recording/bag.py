@@ -1,8 +1,8 @@
 """The bag of one trial: rosbag2 in MCAP storage, metadata version 9 as in ROS 2 Jazzy.
 
-A bag is written to ``<name>.partial`` and renamed when it is whole. Each cut is a chunk of its own
-that is handed to the operating system as soon as it is written, so that a kill costs at most the
-cut at hand; `bo_tuner.recording.recovery` makes a bag of what is left.
+A bag is written to ``<name>.partial`` and renamed when it is whole. Each evaluation is a chunk of
+its own that is handed to the operating system as soon as it is written, so that a kill costs at
+most the evaluation at hand; `bo_tuner.recording.recovery` makes a bag of what is left.
 """
 
 import contextlib
@@ -144,7 +144,7 @@ class TrialBag:
         return not self._connections
 
     def write(self, messages: Iterable[tuple[int, Message]], notes: Mapping[str, str]) -> None:
-        """Append the messages of a cut, and put both them and the notes beyond a kill's reach.
+        """Append the messages of an evaluation, and put them and the notes beyond a kill's reach.
 
         Parameters
         ----------

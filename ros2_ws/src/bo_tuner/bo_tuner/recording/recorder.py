@@ -25,8 +25,8 @@ from bo_tuner.recording.retention import (
     badness,
     verdict,
 )
-from bo_tuner.study import Study
-from bo_tuner.trials import TUNING, Cut, Stage, Trial, TrialState, Value
+from bo_tuner.study.study import Study
+from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState, Value
 
 MEMORY = 64_000_000
 """Most bytes of messages that wait to be written."""
@@ -36,7 +36,7 @@ QUIET, LATEST_QUIET = 0.02, 0.3
 
 @dataclass
 class _Batch:
-    """Messages of a cut, their size, and how many are missing.
+    """Messages of an evaluation, their size, and how many are missing.
 
     Dropped are those for which there was no memory, lost those that the middleware lost.
     """
@@ -77,7 +77,7 @@ class Recorder:
         self._bag: TrialBag | None = None
         self._bag_name = ""
         self._notes: dict[str, str] = {}
-        self._cuts: list[dict[str, object]] = []
+        self._evaluations: list[dict[str, object]] = []
         self._bag_missing = _Batch()
         self._displaced = False
         self._stopped = False
@@ -105,9 +105,9 @@ class Recorder:
         with self._lock:
             self._batch.lost += count
 
-    def cut(self, cut: Cut, parameters: Mapping[str, Value]) -> None:
-        """Tell that what came since the last call belongs to `cut`."""
-        self._submit(self._write, self._take_batch(), cut, dict(parameters))
+    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+        """Tell that what came since the last call belongs to `evaluation`."""
+        self._submit(self._write, self._take_batch(), evaluation, dict(parameters))
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Tell that a trial is complete, and whether no other is better so far."""
@@ -115,7 +115,7 @@ class Recorder:
         self._submit(self._finish, self._take_batch(), trial, best)
 
     def phase_ended(self) -> None:
-        """Tell that no cut of a check, or of the validation, is to come for now."""
+        """Tell that no evaluation of a check, or of the validation, is to come for now."""
         self._wait_for_quiet()
         self._submit(self._finish_evidence, self._take_batch())
 
@@ -185,30 +185,30 @@ class Recorder:
         for partial in partial_bags(self._folder):
             path = recover(partial)
             if path is None:
-                self.warn(f"{partial.name}: cut off before a whole cut; nothing to recover")
+                self.warn(f"{partial.name}: cut off before a whole evaluation; nothing to recover")
             else:
                 self._incomplete.append(path.name)
                 self.warn(f"{path.name}: cut off; recovered as far as it was written")
         self._retention = Retention(self._folder, self._options)
 
-    def _write(self, batch: _Batch, cut: Cut, parameters: dict[str, Value]) -> None:
-        if cut.stage not in TUNING and self._bag_name != bag_name(cut):
+    def _write(self, batch: _Batch, evaluation: Evaluation, parameters: dict[str, Value]) -> None:
+        if evaluation.stage not in TUNING and self._bag_name != bag_name(evaluation):
             self._finish_evidence(_Batch())
         if self._bag is None:
-            self._bag_name = bag_name(cut)
+            self._bag_name = bag_name(evaluation)
             self._bag = TrialBag(_free(self._folder / self._bag_name))
             self._bag_missing = _Batch()
-            self._cuts = []
+            self._evaluations = []
         messages = timed(batch.messages, self._bag.latest)
         stamps = [time for message in batch.messages if (time := stamp(message)) is not None]
-        outcome = cut.outcome
-        self._cuts.append(
+        outcome = evaluation.outcome
+        self._evaluations.append(
             {
-                "index": cut.index,
-                "stage": str(cut.stage),
+                "index": evaluation.index,
+                "stage": str(evaluation.stage),
                 "parameters": parameters,
-                "context": dict(cut.context),
-                "seed": cut.seed,
+                "context": dict(evaluation.context),
+                "seed": evaluation.seed,
                 "state": str(outcome.state),
                 "reason": outcome.reason,
                 "metrics": dict(outcome.metrics),
@@ -219,10 +219,10 @@ class Recorder:
         self._count(batch)
         self._notes = {
             "study": self._study.name,
-            "trial": str(cut.trial),
+            "trial": str(evaluation.trial),
             "state": "interrupted",
             "parameters": json.dumps(parameters),
-            "cuts": json.dumps(self._cuts),
+            "evaluations": json.dumps(self._evaluations),
             "study_seed": str(self._study.seed),
         } | self._missing()
         self._bag.write(messages, self._notes)
@@ -306,11 +306,11 @@ class Recorder:
                 self._retention.keep(path, None, None)
 
 
-def bag_name(cut: Cut) -> str:
-    """Name of the bag that a cut belongs to: a trial, a trial's check, or the validation."""
-    if cut.stage is Stage.VALIDATION:
+def bag_name(evaluation: Evaluation) -> str:
+    """Name the bag that an evaluation belongs to: a trial, its check, or the validation."""
+    if evaluation.stage is Stage.VALIDATION:
         return "validation"
-    return f"{'trial' if cut.stage in TUNING else 'check'}_{cut.trial:04d}"
+    return f"{'trial' if evaluation.stage in TUNING else 'check'}_{evaluation.trial:04d}"
 
 
 def _free(path: Path) -> Path:

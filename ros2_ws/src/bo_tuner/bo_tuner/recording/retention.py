@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from bo_tuner.study import Study
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
 MEGABYTE = 1_000_000

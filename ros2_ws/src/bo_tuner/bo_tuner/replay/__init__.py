@@ -1,1 +1,1 @@
-"""Recorded cuts once more: `replay` runs them and compares, `bag` puts both side by side."""
+"""Recorded evaluations once more, compared and put side by side."""

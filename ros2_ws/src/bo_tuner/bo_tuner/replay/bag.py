@@ -1,4 +1,4 @@
-"""A bag of two cuts side by side, as if both ran at the same time."""
+"""A bag of two evaluations side by side, as if both ran at the same time."""
 
 import json
 import struct
@@ -12,7 +12,7 @@ from bo_tuner.errors import OutputError
 from bo_tuner.recording.bag import NANOSECONDS, Message, Topic, TrialBag, stamp, timed
 
 QUIET, LATEST_QUIET = 0.1, 1.0
-"""The last messages of a cut have come when none has for this long, at the latest then [s]."""
+"""Without a message for this long [s], the last one of an evaluation has come."""
 
 _STAMP = struct.Struct("<iI")
 _ENCODING = 4
@@ -20,7 +20,7 @@ _ENCODING = 4
 
 
 class Inbox:
-    """Takes the messages of one cut at a time, from a listener's thread."""
+    """Takes the messages of one evaluation at a time, from a listener's thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class Inbox:
         self.warnings.append(text)
 
     def collect(self, hand_over: Callable[[], None]) -> list[Message]:
-        """Wait for the last messages of a cut, and return all since the last call.
+        """Wait for the last messages of an evaluation, and return all since the last call.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ def write_side_by_side(
     path
         The bag; an older one of that name is replaced.
     sides
-        Messages of a cut, in the order of their arrival, by name.
+        Messages of an evaluation, in the order of their arrival, by name.
     notes
         Custom data of the bag.
 
@@ -116,7 +116,7 @@ def write_side_by_side(
 
 
 def _start(messages: list[Message]) -> int | None:
-    """Time [ns] at which a cut begins: the first of all stamps."""
+    """Time [ns] at which an evaluation begins: the first of all stamps."""
     return min((t for message in messages if (t := stamp(message)) is not None), default=None)
 
 

@@ -3,18 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bo_tuner import checks
-from bo_tuner.backends import Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
-from bo_tuner.methods import METHODS
-from bo_tuner.recommendation import rank
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import rank
 from bo_tuner.recording.retention import badness
-from bo_tuner.run.journal_reader import RecordedCut
-from bo_tuner.run.record import RunRecord
-from bo_tuner.study import Metric, Study
-from bo_tuner.trials import TUNING, Cut, CutState, Stage, TrialState
-from bo_tuner.tuning import run_cut
+from bo_tuner.storage.journal_reader import RecordedEvaluation
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
+from bo_tuner.study.parts import Metric
+from bo_tuner.study.study import Study
+from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
+from bo_tuner.tuning.loop import run_cut
 
 BEST, WORST = "best", "worst"
 IN_PROCESS = "inprocess"
@@ -22,14 +23,14 @@ IN_PROCESS = "inprocess"
 
 @dataclass(frozen=True)
 class Comparison:
-    """A metric of a cut, on record and run again.
+    """A metric of an evaluation, on record and run again.
 
     Attributes
     ----------
     metric
         The metric.
     recorded, replayed
-        Its values; None for a cut that is not complete.
+        Its values; None for an evaluation that is not complete.
     judged
         Whether they have to be equal.
     """
@@ -54,18 +55,18 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Replay:
-    """A recorded cut and what came of it when it was run again.
+    """A recorded evaluation and what came of it when it was run again.
 
     Attributes
     ----------
     recorded, replayed
-        The cut.
+        The evaluation.
     metrics
         Of both.
     """
 
-    recorded: Cut
-    replayed: Cut
+    recorded: Evaluation
+    replayed: Evaluation
     metrics: tuple[Comparison, ...]
 
     @property
@@ -80,8 +81,8 @@ class Replay:
         return self.same_end and all(row.equal for row in self.metrics if row.judged)
 
 
-def replay(record: RunRecord, recorded: RecordedCut, backend: Backend) -> Replay:
-    """Run a recorded cut again: the same parametrization, context and seed.
+def replay(record: RunRecord, recorded: RecordedEvaluation, backend: Backend) -> Replay:
+    """Run a recorded cut again: the same parameter set, context and seed.
 
     What a clock measures differs from run to run. Such a metric is judged only where nothing is
     measured, which is when both the record and the replay are in process.
@@ -91,11 +92,11 @@ def replay(record: RunRecord, recorded: RecordedCut, backend: Backend) -> Replay
     record
         The run.
     recorded
-        One of its cuts.
+        One of its evaluations.
     backend
-        Runs the cut; open.
+        Runs the evaluation; open.
     """
-    old = recorded.cut
+    old = recorded.evaluation
     new = run_cut(record.study, backend, recorded.parameters, old)
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
@@ -138,7 +139,11 @@ def find_trial(record: RunRecord, which: str) -> int:
         if not complete:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is worst")
         return max(complete, key=lambda trial: badness(record.study, trial)).number
-    numbers = {str(item.cut.trial): item.cut.trial for item in record.cuts if _is_of_trial(item)}
+    numbers = {
+        str(item.evaluation.trial): item.evaluation.trial
+        for item in record.evaluations
+        if _is_of_trial(item)
+    }
     if which not in numbers:
         there = numbers.values()
         trials = f"trials {min(there)} to {max(there)}" if there else "no trials yet"
@@ -149,8 +154,8 @@ def find_trial(record: RunRecord, which: str) -> int:
     return numbers[which]
 
 
-def find_cut(record: RunRecord, trial: int, index: int | None) -> RecordedCut:
-    """Return a cut of a trial, with those that checked it as a candidate.
+def find_evaluation(record: RunRecord, trial: int, index: int | None) -> RecordedEvaluation:
+    """Return an evaluation of a trial, with those that checked it as a candidate.
 
     Parameters
     ----------
@@ -159,27 +164,28 @@ def find_cut(record: RunRecord, trial: int, index: int | None) -> RecordedCut:
     trial
         Number of the trial.
     index
-        Of the cut within the trial; None for its worst one: the one that failed, or else has the
-        largest value of the worst-case metric (in a study without one: the worst objective).
+        Of the evaluation within the trial; None for its worst one: the one that failed, or else has
+        the largest value of the worst-case metric (in a study without one: the worst objective).
 
     Raises
     ------
     RunRecordError
-        If there is no such cut.
+        If there is no such evaluation.
     """
     # A later one of the same place takes the place of one that a kill left behind.
-    cuts = {
-        item.cut.index: item
-        for item in record.cuts
-        if item.cut.trial == trial and _is_of_trial(item)
+    evaluations = {
+        item.evaluation.index: item
+        for item in record.evaluations
+        if item.evaluation.trial == trial and _is_of_trial(item)
     }
     if index is None:
-        return max(cuts.values(), key=lambda item: _badness(record.study, item.cut))
-    if index not in cuts:
+        return max(evaluations.values(), key=lambda item: _badness(record.study, item.evaluation))
+    if index not in evaluations:
         raise RunRecordError(
-            f"{record.path}: trial {trial} has no cut {index}, only {min(cuts)} to {max(cuts)}"
+            f"{record.path}: trial {trial} has no evaluation {index}, only {min(evaluations)} to "
+            f"{max(evaluations)}"
         )
-    return cuts[index]
+    return evaluations[index]
 
 
 def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
@@ -192,13 +198,13 @@ def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _is_of_trial(item: RecordedCut) -> bool:
-    return item.cut.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
+def _is_of_trial(item: RecordedEvaluation) -> bool:
+    return item.evaluation.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
 
-def _badness(study: Study, cut: Cut) -> tuple[bool, float]:
-    metrics = cut.outcome.metrics
-    if cut.outcome.state is not CutState.COMPLETE:
+def _badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:
+    metrics = evaluation.outcome.metrics
+    if evaluation.outcome.state is not EvaluationState.COMPLETE:
         return True, 0.0
     if study.worst_case_constraint is not None:
         return False, metrics[study.worst_case_constraint.metric]

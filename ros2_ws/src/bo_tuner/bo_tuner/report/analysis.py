@@ -8,16 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from bo_tuner.errors import RunRecordError
-from bo_tuner.methods import METHODS
-from bo_tuner.recommendation import Candidate, rank
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import verdict
-from bo_tuner.report.certified import CertificateFile, certificate
-from bo_tuner.run.record import RunRecord
-from bo_tuner.seeds import Stream, generator
-from bo_tuner.study import Study
-from bo_tuner.surrogates import Surrogates
-from bo_tuner.trials import Cut, CutState, Stage, Trial, TrialState, Value
-from bo_tuner.validation import ConstraintCheck, Validation
+from bo_tuner.report.sections.certified import CertificateFile, certificate
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
+from bo_tuner.tuning.validation import ConstraintCheck, Validation
 
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
@@ -50,11 +50,11 @@ class Analysis:
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
-        """The trials, each with the cuts that checked it as a candidate."""
-        checks: dict[int, list[Cut]] = {}
-        for recorded in self.record.cuts:
-            if recorded.cut.stage in CHECKS:
-                checks.setdefault(recorded.cut.trial, []).append(recorded.cut)
+        """The trials, each with the evaluations that checked it as a candidate."""
+        checks: dict[int, list[Evaluation]] = {}
+        for recorded in self.record.evaluations:
+            if recorded.evaluation.stage in CHECKS:
+                checks.setdefault(recorded.evaluation.trial, []).append(recorded.evaluation)
         return tuple(
             _with_checks(trial, checks.get(trial.number, []), self.study)
             for trial in self.record.trials
@@ -97,12 +97,12 @@ class Analysis:
 
     @property
     def defaults(self) -> Mapping[str, Value]:
-        """The hand-tuned parametrization."""
+        """The hand-tuned parameter set."""
         return self.study.search_space().defaults
 
     @cached_property
     def validations(self) -> tuple[Validation, Validation] | None:
-        """Default and tuned parametrization on the same fresh draws; None without a result."""
+        """Default and tuned parameter set on the same fresh draws; None without a result."""
         if self.record.summary is None:
             return None
         try:
@@ -123,7 +123,7 @@ class Analysis:
         return Outcome.WITHIN if within else Outcome.VIOLATES
 
     def mean_objective(self, trial: Trial) -> float:
-        """Mean of the objective's metric over the cuts that estimate it; NaN without any."""
+        """Mean of the objective's metric over the evaluations that estimate it; NaN without any."""
         seen = trial.observations(self.study.objective.metric)
         return sum(seen) / len(seen) if seen else math.nan
 
@@ -137,39 +137,42 @@ class Analysis:
         Over the draws of the validation that both completed; None without two of them.
         """
         seen: dict[int, dict[int, float]] = {}
-        for recorded in self.record.cuts:
-            cut = recorded.cut
-            if cut.stage is Stage.VALIDATION and cut.outcome.state is CutState.COMPLETE:
-                value = cut.outcome.metrics[self.study.objective.metric]
-                # Of a validation, 0 is the default and 1 the tuned parametrization.
-                seen.setdefault(cut.index, {})[cut.trial] = value
+        for recorded in self.record.evaluations:
+            evaluation = recorded.evaluation
+            if (
+                evaluation.stage is Stage.VALIDATION
+                and evaluation.outcome.state is EvaluationState.COMPLETE
+            ):
+                value = evaluation.outcome.metrics[self.study.objective.metric]
+                # Of a validation, 0 is the default and 1 the tuned parameter set.
+                seen.setdefault(evaluation.index, {})[evaluation.trial] = value
         pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
         if len(pairs) < 2:
             return None
         return float(pairs.mean()), float(pairs.std(ddof=1) / np.sqrt(len(pairs)))
 
-    def cuts_of(self, parameters: Mapping[str, Value]) -> list[Cut]:
-        """Whole cuts of a parametrization, whatever they were run for."""
+    def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
+        """Whole evaluations of a parameter set, whatever they were run for."""
         space = self.study.search_space()
         key = space.key(self.tuned_values(parameters))
         return [
-            recorded.cut
-            for recorded in self.record.cuts
-            if recorded.cut.outcome.state is CutState.COMPLETE
+            recorded.evaluation
+            for recorded in self.record.evaluations
+            if recorded.evaluation.outcome.state is EvaluationState.COMPLETE
             and space.key(self.tuned_values(recorded.parameters)) == key
         ]
 
 
-def _with_checks(trial: Trial, checks: Sequence[Cut], study: Study) -> Trial:
+def _with_checks(trial: Trial, checks: Sequence[Evaluation], study: Study) -> Trial:
     """Return a trial with its checks and, as they found it, its worst case."""
-    extended = replace(trial, cuts=trial.cuts + tuple(checks))
+    extended = replace(trial, evaluations=trial.evaluations + tuple(checks))
     constraint, worst = study.worst_case_constraint, trial.worst_case
     again = [
-        cut.outcome.metrics[constraint.metric]
-        for cut in checks
+        evaluation.outcome.metrics[constraint.metric]
+        for evaluation in checks
         if constraint is not None
-        and cut.stage is Stage.CHECK_WORST
-        and cut.outcome.state is CutState.COMPLETE
+        and evaluation.stage is Stage.CHECK_WORST
+        and evaluation.outcome.state is EvaluationState.COMPLETE
     ]
     if worst is None or not again:
         return extended

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.figures.figure import Axis, Scale
-from bo_tuner.special import Array
-from bo_tuner.study import Study
-from bo_tuner.study_parts import LOG
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import LOG
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 
 POINTS = 41

@@ -15,18 +15,18 @@ from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
 from bo_tuner.figures.plotly_renderer import panel_data
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.answer import answer
 from bo_tuner.report.content import Section
-from bo_tuner.report.contexts import contexts
-from bo_tuner.report.convergence import convergence
-from bo_tuner.report.drift import drift
-from bo_tuner.report.faults import faults
-from bo_tuner.report.landscape import landscape
-from bo_tuner.report.listing import all_trials, provenance
-from bo_tuner.report.neighbours import neighbours
-from bo_tuner.report.timing import timing
-from bo_tuner.report.trajectories import trajectories
-from bo_tuner.run.record import RunRecord
+from bo_tuner.report.sections.answer import answer
+from bo_tuner.report.sections.contexts import contexts
+from bo_tuner.report.sections.convergence import convergence
+from bo_tuner.report.sections.drift import drift
+from bo_tuner.report.sections.faults import faults
+from bo_tuner.report.sections.landscape import landscape
+from bo_tuner.report.sections.listing import all_trials, provenance
+from bo_tuner.report.sections.neighbours import neighbours
+from bo_tuner.report.sections.timing import timing
+from bo_tuner.report.sections.trajectories import trajectories
+from bo_tuner.storage.record import RunRecord
 
 NAME = "report.html"
 """File name of a report in its run folder."""

@@ -1,0 +1,1 @@
+"""Acquisition functions: what a further evaluation of a point is worth."""

@@ -1,0 +1,33 @@
+"""What is made of a run's record for people and machines: the report and the bundle."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bo_tuner.deploy.bundle import write_bundle
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.report.page import write_report
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import REPORT
+
+Tell = Callable[[str], None]
+
+
+def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
+    """Write the report of a run and, if it has a result, its bundle, or bring them up to date.
+
+    What they are made of is on record by then, so a failure is told and nothing more.
+
+    Parameters
+    ----------
+    folder
+        Of the run.
+    tell, warn
+        Called with a line on what was written, or on what could not be.
+    """
+    try:
+        record = read_run(folder)
+        tell(f"report: {write_report(record, folder / REPORT)}")
+        if record.summary is not None:
+            tell(f"bundle: {write_bundle(record)}")
+    except (OutputError, RunRecordError) as error:
+        warn(f"warning: {error}; the result is on record")

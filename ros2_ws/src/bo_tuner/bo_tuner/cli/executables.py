@@ -1,0 +1,40 @@
+"""Entry points of the commands, for ``ros2 run bo_tuner`` and the shell."""
+
+import importlib
+import sys
+from typing import NoReturn
+
+from bo_tuner.interruption import Interruption
+
+
+def tune() -> NoReturn:
+    """Run a study, or go on with a run."""
+    run("bo_tuner.cli.tune", sys.argv[1:])
+
+
+def report() -> NoReturn:
+    """Show a run as a page."""
+    run("bo_tuner.cli.report", sys.argv[1:])
+
+
+def validate() -> NoReturn:
+    """Certify the result of a run."""
+    run("bo_tuner.cli.validate", sys.argv[1:])
+
+
+def replay() -> NoReturn:
+    """Repeat an evaluation of a run from its record."""
+    run("bo_tuner.cli.replay", sys.argv[1:])
+
+
+def apply() -> NoReturn:
+    """Set the result of a run on a live controller."""
+    run("bo_tuner.cli.apply", sys.argv[1:])
+
+
+def run(module: str, argv: list[str]) -> NoReturn:
+    """Run the command that a module holds, and exit with its code."""
+    interruption = Interruption()
+    # This import takes a second or two, in which Ctrl-C must not end in a traceback.
+    command = importlib.import_module(module)
+    sys.exit(command.run(argv, interruption))

@@ -1,0 +1,277 @@
+"""``replay``: run a recorded evaluation again, confirm its metrics, record default and tuned."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from rich.table import Table
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.errors import OutputError
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.recording.bag import Message
+from bo_tuner.replay.bag import Inbox, write_side_by_side
+from bo_tuner.replay.replay import (
+    BEST,
+    IN_PROCESS,
+    WORST,
+    Comparison,
+    Replay,
+    changed_provenance,
+    find_evaluation,
+    find_trial,
+    replay,
+)
+from bo_tuner.storage.journal_reader import RecordedEvaluation
+from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.trials import Evaluation
+from bo_tuner.tuning.loop import run_cut
+
+DESCRIPTION = """\
+Run a recorded evaluation again, with its parameters, context and seed, and
+compare its metrics with the record, to the last bit. On ROS the messages of the
+evaluation, and of the default parameters in the same context with the same
+noise, go side by side into one bag, as /tuned/... and /default/...
+"""
+
+EPILOG = """\
+A metric that the study calls not reproducible, because a clock measures it, is
+shown but judged only where record and replay are both in process.
+
+exit codes:
+  0    the evaluation came out as recorded
+  2    something given is wrong: run, trial, evaluation, option, nodes
+  3    it came out differently; the table shows where
+  130  interrupted by Ctrl-C (143: by SIGTERM)
+
+examples:
+  replay runs/latest                           the result's worst evaluation
+  replay runs/latest --trial worst             the worst trial's
+  replay runs/latest --trial 7 --evaluation 3  any evaluation
+  replay runs/latest --backend inprocess       without nodes, without a bag
+"""
+
+DEFAULT, TUNED = "default", "tuned"
+
+B = TypeVar("B", bound=Backend)
+
+
+def make_parser() -> Parser:
+    """Make the parser of the command line."""
+    parser = Parser("replay", DESCRIPTION, EPILOG)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument(
+        "which", nargs="?", metavar="TRIAL", help="the same as --trial, which may then be left out"
+    )
+    parser.add_argument(
+        "--trial",
+        metavar=f"N|{BEST}|{WORST}",
+        help=f"number of the trial; {BEST} is the run's result, {WORST} the trial that exceeds "
+        f"most (default: {BEST})",
+    )
+    parser.add_argument(
+        "--evaluation",
+        type=int,
+        metavar="K",
+        help="number of the evaluation within the trial (default: the worst)",
+    )
+    parser.add_argument("--backend", choices=BACKENDS, help="where to run it (default: the run's)")
+    parser.add_argument(
+        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command; returns its exit code, or exits after a wrong option.
+
+    Parameters
+    ----------
+    argv
+        The command line without the command; may hold ``--ros-args``.
+    interruption
+        Ends the replay on a signal.
+    """
+    own, ros_arguments = split_ros_arguments(argv)
+    parser = make_parser()
+    arguments = parser.parse_args(own)
+    if arguments.which is not None and arguments.trial is not None:
+        parser.error("--trial is given twice")
+    record = read_run(arguments.run)
+    name = arguments.backend or recorded_backend(record)
+    if name == IN_PROCESS and arguments.attach:
+        parser.error("--attach needs --backend ros")
+    if name == IN_PROCESS and arguments.output is not None:
+        parser.error("--output needs --backend ros: without nodes there are no messages")
+    recorded = find_evaluation(
+        record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.evaluation
+    )
+    console = plain_console(stderr=True)
+    console.print(_description(recorded, name), soft_wrap=True)
+    if name == IN_PROCESS:
+        with _opened(InProcessBackend(record.study), interruption) as backend:
+            result = replay(record, recorded, backend)
+        _show(record, result, name)
+        console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
+    else:
+        output = arguments.output or record.path / "replay"
+        ros = _ros_backend(record, output, arguments.attach, ros_arguments, interruption)
+        with _opened(ros, interruption):
+            result, default, inbox, sides = _run_both(record, recorded, ros)
+        _show(record, result, name)
+        for warning in inbox.warnings:
+            console.print(warning, soft_wrap=True)
+        path = (
+            output
+            / f"trial_{recorded.evaluation.trial:04d}_evaluation_{recorded.evaluation.index:02d}"
+        )
+        notes = _notes(record, recorded, result.replayed, default, inbox.lost)
+        if write_side_by_side(path, sides, notes):
+            say(f"bag of {' and '.join(sides)}: {path}")
+        else:
+            console.print("no bag: no message was heard", soft_wrap=True)
+    return EXIT_OK if result.confirmed else EXIT_INFEASIBLE
+
+
+def _description(recorded: RecordedEvaluation, backend: str) -> str:
+    evaluation = recorded.evaluation
+    context = ", ".join(f"{name} {value:.4g}" for name, value in evaluation.context.items())
+    return (
+        f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
+        f"context {context or 'none'}; seed {evaluation.seed}) on {backend}"
+    )
+
+
+def _ros_backend(
+    record: RunRecord,
+    output: Path,
+    attach: bool,
+    ros_arguments: list[str],
+    interruption: Interruption,
+) -> RosBackend:
+    log = output / "log"
+    try:
+        log.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{log}: cannot be made: {error.strerror}") from error
+    return RosBackend(
+        record.study,
+        log,
+        attach=attach,
+        ros_arguments=ros_arguments,
+        interrupted=interruption.check,
+    )
+
+
+@contextlib.contextmanager
+def _opened(backend: B, interruption: Interruption) -> Iterator[B]:
+    try:
+        interruption.check()
+        backend.open()
+        yield backend
+    finally:
+        # The nodes come down first, whatever else.
+        interruption.ignore()
+        backend.close()
+
+
+def _run_both(
+    record: RunRecord, recorded: RecordedEvaluation, ros: RosBackend
+) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
+    """Run the evaluation, and the same with the default parameters; take the messages of both."""
+    inbox = Inbox()
+    listener = ros.listen(inbox)
+    try:
+        inbox.collect(listener.take)
+        result = replay(record, recorded, ros)
+        sides = {TUNED: inbox.collect(listener.take)}
+        # Nodes that were lost are others now, and may have other topics.
+        listener.refresh()
+        defaults = record.study.search_space().defaults
+        default = run_cut(record.study, ros, defaults, recorded.evaluation)
+        return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
+    finally:
+        listener.close()
+
+
+def _notes(
+    record: RunRecord,
+    recorded: RecordedEvaluation,
+    tuned: Evaluation,
+    default: Evaluation,
+    lost: int,
+) -> dict[str, object]:
+    """Tell what is in the bag."""
+    evaluation = recorded.evaluation
+    defaults = record.study.search_space().defaults
+    notes: dict[str, object] = {
+        "study": record.study.name,
+        "trial": str(evaluation.trial),
+        "evaluation": str(evaluation.index),
+        "stage": str(evaluation.stage),
+        "context": dict(evaluation.context),
+        "seed": str(evaluation.seed),
+        "lost_messages": str(lost),
+    }
+    for side, parameters, ran in (
+        (DEFAULT, defaults, default),
+        (TUNED, recorded.parameters, tuned),
+    ):
+        notes[side] = {
+            "parameters": dict(parameters),
+            "state": str(ran.outcome.state),
+            "reason": ran.outcome.reason,
+            "metrics": dict(ran.outcome.metrics),
+        }
+    return notes
+
+
+def _show(record: RunRecord, result: Replay, backend: str) -> None:
+    table = Table(title=f"{record.study.name}: recorded against replayed", title_justify="left")
+    for name in ("metric", "unit"):
+        table.add_column(name, overflow="fold")
+    for name in ("recorded", "replayed", "difference"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for row in result.metrics:
+        values = (row.recorded, row.replayed)
+        table.add_row(
+            row.metric.name,
+            row.metric.unit,
+            *("-" if value is None else f"{value:.6g}" for value in values),
+            "-" if row.difference is None else f"{row.difference:.3g}",
+            _word(row),
+        )
+    plain_console().print(table)
+    measured = [row.metric.name for row in result.metrics if not row.judged]
+    if measured:
+        say(f"measured by the clock, hence not judged: {', '.join(measured)}")
+    before, after = result.recorded.outcome, result.replayed.outcome
+    if result.same_end:
+        how = f"{after.state}, as recorded"
+        say(f"{how}: {after.reason}" if after.reason else how)
+    else:
+        say(f"recorded: {before.state}{f': {before.reason}' if before.reason else ''}")
+        say(f"replayed: {after.state}{f': {after.reason}' if after.reason else ''}")
+    say("confirmed" if result.confirmed else "NOT confirmed")
+    now = provenance(record.study, backend, record.algorithm)
+    changed = changed_provenance(record, now)
+    if changed and not result.confirmed:
+        say(f"recorded with something else: {'; '.join(changed)}")
+
+
+def _word(row: Comparison) -> str:
+    if not row.judged:
+        return "not judged"
+    return "equal" if row.equal else "DIFFERENT"

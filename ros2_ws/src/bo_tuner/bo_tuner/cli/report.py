@@ -1,0 +1,102 @@
+"""``report``: one page that explains a run, and its figures as files."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from bo_tuner.cli.common import Parser, guarded
+from bo_tuner.cli.exit_codes import EXIT_OK
+from bo_tuner.errors import RunRecordError
+from bo_tuner.interruption import Interruption
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import NAME, figures, sections, write_page
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import LATEST
+
+DESCRIPTION = """\
+Explain a run in one HTML file: the answer first, then convergence, contexts,
+trajectories, surrogates, the neighbourhood of the optimum, times and failures.
+The file needs no network; the run may be going on.
+"""
+
+EPILOG = """\
+exit codes:
+  0    the report is written
+  2    something given is wrong: run folder, option, a file that cannot be written
+  130  interrupted by Ctrl-C (143: by SIGTERM)
+
+examples:
+  report latest                           the last run in runs/
+  report runs/benchmark-20260801-101500   into its folder, as report.html
+  report latest --output answer.html      elsewhere
+  report latest --figures plots --format png,svg
+"""
+
+RUNS = Path("runs")
+FORMATS = ("png", "svg")
+
+
+def make_parser() -> Parser:
+    """Make the parser of the command line."""
+    parser = Parser("report", DESCRIPTION, EPILOG)
+    parser.add_argument(
+        "run", type=Path, metavar="RUN", help=f"run folder, or '{LATEST}' for {RUNS / LATEST}"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help=f"HTML file (default: RUN/{NAME})"
+    )
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="write the figures into this folder, too"
+    )
+    parser.add_argument(
+        "--format",
+        type=_formats,
+        default=FORMATS,
+        metavar=",".join(FORMATS),
+        help="formats of the figures (default: all)",
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command; returns its exit code, or exits after a wrong option.
+
+    Parameters
+    ----------
+    argv
+        The command line without the command.
+    interruption
+        Ends the command on a signal.
+    """
+    arguments = make_parser().parse_args(argv)
+    analysis = Analysis(read_run(_folder(arguments.run)))
+    parts = sections(analysis)
+    interruption.check()
+    path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
+    print(f"report: {path}")
+    if arguments.figures is not None:
+        # Matplotlib takes a second to load.
+        from bo_tuner.figures.matplotlib_renderer import write_figure
+
+        for figure in figures(parts):
+            for written in write_figure(figure, arguments.figures, arguments.format):
+                print(f"figure: {written}")
+            interruption.check()
+    return EXIT_OK
+
+
+def _folder(given: Path) -> Path:
+    """Find the run folder; the word ``latest`` alone means the last run in ``runs/``."""
+    if given == Path(LATEST) and not given.exists():
+        if not (RUNS / LATEST).exists():
+            raise RunRecordError(f"{RUNS / LATEST}: no such run folder; name one")
+        return RUNS / LATEST
+    return given
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    chosen = tuple(part.strip() for part in text.split(","))
+    if not set(chosen) <= set(FORMATS):
+        raise argparse.ArgumentTypeError(f"{text}: expected one or more of {', '.join(FORMATS)}")
+    return chosen

@@ -1,0 +1,196 @@
+"""``tune``: run a study, or go on with a run, and report what was found."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
+from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import Output
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study, shipped_studies
+
+DESCRIPTION = """\
+Find robust, real-time capable, safe parameters by two-stage constrained
+Bayesian optimization, and validate them on fresh draws.
+"""
+
+EPILOG = """\
+exit codes:
+  0    a feasible parameter set was found and held in the validation
+  1    the run could not go on (nodes lost three times in a row, disk full);
+       its record stays
+  2    something given is wrong: study, option, folder, nodes
+  3    the run is complete, but nothing feasible was found
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); nodes are
+       down, the record stays and --resume goes on from there
+
+examples:
+  tune                                 the benchmark study on nodes of its own
+  tune --study full --trials 80        four parameters
+  tune --study my_axis.yaml --attach   your study, on nodes that run already
+  tune --backend inprocess --seed 7    without ROS, repeatable to the last bit
+  tune --resume runs/latest            go on with a run that was cut short
+  tune --stop-early                    end when further trials are not worth it
+  tune --json-lines | jq .event        each step for another program
+  tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
+"""
+
+STUDY = "benchmark"
+ALGORITHM = "IV"
+OUTPUT = Path("runs")
+FROM_THE_RECORD = ("study", "trials", "seed", "output", "backend", "algorithm")
+"""Options that a run which goes on has on record."""
+
+
+def make_parser() -> Parser:
+    """Make the parser of the command line."""
+    parser = Parser("tune", DESCRIPTION, EPILOG)
+    parser.add_argument(
+        "--study",
+        metavar="NAME|FILE",
+        help=f"shipped study ({', '.join(shipped_studies())}) or path of a study file "
+        f"(default: {STUDY})",
+    )
+    parser.add_argument(
+        "--trials", type=int, metavar="N", help="number of parameter sets (default: the study's)"
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of everything random (default: the study's)"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help=f"where run folders are made (default: {OUTPUT})",
+    )
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        help=f"run on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
+    )
+    parser.add_argument(
+        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+    )
+    parser.add_argument(
+        "--record",
+        type=Policy,
+        choices=tuple(Policy),
+        metavar="{" + ",".join(Policy) + "}",
+        help="bags of trials to keep, on ROS: all, none, or notable ones, which were the best so "
+        "far, are the worst, or failed (default: notable)",
+    )
+    parser.add_argument(
+        "--record-limit",
+        type=_megabytes,
+        default=RecordOptions.limit,
+        metavar="MB",
+        help="size of all bags together; beyond it the oldest go, but never the best one's "
+        f"(default: {RecordOptions.limit // MEGABYTE})",
+    )
+    parser.add_argument(
+        "--algorithm",
+        choices=tuple(METHODS),
+        help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
+        + f" (default: {ALGORITHM})",
+    )
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="go on with the run in this folder, where it was cut short; what is on record is not "
+        "run again",
+    )
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument(
+        "--quiet",
+        dest="output_mode",
+        action="store_const",
+        const=Output.QUIET,
+        default=Output.PROGRESS,
+        help="show the result only, and what is amiss",
+    )
+    shown.add_argument(
+        "--json-lines",
+        dest="output_mode",
+        action="store_const",
+        const=Output.JSON_LINES,
+        help="show the run as JSON on stdout, an object per line and event, for other programs",
+    )
+    parser.add_argument(
+        "--stop-early",
+        action="store_true",
+        help="end the tuning as soon as the trials left are expected to gain less than the noise; "
+        "the best candidates are checked and validated as ever",
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command; returns its exit code, or exits after a wrong option.
+
+    Parameters
+    ----------
+    argv
+        The command line without the command; may hold ``--ros-args``.
+    interruption
+        Ends the run on a signal.
+    """
+    own, ros_arguments = split_ros_arguments(argv)
+    parser = make_parser()
+    arguments = parser.parse_args(own)
+    if arguments.resume is not None:
+        given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
+        if given:
+            parser.error(f"--resume has --{given[0]} from the run's record; leave it out")
+        record = read_run(arguments.resume)
+        study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
+        stop_early = arguments.stop_early or STOP_EARLY in record.provenance
+    else:
+        study, stop_early = _study(arguments), arguments.stop_early
+        algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
+    if arguments.attach and backend != "ros":
+        parser.error("--attach needs --backend ros")
+    if arguments.record not in (None, Policy.NONE) and backend != "ros":
+        parser.error("--record needs --backend ros: without nodes there are no messages")
+    options = RunOptions(
+        algorithm=algorithm,
+        backend=backend,
+        attach=arguments.attach,
+        ros_arguments=ros_arguments,
+        record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
+        output=arguments.output_mode,
+        stop_early=stop_early,
+    )
+    if arguments.resume is not None:
+        folder = RunFolder(arguments.resume.resolve())
+    else:
+        folder = RunFolder.create(arguments.output or OUTPUT, study)
+    return Session(study, folder, options, interruption).run()
+
+
+def _megabytes(text: str) -> int:
+    """Read a size [MB] as bytes."""
+    try:
+        size = float(text)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < size < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text}: expected a positive number of megabytes")
+    return round(size * MEGABYTE)
+
+
+def _study(arguments: argparse.Namespace) -> Study:
+    study = load_study(arguments.study or STUDY)
+    try:
+        return study.replace(trials=arguments.trials, seed=arguments.seed)
+    except StudyError as error:
+        option = error.path[-1] if error.path else ""
+        raise StudyError(f"--{option}: {error.problem}") from error

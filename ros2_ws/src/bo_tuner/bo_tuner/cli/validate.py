@@ -1,0 +1,281 @@
+"""``validate``: a certificate for the parameter set that a run found."""
+
+import argparse
+import contextlib
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.record import (
+    CERTIFICATE,
+    DEFAULT,
+    TUNED,
+    Certificate,
+    make_certificate,
+    write_certificate,
+)
+from bo_tuner.certificate.table import certificate_lines, certificate_table
+from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
+from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.deliverables import write_deliverables
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.errors import OutputError, RunError, RunRecordError
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import plain_console
+from bo_tuner.storage.parameter_file import from_yaml, node_values
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Trial, Value
+
+DESCRIPTION = """\
+Certify what a run found: run its parameters and the default in the same fresh
+draws of context and noise, search the worst context again, and say PASS or FAIL
+against the limits of the study.
+"""
+
+EPILOG = """\
+PASS takes all of these; what the evaluations do not show counts as not kept:
+  chance constraint   the exact (Clopper-Pearson) upper bound of the probability
+                      that a draw violates it is at most 1 - probability
+  worst-case          no draw exceeds the limit, and in each of the worst
+  constraint          contexts of the search the upper bound of the mean over
+                      noise is within it
+  failed evaluations         none
+
+writes RUN/certificate.json, or with another trial RUN/certificate_trial_N.json,
+and beside it the evaluations as CSV
+
+exit codes:
+  0    PASS
+  1    no verdict (nodes lost three times in a row, disk full); a certificate
+       that was there before stays
+  2    something given is wrong: run, option, nodes
+  3    FAIL
+  130  interrupted by Ctrl-C (143: by SIGTERM); as 1
+
+examples:
+  validate runs/latest                     300 draws on the backend of the run
+  validate runs/latest --draws 1000 --confidence 0.99
+  validate runs/latest --backend inprocess
+  validate runs/latest --attach            on nodes that run already
+  validate runs/latest --trial 12          another parameter set of the run
+  validate runs/latest && echo fit for use
+"""
+
+DRAWS = 300
+CONFIDENCE = 0.95
+FEWEST_DRAWS = 2
+
+
+def make_parser() -> Parser:
+    """Make the parser of the command line."""
+    parser = Parser("validate", DESCRIPTION, EPILOG)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
+    parser.add_argument(
+        "--draws",
+        type=int,
+        default=DRAWS,
+        metavar="N",
+        help=f"fresh draws of context and noise (default: {DRAWS})",
+    )
+    parser.add_argument(
+        "--confidence",
+        type=_fraction,
+        default=CONFIDENCE,
+        metavar="P",
+        help=f"of every bound, between 0 and 1 (default: {CONFIDENCE})",
+    )
+    parser.add_argument(
+        "--trial",
+        type=int,
+        metavar="N",
+        help=f"the parameter set of this trial (default: that of the run's {BEST})",
+    )
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        help="run on ROS nodes, or on the same objects in this process (default: as in the run)",
+    )
+    parser.add_argument(
+        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command; returns its exit code, or exits after a wrong option.
+
+    Parameters
+    ----------
+    argv
+        The command line without the command; may hold ``--ros-args``.
+    interruption
+        Ends the command on a signal.
+    """
+    own, ros_arguments = split_ros_arguments(argv)
+    parser = make_parser()
+    arguments = parser.parse_args(own)
+    record = read_run(arguments.run)
+    backend = arguments.backend or recorded_backend(record)
+    if arguments.attach and backend != "ros":
+        parser.error("--attach needs --backend ros")
+    needed, constraint = most_draws_needed(record.study, arguments.confidence)
+    if arguments.draws < max(needed, FEWEST_DRAWS):
+        why = f" to show {constraint}, even if none violates it" if constraint else ""
+        parser.error(
+            f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {arguments.draws}"
+        )
+    trial, digest = _trial(record, arguments.trial)
+    folder = RunFolder(record.path.resolve())
+    with contextlib.closing(folder):
+        folder.log.mkdir(exist_ok=True)
+        nodes: Backend = InProcessBackend(record.study)
+        if backend == "ros":
+            nodes = RosBackend(
+                record.study,
+                folder.log,
+                attach=arguments.attach,
+                ros_arguments=ros_arguments,
+                interrupted=interruption.check,
+            )
+        console = plain_console(stderr=True)
+        try:
+            evidence = _collect(record.study, trial, nodes, arguments.draws, interruption, console)
+            certificate = make_certificate(
+                record, trial, evidence, arguments.confidence, backend, digest
+            )
+            name = CERTIFICATE
+            if digest is None:
+                name = f"{Path(CERTIFICATE).stem}_trial_{trial.number}.json"
+            path = write_certificate(folder.path, name, certificate, evidence)
+        except (RunError, OutputError) as error:
+            console.print(f"error: {error}", soft_wrap=True)
+            return EXIT_FAULT
+    _report(certificate, path)
+    if name == CERTIFICATE:
+
+        def tell(text: str) -> None:
+            console.print(text, soft_wrap=True)
+
+        write_deliverables(folder.path, tell, tell)
+    return EXIT_OK if certificate.passed else EXIT_INFEASIBLE
+
+
+def _collect(
+    study: Study,
+    trial: Trial,
+    backend: Backend,
+    draws: int,
+    interruption: Interruption,
+    console: Console,
+) -> dict[str, Evidence]:
+    """Run all evaluations, of the default and of the trial's parameter set."""
+    suspected = () if trial.worst_case is None else (trial.worst_case.context,)
+    subjects = [
+        Subject(DEFAULT, study.search_space().defaults),
+        Subject(TUNED, trial.parameters, suspected),
+    ]
+
+    def observe(_evaluation: Evaluation, _parameters: Mapping[str, Value]) -> None:
+        interruption.check()
+
+    try:
+        interruption.check()
+        backend.open()
+        with _Progress(console) as progress:
+            found = Certification(
+                study, backend, observe=observe, begin=progress.begin, advance=progress.step
+            ).collect(subjects, draws)
+    finally:
+        interruption.ignore()
+        backend.close()
+    return {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+
+
+class _Progress(Progress):
+    """A bar for one phase after the other, or a line for each where there is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+        )
+
+    def begin(self, phase: str, steps: int) -> None:
+        for task in self.task_ids:
+            self.remove_task(task)
+        self.add_task(phase, total=steps)
+        if self.disable:
+            self.console.print(f"{phase}: {steps} steps", soft_wrap=True)
+
+    def step(self) -> None:
+        for task in self.task_ids:
+            self.advance(task)
+
+
+def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:
+    """Find the trial to validate, and the digest of the run's parameter file if it holds that."""
+    best = None if record.summary is None else record.summary.get("trial")
+    if number is None and best is None:
+        raise RunRecordError(
+            f"{record.path}: has no result: it has not ended, or every trial failed; go on by "
+            "tune --resume, or name a --trial"
+        )
+    wanted = best if number is None else number
+    trials = {trial.number: trial for trial in record.trials}
+    if wanted not in trials:
+        known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"
+        raise RunRecordError(f"{record.path}: no trial {wanted}; {known}")
+    trial = trials[wanted]
+    return trial, _digest(record, trial) if wanted == best else None
+
+
+def _digest(record: RunRecord, trial: Trial) -> str:
+    """Return the digest of the parameter file, once it is known to hold the trial's values."""
+    path = record.path / BEST
+    try:
+        content = path.read_bytes()
+        found = from_yaml(content.decode())
+    except OSError as error:
+        raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RunRecordError(f"{path}: {error}") from error
+    if found != node_values(record.study, trial.parameters):
+        raise RunRecordError(
+            f"{path}: does not hold the values of trial {trial.number}, which the run ended with"
+        )
+    return hashlib.sha256(content).hexdigest()
+
+
+def _report(certificate: Certificate, path: Path) -> None:
+    out = plain_console()
+    out.print(certificate_table(certificate))
+    for line in certificate_lines(certificate):
+        out.print(line, soft_wrap=True)
+    out.print(f"certificate: {path}", soft_wrap=True)
+    out.print(PASS if certificate.passed else FAIL)
+
+
+def _fraction(text: str) -> float:
+    """Read a number between 0 and 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number between 0 and 1")
+    return value

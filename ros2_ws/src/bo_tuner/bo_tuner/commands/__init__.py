@@ -1,1 +1,0 @@
-"""The commands, a module each; `bo_tuner.executables` starts them."""

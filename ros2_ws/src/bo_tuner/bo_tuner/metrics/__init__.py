@@ -1,0 +1,1 @@
+"""From what the nodes report of an evaluation to the metrics of the study."""

@@ -1,0 +1,273 @@
+"""Gaussian process with a constant mean, a squared-exponential kernel and Gaussian noise.
+
+Model of a standardised response at a point x of the unit cube: y = f(x) + ε, ε ~ N(0, σ²), with
+the prior of f in `bo_tuner.models.kernel` (paper, Section 3).
+
+Notation: n distinct points with r_i observations each; K the n × n prior covariance,
+C = K + σ² diag(1 / r) = L Lᵀ, α = C⁻¹ ȳ.
+
+References
+----------
+Rasmussen and Williams (2006). Gaussian Processes for Machine Learning. MIT Press.
+Forrester, Keane and Bressloff (2006). Design and analysis of "noisy" computer experiments.
+AIAA Journal 44(10): reinterpolation.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import blas, lapack
+
+from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
+from bo_tuner.models.kernel import (
+    MEAN_SD,
+    covariance_of_distances,
+    jittered_cholesky,
+    latent_covariance,
+    scaled_squared_distances,
+)
+from bo_tuner.models.log_posterior import LogPosterior, log_likelihood, maximise_posterior
+from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
+from bo_tuner.numerics.arrays import Array
+
+# Below this fraction of the prior variance, the variance of an interpolating model is rounding.
+INTERPOLATION_RESOLUTION = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianProcess:
+    """Gaussian process conditioned on data; build it by `fit` or `condition`.
+
+    Attributes
+    ----------
+    hyperparameters : Hyperparameters
+        In scaled units.
+    standardisation : Standardisation
+        Map between responses and standardised responses.
+    data : Replicates
+        Standardised observations; shapes (n, d), (n,).
+    factor : ndarray, shape (n, n)
+        L, lower triangular.
+    alpha : ndarray, shape (n,)
+        α = C⁻¹ ȳ.
+    warnings : tuple of str
+        Numerical trouble on the way, one line each; empty most of the time.
+    """
+
+    hyperparameters: Hyperparameters
+    standardisation: Standardisation
+    data: Replicates
+    factor: Array
+    alpha: Array
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def fit(
+        cls,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        rng: np.random.Generator,
+        priors: Hyperpriors | None = None,
+        minimum_length_scales: ArrayLike | None = None,
+        start: Hyperparameters | None = None,
+    ) -> Self:
+        """Fit the hyperparameters by maximum a posteriori and condition on the data.
+
+        Parameters
+        ----------
+        x : array_like, shape (N, d)
+            Points in the unit cube; equal rows are replicates.
+        y : array_like, shape (N,)
+            Responses.
+        rng : numpy.random.Generator
+            Draws challengers of the warm start, see `maximise_posterior`.
+        priors : Hyperpriors, optional
+            Priors of the hyperparameters, `Hyperpriors.default` if not given.
+        minimum_length_scales : array_like, shape (d,), optional
+            Lower bounds of the length scales, in edges of the unit cube.
+        start : Hyperparameters, optional
+            Warm start, of an earlier fit to similar data.
+
+        Raises
+        ------
+        ValueError
+            If the data, the bounds or the dimension of `start` are refused. Numerical trouble
+            raises nothing; it shows in `warnings`.
+        """
+        points, responses = checked_data(x, y)
+        dimension = points.shape[1]
+        priors = Hyperpriors.default(dimension) if priors is None else priors
+        box = priors.bounds(dimension, minimum_length_scales)
+        if start is not None and start.length_scales.shape != (dimension,):
+            raise ValueError(
+                f"start: expected {dimension} length scales, found {start.length_scales.shape}"
+            )
+        standardisation = Standardisation.of(responses)
+        data = Replicates.group(points, standardisation.apply(responses))
+        posterior = LogPosterior(data, priors)
+        warm = None if start is None else start.to_log()
+        phi, warnings = maximise_posterior(posterior, box, rng, warm)
+        return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
+
+    @classmethod
+    def condition(
+        cls,
+        hyperparameters: Hyperparameters,
+        x: ArrayLike,
+        y: ArrayLike,
+        standardisation: Standardisation | None = None,
+    ) -> Self:
+        """Condition on data with given hyperparameters.
+
+        Parameters
+        ----------
+        hyperparameters : Hyperparameters
+            In scaled units.
+        x : array_like, shape (N, d)
+        y : array_like, shape (N,)
+        standardisation : Standardisation, optional
+            Map that the hyperparameters refer to, the one of `y` if not given.
+
+        Raises
+        ------
+        ValueError
+            If the data are refused or the number of length scales is not d.
+        """
+        points, responses = checked_data(x, y)
+        if hyperparameters.length_scales.shape != points.shape[1:]:
+            raise ValueError(
+                f"hyperparameters: expected {points.shape[1]} length scales, "
+                f"found {hyperparameters.length_scales.shape}"
+            )
+        if standardisation is None:
+            standardisation = Standardisation.of(responses)
+        data = Replicates.group(points, standardisation.apply(responses))
+        return cls._build(hyperparameters, standardisation, data, ())
+
+    @classmethod
+    def _build(
+        cls,
+        hyperparameters: Hyperparameters,
+        standardisation: Standardisation,
+        data: Replicates,
+        warnings: tuple[str, ...],
+    ) -> Self:
+        covariance = latent_covariance(hyperparameters, data.x, data.x)
+        covariance[np.diag_indices(len(data.x))] += hyperparameters.noise**2 / data.count
+        factor, jitter = jittered_cholesky(covariance)
+        if jitter > 0.0:
+            warnings += (f"covariance matrix: needed {jitter:.0e} on its diagonal",)
+        alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
+        return cls(hyperparameters, standardisation, data, factor, alpha, warnings)
+
+    @property
+    def noise_variance(self) -> float:
+        """Variance of one observation's noise, in the squared unit of the response."""
+        return (self.standardisation.scale * self.hyperparameters.noise) ** 2
+
+    @property
+    def log_marginal_likelihood(self) -> float:
+        """Log density of the N standardised observations."""
+        return log_likelihood(self.factor, self.alpha, self.data, self.hyperparameters.noise)
+
+    @property
+    def _prior_variance(self) -> float:
+        return self.hyperparameters.signal**2 + MEAN_SD**2
+
+    def predict(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Predict the latent response f, without the noise of an observation.
+
+        Parameters
+        ----------
+        x : array_like, shape (m, d)
+            Points in the unit cube.
+
+        Returns
+        -------
+        mean : ndarray, shape (m,)
+            Posterior mean, in the unit of the response.
+        variance : ndarray, shape (m,)
+            Posterior variance ≥ 0, in its square.
+
+        Raises
+        ------
+        ValueError
+            If x has another number of columns than the data.
+        """
+        cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
+        variance = self._prior_variance - _squared_norms(self._inverse_factor, cross)
+        return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
+
+    def predict_mean(self, x: ArrayLike) -> Array:
+        """Predict the posterior mean alone, shape (m,), at a fraction of the cost of `predict`."""
+        cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
+        mean: Array = self.standardisation.shift + self.standardisation.scale * (cross @ self.alpha)
+        return mean
+
+    def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Predict by the noise-free model through the posterior means at the data.
+
+        Interpolating the vector K C⁻¹ ȳ with the same kernel gives k(x)ᵀ K⁻¹ K C⁻¹ ȳ, the
+        posterior mean of this model again; only the variance changes, to that of an interpolator
+        (Forrester et al. 2006). It is exactly zero at the data. Forrester re-estimates the process
+        variance from the interpolated values; here it stays the fitted one, so that both models
+        share a prior.
+
+        Parameters
+        ----------
+        x : array_like, shape (m, d)
+
+        Returns
+        -------
+        mean, variance : ndarray, shape (m,)
+            As `predict`.
+
+        Raises
+        ------
+        ValueError
+            As `predict`.
+        """
+        points = self._checked(x)
+        squared = scaled_squared_distances(self.hyperparameters, points, self.data.x)
+        at_data = squared.min(axis=1) == 0.0
+        cross = covariance_of_distances(self.hyperparameters, squared)
+        variance = self._prior_variance - _squared_norms(self._inverse_interpolator, cross)
+        at_data |= variance <= INTERPOLATION_RESOLUTION * self._prior_variance
+        variance[at_data] = 0.0
+        return self.standardisation.restore(cross @ self.alpha, variance)
+
+    def _checked(self, x: ArrayLike) -> Array:
+        points = np.asarray(x, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != self.data.x.shape[1]:
+            raise ValueError(f"x: expected shape (m, {self.data.x.shape[1]}), found {points.shape}")
+        return points
+
+    # The acquisition search predicts hundreds of times from one fit: a product with the inverse
+    # factor takes half the time of a triangular solve.
+    @cached_property
+    def _inverse_factor(self) -> Array:
+        inverse: Array = lapack.dtrtri(self.factor, lower=1)[0]
+        return inverse
+
+    @cached_property
+    def _inverse_interpolator(self) -> Array:
+        kernel = latent_covariance(self.hyperparameters, self.data.x, self.data.x)
+        # Without noise the matrix is singular to rounding whenever points crowd, so it gets a
+        # jitter well below the resolution at once; the ladder adds more where that is too little.
+        kernel[np.diag_indices(len(kernel))] += (
+            0.1 * INTERPOLATION_RESOLUTION * self._prior_variance
+        )
+        factor, _ = jittered_cholesky(kernel)
+        inverse: Array = lapack.dtrtri(factor, lower=1)[0]
+        return inverse
+
+
+def _squared_norms(inverse_factor: Array, cross: Array) -> Array:
+    """Return ‖L⁻¹ c_i‖² of each row c_i of `cross`, shape (m,)."""
+    whitened = blas.dtrmm(1.0, inverse_factor, cross.T, lower=1)
+    norms: Array = np.einsum("ij,ij->j", whitened, whitened)
+    return norms

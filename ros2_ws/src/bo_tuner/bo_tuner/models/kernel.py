@@ -1,0 +1,89 @@
+"""Squared-exponential kernel with a constant mean, and the factor of its covariance matrices.
+
+The prior of the standardised response's expectation at a point x of the unit cube is
+
+    f = β + g,   β ~ N(0, MEAN_SD²),   g ~ GP(0, k),
+    k(x, x') = s² exp(-½ Σ_j (x_j - x'_j)² / ℓ_j²).
+
+The constant mean β is integrated out analytically, which adds the constant MEAN_SD² to the kernel
+(Rasmussen and Williams 2006, Section 2.7). As responses are standardised, MEAN_SD = 1 is wide.
+"""
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.spatial.distance import cdist
+
+from bo_tuner.models.hyperpriors import Hyperparameters
+from bo_tuner.numerics.arrays import Array
+
+MEAN_SD = 1.0
+
+
+def latent_covariance(hyperparameters: Hyperparameters, a: Array, b: Array) -> Array:
+    """Return the prior covariance of f, the constant mean included.
+
+    Parameters
+    ----------
+    hyperparameters : Hyperparameters
+    a : ndarray, shape (m, d)
+    b : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+    """
+    return covariance_of_distances(hyperparameters, scaled_squared_distances(hyperparameters, a, b))
+
+
+def scaled_squared_distances(hyperparameters: Hyperparameters, a: Array, b: Array) -> Array:
+    """Return Σ_j (a_j - b_j)² / ℓ_j² of all pairs, exactly zero for equal points.
+
+    Parameters
+    ----------
+    hyperparameters : Hyperparameters
+    a : ndarray, shape (m, d)
+    b : ndarray, shape (n, d)
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+    """
+    scales = hyperparameters.length_scales
+    squared: Array = cdist(a / scales, b / scales, "sqeuclidean")
+    return squared
+
+
+def covariance_of_distances(hyperparameters: Hyperparameters, squared: Array) -> Array:
+    """Return the prior covariance of f for scaled squared distances, shape as `squared`."""
+    result = np.exp(-0.5 * squared)
+    result *= hyperparameters.signal**2
+    result += MEAN_SD**2
+    return result
+
+
+def jittered_cholesky(covariance: Array) -> tuple[Array, float]:
+    """Factor a covariance matrix, with as little added to its diagonal as makes it work.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+        Positive semi-definite up to rounding; only the lower triangle is read.
+
+    Returns
+    -------
+    factor : ndarray, shape (n, n)
+        Lower triangular L with L Lᵀ = covariance + jitter · I.
+    jitter : float
+        What was added, most often 0.
+    """
+    n = len(covariance)
+    scale = float(np.trace(covariance)) / n
+    # No covariance of f exceeds its variance, the same at every point, and noise only adds to the
+    # diagonal. So the last rung makes the matrix diagonally dominant, and the ladder cannot fail.
+    for rung in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 2.0 * n):
+        matrix = np.array(covariance, order="F")
+        matrix[np.diag_indices(n)] += rung * scale
+        factor, info = lapack.dpotrf(matrix, lower=1, clean=1, overwrite_a=1)
+        if info == 0:
+            return factor, rung * scale
+    raise ValueError("covariance: expected finite entries, found NaN or infinity")

@@ -1,0 +1,137 @@
+"""Probability of a class, estimated from the nearest neighbours.
+
+Used twice in the acquisition function (paper, Eq. 5): for p_out, labels from the outlier detection,
+and for p_fail, labels from crashes.
+
+The paper's footnote names "a squared exponential kernel as distance metric and a squared inverse
+distance weighting". Here the distance is the one that the kernel induces in its feature space, with
+k(x, x') = exp(-½ Σ_j (x_j - x'_j)² / ℓ_j²):
+
+    δ(x, x')² = k(x, x) - 2 k(x, x') + k(x', x') = 2 (1 - k(x, x')),
+
+it is a metric, close to the Euclidean one (in length scales) nearby and saturating at √2 far away,
+where every neighbour counts the same. A neighbour's weight is 1 / δ².
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from bo_tuner.numerics.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class NeighbourClassifier:
+    """Estimate of the probability that a point belongs to the positive class.
+
+    The k nearest neighbours vote with the weights w_i = 1 / δ_i². The prior votes as one more
+    neighbour that is always there: at the distance δ_0 with the class probability p_0,
+
+        p(x) = (Σ_i w_i c_i + w_0 p_0) / (Σ_i w_i + w_0),   w_0 = 1 / δ_0²,
+
+    which is the mean of a Beta distribution with w_0 p_0 and w_0 (1 - p_0) pseudo-counts. So one
+    crash among few trials does not close the space (with the defaults p(x) < 0.4 far from a crash
+    that is the only trial), while p → 1 as x → a crash.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n, d)
+        Labelled points in the unit cube, n ≥ 0.
+    labels : ndarray of bool, shape (n,)
+        Class of each point.
+    length_scales : ndarray, shape (d,)
+        ℓ of the kernel, in edges of the unit cube.
+    neighbours : int
+        k ≥ 1; all points vote if there are fewer.
+    prior_probability : float
+        p_0 in [0, 1].
+    prior_distance : float
+        δ_0 > 0; at 1 the kernel is ½. Infinity removes the prior.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit or a value is out of range.
+    """
+
+    x: Array
+    labels: NDArray[np.bool_]
+    length_scales: Array
+    neighbours: int = 5
+    prior_probability: float = 0.1
+    prior_distance: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Check shapes and ranges."""
+        if self.x.ndim != 2 or not np.isfinite(self.x).all():
+            raise ValueError(f"x: expected finite values of shape (n, d), found {self.x.shape}")
+        n, d = self.x.shape
+        if self.labels.shape != (n,) or self.labels.dtype != np.bool_:
+            raise ValueError(
+                f"labels: expected booleans of shape ({n},), found {self.labels.dtype} "
+                f"of shape {self.labels.shape}"
+            )
+        if self.length_scales.shape != (d,) or not (self.length_scales > 0.0).all():
+            raise ValueError(
+                f"length_scales: expected {d} positive values, found {self.length_scales}"
+            )
+        if self.neighbours < 1:
+            raise ValueError(f"neighbours: expected at least 1, found {self.neighbours}")
+        if not 0.0 <= self.prior_probability <= 1.0:
+            raise ValueError(
+                f"prior_probability: expected a value in [0, 1], found {self.prior_probability}"
+            )
+        if not self.prior_distance > 0.0:
+            raise ValueError(f"prior_distance: expected > 0, found {self.prior_distance}")
+
+    def probability(self, x: Array) -> Array:
+        """Return p(x).
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, d)
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            At a labelled point itself, its label (the mean label of equal points).
+        """
+        inside, outside = self._votes(x)
+        return inside / (inside + outside)
+
+    def log_complement(self, x: Array) -> Array:
+        """Return log(1 - p(x)) without cancellation, shape (m,); -inf at positive points."""
+        inside, outside = self._votes(x)
+        with np.errstate(divide="ignore"):
+            result: Array = np.log(outside / (inside + outside))
+        return result
+
+    def _votes(self, x: Array) -> tuple[Array, Array]:
+        """Return the summed weights for and against the positive class, each of shape (m,)."""
+        n, m = len(self.x), len(x)
+        prior = self.prior_distance**-2
+        if n == 0:
+            prior = 1.0
+        inside = np.full(m, prior * self.prior_probability)
+        outside = np.full(m, prior * (1.0 - self.prior_probability))
+        if n == 0:
+            return inside, outside
+        squared = cdist(x / self.length_scales, self.x / self.length_scales, "sqeuclidean")
+        labels = np.broadcast_to(self.labels, squared.shape)
+        if n > self.neighbours:
+            # The distance δ grows with the Euclidean one, so that finds the nearest.
+            nearest = np.argpartition(squared, self.neighbours - 1, axis=1)[:, : self.neighbours]
+            squared = np.take_along_axis(squared, nearest, axis=1)
+            labels = self.labels[nearest]
+        distance = -2.0 * np.expm1(-0.5 * squared)
+        # A neighbour at no distance has infinite weight: alone with its equals it decides.
+        coincident = distance == 0.0
+        weights = 1.0 / np.where(coincident, 1.0, distance)
+        decided = coincident.any(axis=1)
+        weights[decided] = coincident[decided]
+        inside[decided] = outside[decided] = 0.0
+        inside += (weights * labels).sum(axis=1)
+        outside += (weights * ~labels).sum(axis=1)
+        return inside, outside

@@ -1,0 +1,300 @@
+"""Gaussian process with a Student-t likelihood, and the outliers it reveals.
+
+Model of the standardised replicate means ȳ_i at the n distinct points (paper, Section 3):
+
+    ȳ_i = f(x_i) + ε_i,   ε_i ~ t_ν(0, s_i),   s_i² = (ν - 2) / ν · max(σ² / r_i, SCALE_FLOOR²),
+
+with ν = 4. The scale is tied, not learnt: the t distribution has the variance of the mean of r_i
+observations of a reference Gaussian process, whose hyperparameters and standardisation the model
+shares. The reference is fitted to the bulk of the data, so that the outliers have no part in it.
+
+The posterior of the latent values is approximated by Laplace's method: a normal distribution at the
+mode of Ψ(f) = log p(ȳ | f) - ½ fᵀ K⁻¹ f, with the curvature there. It understates the variance, by
+a factor of up to (ν - 2) / (ν + 1) where a single observation dominates; the outliers depend on the
+mode alone.
+
+Mode finding. The t likelihood is not log-concave: far from its centre the curvature is negative,
+Ψ can have several maxima, and Newton's method may diverge. But t is a scale mixture of normals, and
+the expectation-maximisation algorithm over the mixing variables is iteratively reweighted least
+squares, f ← K (K + W⁻¹)⁻¹ ȳ with W_i = (ν + 1) / (ν s_i² + (ȳ_i - f_i)²), of which every step
+increases Ψ. A step of twice that length is tried first, and taken only if it increases Ψ more; so
+the iteration is monotone, and it ends by tolerance or by an iteration limit, at a usable f in both
+cases. Of several modes it finds that of the basin of the reference's mean, where it starts: the
+one in which outliers stay unexplained.
+
+References
+----------
+Rasmussen and Williams (2006). Gaussian Processes for Machine Learning, Section 3.4.
+Vanhatalo, Jylänki and Vehtari (2009). Gaussian process regression with Student-t likelihood.
+NeurIPS 22.
+Martinez-Cantin, Tee and McCourt (2018). Practical Bayesian optimization in the presence of
+outliers. AISTATS 21.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
+from scipy.special import stdtr
+
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
+from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
+from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.special import log_student_t_pdf
+
+DEGREES_OF_FREEDOM = 4.0
+# In standard deviations of the bulk. However exact the observations are, small misfits of the model
+# are no outliers.
+SCALE_FLOOR = 0.05
+# A parameter set is an outlier if a t variable exceeds its residual with at most this
+# probability: 7.2 scales above the model for ν = 4.
+TAIL_PROBABILITY = 1e-3
+# Replicate means farther than this many robust standard deviations above the median are no part of
+# the bulk that the reference is fitted to; whether they are outliers the Student-t process decides.
+BULK_WIDTH = 5.0
+MAD_TO_SD = 1.4826
+MAXIMUM_ITERATIONS = 100
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class StudentTProcess:
+    """Laplace approximation of the Student-t process at the mode; build it by `fit`.
+
+    Attributes
+    ----------
+    reference : GaussianProcess
+        Origin of the hyperparameters and the standardisation.
+    data : Replicates
+        All observations, standardised; n distinct points.
+    scale : ndarray, shape (n,)
+        s_i, in standardised responses.
+    mode : ndarray, shape (n,)
+        Mode of the latent values, in standardised responses.
+    iterations : int
+        Steps of the mode finding.
+    converged : bool
+        Whether it ended by tolerance.
+    degrees_of_freedom : float
+        ν.
+    """
+
+    reference: GaussianProcess
+    data: Replicates
+    scale: Array
+    mode: Array
+    iterations: int
+    converged: bool
+    degrees_of_freedom: float = DEGREES_OF_FREEDOM
+
+    @classmethod
+    def fit(
+        cls,
+        x: ArrayLike,
+        y: ArrayLike,
+        reference: GaussianProcess,
+        degrees_of_freedom: float = DEGREES_OF_FREEDOM,
+    ) -> Self:
+        """Find the mode of the latent values.
+
+        Parameters
+        ----------
+        x : array_like, shape (N, d)
+            Points in the unit cube; equal rows are replicates.
+        y : array_like, shape (N,)
+            Responses.
+        reference : GaussianProcess
+            Fitted to the bulk of the data.
+        degrees_of_freedom : float
+            ν > 2, so that the variance exists.
+
+        Raises
+        ------
+        ValueError
+            If the data are refused, or ν ≤ 2.
+        """
+        if not degrees_of_freedom > 2.0:
+            raise ValueError(f"degrees_of_freedom: expected > 2, found {degrees_of_freedom}")
+        points, responses = checked_data(x, y)
+        data = Replicates.group(points, reference.standardisation.apply(responses))
+        nu = degrees_of_freedom
+        sd = np.maximum(reference.hyperparameters.noise / np.sqrt(data.count), SCALE_FLOOR)
+        scale = sd * np.sqrt((nu - 2.0) / nu)
+        start = reference.standardisation.apply(reference.predict(data.x)[0])
+        kernel = latent_covariance(reference.hyperparameters, data.x, data.x)
+        mode, iterations, converged = _find_mode(kernel, data.mean, scale, nu, start)
+        return cls(reference, data, scale, mode, iterations, converged, nu)
+
+    @cached_property
+    def _laplace(self) -> tuple[Array, Array, float]:
+        """Return L of K = L Lᵀ, M of I + Lᵀ W L = M Mᵀ and the log marginal likelihood.
+
+        W is the negative curvature of the log likelihood. Where it is negative at outliers, but
+        the matrix still positive definite, the mode is a strict maximum and the approximation is
+        the exact second-order one. Where it is not (a saddle, or not converged), the weights of
+        the expectation-maximisation take its place; they are always positive.
+        """
+        kernel = latent_covariance(self.reference.hyperparameters, self.data.x, self.data.x)
+        factor, _ = jittered_cholesky(kernel + 1e-10 * kernel[0, 0] * np.eye(len(kernel)))
+        nu, residual = self.degrees_of_freedom, self.data.mean - self.mode
+        spread = nu * self.scale**2 + residual**2
+        curvature = (nu + 1.0) * (nu * self.scale**2 - residual**2) / spread**2
+        for weight in (curvature, (nu + 1.0) / spread):
+            inner = np.eye(len(kernel)) + factor.T @ (weight[:, None] * factor)
+            inner_factor, info = lapack.dpotrf(inner, lower=1, clean=1)
+            if info == 0:
+                break
+        whitened, _ = lapack.dtrtrs(factor, self.mode, lower=1)
+        log_joint = log_student_t_pdf(residual, self.scale, nu).sum() - 0.5 * whitened @ whitened
+        log_evidence = float(log_joint - np.log(np.diag(inner_factor)).sum())
+        return factor, inner_factor, log_evidence
+
+    @property
+    def log_marginal_likelihood(self) -> float:
+        """Laplace's approximation of log p(ȳ), of standardised replicate means."""
+        return self._laplace[2]
+
+    def predict(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Predict the latent response.
+
+        Parameters
+        ----------
+        x : array_like, shape (m, d)
+
+        Returns
+        -------
+        mean : ndarray, shape (m,)
+            In the unit of the response.
+        variance : ndarray, shape (m,)
+            In its square.
+        """
+        hyperparameters = self.reference.hyperparameters
+        factor, inner_factor, _ = self._laplace
+        points = np.asarray(x, dtype=np.float64)
+        cross = latent_covariance(hyperparameters, self.data.x, points)
+        whitened_cross, _ = lapack.dtrtrs(factor, cross, lower=1)
+        whitened_mode, _ = lapack.dtrtrs(factor, self.mode, lower=1)
+        posterior, _ = lapack.dtrtrs(inner_factor, whitened_cross, lower=1)
+        prior_variance = hyperparameters.signal**2 + MEAN_SD**2
+        variance = prior_variance - (whitened_cross**2).sum(axis=0) + (posterior**2).sum(axis=0)
+        mean = whitened_cross.T @ whitened_mode
+        return self.reference.standardisation.restore(mean, np.maximum(variance, 0.0))
+
+    def outliers(self, tail_probability: float = TAIL_PROBABILITY) -> NDArray[np.bool_]:
+        """Judge each parameter set by its likelihood at the mode.
+
+        A parameter set is an outlier if its mean response lies so far above the model that its
+        Student-t tail probability is at most `tail_probability`. Values below the model are never
+        outliers: they are what a minimiser looks for.
+
+        Parameters
+        ----------
+        tail_probability : float
+            One-sided, in (0, 1).
+
+        Returns
+        -------
+        ndarray of bool, shape (N,)
+            One value for each observation; replicates of one point share it.
+        """
+        z = (self.data.mean - self.mode) / self.scale
+        mask: NDArray[np.bool_] = stdtr(self.degrees_of_freedom, -z) <= tail_probability
+        return mask[self.data.index]
+
+
+def _find_mode(
+    kernel: Array, y: Array, scale: Array, nu: float, start: Array
+) -> tuple[Array, int, bool]:
+    """Maximise Ψ(f) over f = K a, shape (n,), by guarded over-relaxed reweighted least squares.
+
+    The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K.
+    """
+
+    def psi(a: Array, f: Array) -> float:
+        return float(log_student_t_pdf(y - f, scale, nu).sum() - 0.5 * a @ f)
+
+    def reweighted(f: Array) -> Array:
+        """One step: a = (K + W⁻¹)⁻¹ y."""
+        weighted = kernel.copy()
+        weighted[np.diag_indices(len(y))] += (nu * scale**2 + (y - f) ** 2) / (nu + 1.0)
+        factor, _ = jittered_cholesky(weighted)
+        result: Array = lapack.dpotrs(factor, y, lower=1)[0]
+        return result
+
+    # The start need not lie in the range of K; after one step f = K a does.
+    a = reweighted(start)
+    f = kernel @ a
+    value = psi(a, f)
+    for iteration in range(1, MAXIMUM_ITERATIONS + 1):
+        step = reweighted(f) - a
+        candidates = [a + step, a + 2.0 * step]
+        latents = [kernel @ candidate for candidate in candidates]
+        values = [psi(*pair) for pair in zip(candidates, latents, strict=True)]
+        best = int(np.argmax(values))
+        gain = values[best] - value
+        if not gain > TOLERANCE:
+            return f, iteration, bool(np.isfinite(gain))
+        a, f, value = candidates[best], latents[best], values[best]
+    return f, MAXIMUM_ITERATIONS, False
+
+
+def find_outliers(
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    priors: Hyperpriors | None = None,
+    minimum_length_scales: ArrayLike | None = None,
+    start: Hyperparameters | None = None,
+) -> tuple[NDArray[np.bool_], GaussianProcess]:
+    """Mark the outliers of all observations (paper, Section 3).
+
+    A reference is fitted to the bulk of the data, and the Student-t process of all data with its
+    hyperparameters marks the outliers. The bulk is found anew from medians each time, so no
+    earlier judgement keeps a point out for ever. The scheme breaks down when half of the
+    parameter sets are outliers.
+
+    Parameters
+    ----------
+    x, y, rng, priors, minimum_length_scales, start
+        As `GaussianProcess.fit`.
+
+    Returns
+    -------
+    outliers : ndarray of bool, shape (N,)
+        Mark of each observation; replicates of one point share it.
+    reference : GaussianProcess
+        Fitted to the bulk.
+
+    Raises
+    ------
+    ValueError
+        As `GaussianProcess.fit`.
+    """
+    points, responses = checked_data(x, y)
+    bulk = _bulk(points, responses)
+    reference = GaussianProcess.fit(
+        points[bulk],
+        responses[bulk],
+        rng=rng,
+        priors=priors,
+        minimum_length_scales=minimum_length_scales,
+        start=start,
+    )
+    return StudentTProcess.fit(points, responses, reference).outliers(), reference
+
+
+def _bulk(x: Array, y: Array) -> NDArray[np.bool_]:
+    """Mark the observations of points whose mean is not far above the median, shape (N,)."""
+    data = Replicates.group(x, Standardisation.of(y).apply(y))
+    above = data.mean - np.median(data.mean)
+    width = BULK_WIDTH * MAD_TO_SD * np.median(np.abs(above))
+    if width == 0.0:  # half of the means are equal, a response at its limit; the rest may vary
+        width = BULK_WIDTH * MAD_TO_SD * np.abs(above).mean()
+    near: NDArray[np.bool_] = above <= width
+    return near[data.index]

@@ -1,0 +1,169 @@
+"""A run as diagnostics (REP-107), independent of ROS messages."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from bo_tuner.models.hyperpriors import Hyperparameters
+from bo_tuner.monitoring.status import Snapshot
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.recording.retention import verdict
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState
+
+PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
+TRIAL_RESULT = "tuner: trial_result"
+"""Names of the statuses. They never change, so that plotters make one series of each value."""
+
+
+class Level(IntEnum):
+    """Levels of a status, as in ``diagnostic_msgs/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class Status:
+    """A named status.
+
+    Attributes
+    ----------
+    name
+        One of the names above.
+    level
+        How serious it is.
+    message
+        What it says, in a few words.
+    values
+        Details by key; numbers in SI units, and so that they read back bit for bit.
+    """
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, str] = field(default_factory=dict)
+
+
+def progress(study: Study, now: Snapshot) -> Status:
+    """Tell how far a run is."""
+    message = f"{now.phase}: {now.done} of {now.total}" if now.phase else "starting"
+    values: dict[str, object] = {
+        "phase": now.phase,
+        "done": now.done,
+        "total": now.total,
+        "trials": now.trials,
+        "budget": study.budget.trials,
+        "paused": now.paused,
+        "overhead": now.overhead,
+        "time_left": now.time_left,
+        **_of_incumbent(now.incumbent),
+        "stop_advised": now.advice is not None,
+    }
+    if now.advice is not None:
+        values |= {"expected_gain": now.advice.expected_gain, "noise": now.advice.noise}
+        message += "; advice: stop, what is left to gain is below the noise"
+    if now.incumbent is not None and not now.incumbent.believed_feasible:
+        message += "; no feasible point yet"
+    if now.paused:
+        message += "; paused"
+    return Status(PROGRESS, Level.OK, message, _text(values))
+
+
+def surrogate(study: Study, now: Snapshot) -> Status:
+    """Tell what the models of the latest proposal were like."""
+    last = now.last
+    values: dict[str, object] = {"fallbacks": now.fallbacks}
+    if last is None or not last.hyperparameters:
+        return Status(SURROGATE, Level.OK, "no model yet", _text(values))
+    names = (*study.search_space().names, *study.context_space().names)
+    for model, phi in last.hyperparameters.items():
+        found = Hyperparameters.from_log(np.array(phi))
+        scales = zip(names, found.length_scales.tolist(), strict=False)
+        values |= {f"{model}.length_scale.{name}": scale for name, scale in scales}
+        values |= {f"{model}.signal": found.signal, f"{model}.noise": found.noise}
+    level = Level.WARN if last.warnings else Level.OK
+    message = last.warnings[0] if last.warnings else f"trial {last.number}: {last.origin}"
+    return Status(SURROGATE, level, message, _text(values))
+
+
+def safety(study: Study, now: Snapshot) -> Status:
+    """Tell what went wrong so far; the level is that of the latest trial."""
+    values = {
+        "failed_trials": now.failed,
+        "violating_trials": now.violating,
+        "lost_evaluations": now.lost,
+    }
+    if now.last is None:
+        return Status(SAFETY, Level.OK, "no trial yet", _text(values))
+    message = f"trial {now.last.number}: {now.last.reason or verdict(study, now.last)}"
+    return Status(SAFETY, _level(study, now.last), message, _text(values))
+
+
+def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: str) -> Status:
+    """Tell what came of a trial.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trial
+        The trial.
+    incumbent
+        The best one so far.
+    run
+        Folder of the run.
+    """
+    values: dict[str, object] = {
+        "trial": trial.number,
+        "state": str(trial.state),
+        "origin": trial.origin,
+        "verdict": verdict(study, trial),
+        **{f"parameters.{name}": value for name, value in trial.parameters.items()},
+    }
+    if trial.state is TrialState.COMPLETE:
+        for name in study.metrics:
+            observed = trial.observations(name)
+            values[f"metrics.{name}"] = sum(observed) / len(observed)
+    if trial.worst_case is not None:
+        values["worst_case"] = trial.worst_case.value
+        context = trial.worst_case.context.items()
+        values |= {f"worst_context.{name}": value for name, value in context}
+    values |= {
+        **_of_incumbent(incumbent),
+        "evaluations": len(trial.evaluations),
+        "optimizer_seconds": trial.seconds,
+        "evaluation_seconds": sum(evaluation.seconds for evaluation in trial.evaluations),
+        "seed": study.seed,
+        "bag": f"{run}/bags/trial_{trial.number:04d}",
+    }
+    message = trial.reason or verdict(study, trial)
+    return Status(TRIAL_RESULT, _level(study, trial), message, _text(values))
+
+
+def _level(study: Study, trial: Trial) -> Level:
+    if trial.state is TrialState.FAILED:
+        return Level.ERROR
+    return Level.WARN if verdict(study, trial).startswith("violates") else Level.OK
+
+
+def _of_incumbent(best: Candidate | None) -> dict[str, object]:
+    if best is None:
+        return {}
+    return {
+        "incumbent": best.trial.number,
+        "incumbent_objective": best.objective,
+        "probability_feasible": best.feasibility,
+    }
+
+
+def _text(values: Mapping[str, object]) -> dict[str, str]:
+    return {
+        # Plotters take numbers only; and repr(np.float64) is no number.
+        key: repr(float(value)) if isinstance(value, float) else str(value)
+        for key, value in values.items()
+        if value is not None
+    }

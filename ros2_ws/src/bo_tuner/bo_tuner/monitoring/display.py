@@ -1,0 +1,134 @@
+"""What a person, or a program in one's place, gets to see of a run."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.table import Table
+
+from bo_tuner.study.study import Study
+from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.validation import Validation
+
+
+class Output(StrEnum):
+    """How a run shows itself."""
+
+    PROGRESS = "progress"
+    QUIET = "quiet"
+    JSON_LINES = "json-lines"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run has found.
+
+    Attributes
+    ----------
+    study
+        The study.
+    default, tuned
+        Validation of both parameter sets.
+    parameters_file
+        Holds the tuned one.
+    amiss
+        What is amiss with it, in a sentence; empty if it is feasible.
+    summary
+        As in ``summary.json``.
+    """
+
+    study: Study
+    default: Validation
+    tuned: Validation
+    parameters_file: Path
+    amiss: str
+    summary: Mapping[str, object]
+
+
+class Display(RunObserver):
+    """Shows the result and what is amiss, and nothing else; use it in a ``with`` block."""
+
+    def __init__(self) -> None:
+        self._console = plain_console(stderr=True)
+
+    def __enter__(self) -> Self:
+        """Begin to show the run."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Leave the terminal as it was."""
+
+    def start(self, folder: Path, backend: str, algorithm: str) -> None:
+        """Tell where and by what the run is run."""
+
+    def tell(self, text: str) -> None:
+        """Tell a line that one can do without."""
+
+    def warn(self, text: str) -> None:
+        """Tell what is amiss, on standard error."""
+        self._console.print(text, soft_wrap=True)
+
+    def result(self, result: Result) -> None:
+        """Tell the result, on standard output."""
+        out = plain_console()
+        out.print(comparison(result.study, result.default, result.tuned))
+        out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
+        if result.amiss:
+            out.print(result.amiss, soft_wrap=True)
+
+    def end(self, code: int) -> None:
+        """Tell that the run has ended with an exit code."""
+
+
+def plain_console(stderr: bool = False) -> Console:
+    """Make a console that shows texts as they are: what stands in brackets is no markup."""
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+
+def say(text: str) -> None:
+    """Print a line as it is, however long, on standard output."""
+    plain_console().print(text, soft_wrap=True)
+
+
+def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
+    """Table of the default against the tuned parameter set on the same fresh draws."""
+    table = Table(
+        title=f"{study.name}: default against tuned, the same {tuned.draws} fresh draws",
+        title_justify="left",
+    )
+    table.add_column("")
+    table.add_column("unit")
+    table.add_column("default", justify="right")
+    table.add_column("tuned", justify="right")
+    both = (default, tuned)
+    for name, item in study.parameters.items():
+        table.add_row(name, item.unit, *[f"{v.parameters[name]:.4g}" for v in both])
+    table.add_section()
+    metric = study.metrics[study.objective.metric]
+    table.add_row(
+        f"mean {metric.name}",
+        metric.unit,
+        *[f"{v.objective:.4g} ± {v.deviation / v.draws**0.5:.2g}" for v in both],
+    )
+    for index, constraint in enumerate(study.constraints.values()):
+        unit = study.metrics[constraint.metric].unit
+        checks = [v.constraints[index] for v in both]
+        table.add_row(
+            f"largest {constraint.metric}", unit, *[f"{check.worst:.4g}" for check in checks]
+        )
+        table.add_row(
+            f"  draws above {constraint.upper:g}", "", *[str(check.violations) for check in checks]
+        )
+    table.add_row("failed evaluations", "", *[str(v.failures) for v in both])
+    table.add_section()
+    table.add_row("feasible", "", *["yes" if v.feasible else "NO" for v in both])
+    return table

@@ -1,0 +1,179 @@
+"""A run as JSON lines on standard output: one object for each event, for other programs."""
+
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TextIO
+
+from bo_tuner.monitoring.display import Display, Result
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.recording.retention import verdict
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+
+SCHEMA = 1
+
+
+class JsonLines(Display):
+    """Writes the events; what goes wrong is told on standard error as well.
+
+    A reader that goes away does not end the run: it matters more than who looks on.
+
+    Parameters
+    ----------
+    study
+        The study.
+    status
+        Where the run stands; told of each step before.
+    out
+        Where lines go; standard output if not given.
+    """
+
+    def __init__(self, study: Study, status: RunStatus, out: TextIO | None = None) -> None:
+        super().__init__()
+        self._study = study
+        self._status = status
+        self._out: TextIO | None = out or sys.stdout
+
+    def start(self, folder: Path, backend: str, algorithm: str) -> None:
+        """Tell what is run, where and by what."""
+        study = self._study
+        self._write(
+            "run",
+            schema=SCHEMA,
+            study=study.name,
+            folder=str(folder),
+            backend=backend,
+            algorithm=algorithm,
+            seed=study.seed,
+            trials=study.budget.trials,
+            objective={"metric": study.objective.metric, "direction": study.objective.direction},
+            units={name: metric.unit for name, metric in study.metrics.items()},
+        )
+
+    def begin(self, phase: str, total: int) -> None:
+        """Tell of a new phase."""
+        self._write("phase", phase=phase, total=total)
+
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Tell of each trial on record."""
+        for trial in trials:
+            self._write("trial", recalled=True, **self._of_trial(trial))
+
+    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+        """Tell of an evaluation."""
+        outcome = evaluation.outcome
+        self._write(
+            "evaluation",
+            trial=evaluation.trial,
+            index=evaluation.index,
+            stage=str(evaluation.stage),
+            parameters=parameters,
+            context=evaluation.context,
+            seed=evaluation.seed,
+            state=str(outcome.state),
+            reason=outcome.reason,
+            metrics=outcome.metrics,
+            seconds=evaluation.seconds,
+        )
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Tell of a trial and of the best one so far."""
+        now = self._status.now
+        best = incumbent and {
+            "trial": incumbent.trial.number,
+            "objective": incumbent.objective,
+            "probability_feasible": incumbent.feasibility,
+            "believed_feasible": incumbent.believed_feasible,
+        }
+        self._write(
+            "trial",
+            recalled=False,
+            **self._of_trial(trial),
+            incumbent=best,
+            overhead=now.overhead,
+            time_left=now.time_left,
+        )
+
+    def advise(self, advice: StopAdvice) -> None:
+        """Tell of the advice to stop."""
+        self._write("stop_advice", **asdict(advice))
+
+    def pause(self, paused: bool) -> None:
+        """Tell of a pause."""
+        self._write("pause", paused=paused)
+
+    def tell(self, text: str) -> None:
+        """Tell a line that is no event of its own."""
+        self._write("message", level="info", text=text)
+
+    def warn(self, text: str) -> None:
+        """Tell what is amiss."""
+        self._write("message", level="warning", text=text)
+        super().warn(text)
+
+    def result(self, result: Result) -> None:
+        """Tell the result."""
+        self._write(
+            "result",
+            parameters_file=str(result.parameters_file),
+            amiss=result.amiss,
+            **result.summary,
+        )
+
+    def end(self, code: int) -> None:
+        """Tell that the run has ended."""
+        self._write("end", exit_code=code)
+
+    def _of_trial(self, trial: Trial) -> dict[str, object]:
+        metrics = {}
+        if trial.state is TrialState.COMPLETE:
+            observed = {name: trial.observations(name) for name in self._study.metrics}
+            metrics = {name: sum(values) / len(values) for name, values in observed.items()}
+        return {
+            "trial": trial.number,
+            "origin": trial.origin,
+            "state": str(trial.state),
+            "reason": trial.reason,
+            "verdict": verdict(self._study, trial),
+            "parameters": trial.parameters,
+            "mean_metrics": metrics,
+            "worst_case": trial.worst_case and asdict(trial.worst_case),
+            "evaluations": len(trial.evaluations),
+            "optimizer_seconds": trial.seconds,
+            "evaluation_seconds": sum(evaluation.seconds for evaluation in trial.evaluations),
+            "warnings": list(trial.warnings),
+        }
+
+    def _write(self, event: str, **fields: object) -> None:
+        if self._out is None:
+            return
+        line = json.dumps(_strict({"event": event, "time": time.time(), **fields}), allow_nan=False)
+        try:
+            self._out.write(f"{line}\n")
+            self._out.flush()
+        except OSError as error:
+            # What could not be written waits in the stream, and would be tried again at the end.
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._out.fileno())
+            os.close(nowhere)
+            self._out = None
+            super().warn(f"no more JSON lines: {error.strerror}; the run goes on")
+
+
+def _strict(value: object) -> object:
+    """Make of a value what strict JSON can hold: null for what is not a number."""
+    if isinstance(value, Mapping):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,171 @@
+"""The tuner's face in the ROS graph: diagnostics, trial results, plots, and services.
+
+Nothing here waits for anybody or takes part in the control loop: trial results are published when
+a trial has ended, and a thread of its own serves a timer of 1 Hz and the services.
+"""
+
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring import diagnostics
+from bo_tuner.monitoring.monitor import Monitor
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState
+from bo_tuner.tuning.observer import RunObserver
+
+NODE_NAME = "tuner"
+PERIOD = 1.0
+SPIN_PERIOD = 1.0
+DIAGNOSTICS = "/diagnostics"
+"""REP-107 gives one name for all namespaces."""
+HEADLINES = ("objective", "best_objective", "probability_feasible", "worst_case")
+LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
+
+
+class LiveNode(RunObserver):
+    """A ROS node that tells of a run, and takes requests to pause or end it, until it is closed.
+
+    Parameters
+    ----------
+    context
+        The ROS context of the tuner: one participant for both keeps the traffic low.
+    study
+        The study.
+    folder
+        Of the run.
+    monitor
+        Tells of each step from now on, and is asked for pauses.
+    interruption
+        Is asked for the end of the run.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        study: Study,
+        folder: Path,
+        monitor: Monitor,
+        interruption: Interruption,
+    ) -> None:
+        self._study = study
+        self._folder = folder
+        self._status = monitor.status
+        self._pause = monitor.pause
+        self._interruption = interruption
+        self._node = Node(
+            NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
+        )
+        self._diagnostics = self._node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
+        # Who joins late gets the results of all trials, but only the latest numbers, which have no
+        # stamp that would tell when they were new.
+        self._results = self._node.create_publisher(
+            DiagnosticArray, "~/trial_result", _latched(study.budget.trials)
+        )
+        self._headlines = {
+            name: self._node.create_publisher(Float64, f"~/{name}", _latched(1))
+            for name in HEADLINES
+        }
+        self._node.create_service(SetBool, "~/pause", self._on_pause)
+        self._node.create_service(Trigger, "~/abort", self._on_abort)
+        # Not the node's own clock: simulated time may stand still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(PERIOD, self._publish_diagnostics, clock=steady)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self._node)
+        self._stop = threading.Event()
+        self.thread = threading.Thread(target=self._spin, name="live", daemon=True)
+        self.thread.start()
+        monitor.add(self)
+
+    def close(self) -> None:
+        """Tell the last state and leave the graph."""
+        self._stop.set()
+        self._executor.wake()
+        self.thread.join()
+        self._publish_diagnostics()
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Publish the results of the trials on record."""
+        for trial in trials:
+            self._publish_result(trial, incumbent if trial is trials[-1] else None)
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Publish the result of a trial."""
+        self._publish_result(trial, incumbent)
+
+    def _publish_result(self, trial: Trial, incumbent: Candidate | None) -> None:
+        status = diagnostics.trial_result(self._study, trial, incumbent, str(self._folder))
+        self._results.publish(self._array(status))
+        for name, value in self._numbers(trial, incumbent).items():
+            self._headlines[name].publish(Float64(data=float(value)))
+
+    def _numbers(self, trial: Trial, incumbent: Candidate | None) -> Mapping[str, float]:
+        numbers = {}
+        if trial.state is TrialState.COMPLETE:
+            observed = trial.observations(self._study.objective.metric)
+            numbers["objective"] = sum(observed) / len(observed)
+        if trial.worst_case is not None:
+            numbers["worst_case"] = trial.worst_case.value
+        if incumbent is not None:
+            numbers["probability_feasible"] = incumbent.feasibility
+            if incumbent.believed_feasible:
+                numbers["best_objective"] = incumbent.objective
+        return numbers
+
+    def _publish_diagnostics(self) -> None:
+        now = self._status.now
+        tell = (diagnostics.progress, diagnostics.surrogate, diagnostics.safety)
+        self._diagnostics.publish(self._array(*(make(self._study, now) for make in tell)))
+
+    def _array(self, *statuses: diagnostics.Status) -> DiagnosticArray:
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [
+            DiagnosticStatus(
+                level=LEVELS[status.level],
+                name=status.name,
+                message=status.message,
+                hardware_id=self._study.name,
+                values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+            )
+            for status in statuses
+        ]
+        return message
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._pause.request(request.data)
+        response.success = True
+        response.message = "the run waits after the present cut" if request.data else "goes on"
+        return response
+
+    def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._interruption.request("the service ~/abort")
+        response.success = True
+        response.message = f"the run ends; go on by: tune --resume {self._folder}"
+        return response
+
+    def _spin(self) -> None:
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+
+
+def _latched(depth: int) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )

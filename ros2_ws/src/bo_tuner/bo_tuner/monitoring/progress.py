@@ -1,0 +1,190 @@
+"""What a run shows in the terminal while it goes on."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Column
+from rich.text import Text
+
+from bo_tuner.monitoring.display import Display
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+
+
+class RunProgress(Display):
+    """A line for each trial and, on a terminal, a bar with a second line for the incumbent.
+
+    All of it is on standard error.
+
+    Parameters
+    ----------
+    console
+        Where to draw.
+    study
+        The study.
+    status
+        Where the run stands, told of each step before; without it no times are shown.
+    """
+
+    def __init__(self, console: Console, study: Study, status: RunStatus | None = None) -> None:
+        super().__init__()
+        self._study = study
+        self._status = status
+        self._console = console
+        self._progress = _TwoLines(console)
+
+    def __enter__(self) -> Self:
+        """Show the bar, once there is something to show."""
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Leave the terminal as it was."""
+        self._progress.stop()
+
+    def start(self, folder: Path, backend: str, algorithm: str) -> None:
+        """Tell where the run is."""
+        self.tell(f"run folder {folder}")
+
+    def begin(self, phase: str, total: int) -> None:
+        """Start counting `total` steps of `phase`."""
+        for task in self._progress.task_ids:
+            self._progress.remove_task(task)
+        self._task = self._progress.add_task(phase, total=total, note="")
+        self._show()
+
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Count the trials on record."""
+        self._progress.second_line = incumbent_in_words(incumbent, self._study)
+        self._show(steps=len(trials))
+
+    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+        """Show the times anew."""
+        self._show()
+
+    def advance(self) -> None:
+        """Count one step."""
+        self._show(steps=1)
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Count a trial, and tell of it and of the incumbent."""
+        self._progress.second_line = incumbent_in_words(incumbent, self._study)
+        self._show(steps=1)
+        self.tell(f"trial {trial.number:3d}  {describe(trial, self._study)}")
+        for warning in trial.warnings:
+            self.tell(f"           warning: {warning}")
+
+    def advise(self, advice: StopAdvice) -> None:
+        """Give the advice to stop."""
+        self.tell(advice_in_words(advice, self._study))
+
+    def pause(self, paused: bool) -> None:
+        """Tell of a pause."""
+        self._show()
+        self.tell("paused; call ~/pause with data: false to go on" if paused else "goes on")
+
+    def tell(self, text: str) -> None:
+        """Tell a line that one can do without."""
+        self._console.print(text, soft_wrap=True)
+
+    def _show(self, steps: int = 0) -> None:
+        parts = []
+        if self._status is not None:
+            now = self._status.now
+            if now.time_left is not None:
+                parts.append(f"{duration(now.time_left)} left")
+            if now.overhead is not None:
+                parts.append(f"optimizer {now.overhead:.0%}")
+            if now.paused:
+                parts.append("PAUSED")
+        self._progress.update(self._task, advance=steps, note="  ".join(parts))
+
+
+class _TwoLines(Progress):
+    """A progress bar with a line of text below."""
+
+    def __init__(self, console: Console) -> None:
+        self.second_line = ""
+        super().__init__(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(bar_width=12),
+            MofNCompleteColumn(),
+            # Takes what the line has left, and is cut off there.
+            TextColumn(
+                "{task.fields[note]}",
+                markup=False,
+                table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+            ),
+            console=console,
+            expand=True,
+            # Drawing takes time from the run.
+            refresh_per_second=2,
+            # A log file gets the lines of the trials instead.
+            disable=not console.is_terminal,
+        )
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """Yield the bar and the line."""
+        yield from super().get_renderables()
+        if self.second_line:
+            yield Text(self.second_line, no_wrap=True, overflow="ellipsis")
+
+
+def incumbent_in_words(best: Candidate | None, study: Study) -> str:
+    """Tell the best trial so far in a line."""
+    if best is None:
+        return "no complete trial yet"
+    if not best.believed_feasible:
+        return f"no feasible point yet (least violating: trial {best.trial.number})"
+    metric = study.metrics[study.objective.metric]
+    value = f"{best.objective:.4g} {metric.unit}".rstrip()
+    return (
+        f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
+        f"P(feasible) {best.feasibility:.2f}"
+    )
+
+
+def advice_in_words(advice: StopAdvice, study: Study) -> str:
+    """Tell the advice to stop in a sentence."""
+    metric = study.metrics[study.objective.metric]
+    unit = f" {metric.unit}" if metric.unit else ""
+    return (
+        f"advice: stop here; the {advice.remaining} trials left are expected to gain at most "
+        f"{advice.expected_gain:.2g}{unit} in {metric.name}, less than the noise of the best one, "
+        f"{advice.noise:.2g}{unit}"
+    )
+
+
+def duration(seconds: float) -> str:
+    """Tell a time in hours, minutes and seconds, such as 0:01:40."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+
+
+def describe(trial: Trial, study: Study) -> str:
+    """Tell a trial in a line: parameters, and its values or why it failed."""
+    tuned = [name for name, item in study.parameters.items() if item.is_tuned]
+    where = "  ".join(f"{name} {trial.parameters[name]:.4g}" for name in tuned)
+    if trial.state is TrialState.FAILED:
+        evaluation = trial.evaluations[-1]
+        context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
+        return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
+    values = trial.observations(study.objective.metric)
+    text = f"{where}  {study.objective.metric} {sum(values) / len(values):.4g}"
+    worst = study.worst_case_constraint
+    if worst is not None and trial.worst_case is not None:
+        verdict = "above" if trial.worst_case.value > worst.upper else "within"
+        text += f"  worst {worst.metric} {trial.worst_case.value:.4g} ({verdict} {worst.upper:g})"
+    return f"{text}  [{len(trial.evaluations)} evaluations]"

@@ -1,0 +1,181 @@
+"""Where a run stands: one snapshot after each step, from which all that watch it read."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from bo_tuner.optimizers.algorithms import Method
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stage_one import SPACE_FILLING
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.recording.retention import verdict
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, Value
+from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.recommendation import DRAWN_CUTS, WORST_CUTS
+
+RECENT = 10
+"""So many of the latest trials tell how long the next ones take: proposals take ever longer."""
+
+TUNING, CHECKING, VALIDATION = "tuning", "checking candidates", "validation"
+"""Phases of a run."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A run at a moment.
+
+    Attributes
+    ----------
+    phase
+        What is going on; one of `TUNING`, `CHECKING` and `VALIDATION`, or empty before the first.
+    done, total
+        Steps of the phase.
+    trials
+        Number of trials so far.
+    last
+        The latest trial.
+    incumbent
+        The best trial so far, or the least violating one.
+    overhead
+        Share of the optimizer in the time of optimizer and evaluations; None before the first
+        evaluation.
+    time_left
+        Time [s] until the end of the run, as far as one can tell; None before the first trial.
+    paused
+        Whether the run waits between two evaluations.
+    advice
+        To stop early.
+    failed, violating
+        Trials that failed, and others that were seen to violate a constraint.
+    lost
+        Evaluations that were lost with their nodes.
+    fallbacks
+        Trials that were proposed far from all others for want of a better proposal.
+    """
+
+    phase: str = ""
+    done: int = 0
+    total: int = 0
+    trials: int = 0
+    last: Trial | None = None
+    incumbent: Candidate | None = None
+    overhead: float | None = None
+    time_left: float | None = None
+    paused: bool = False
+    advice: StopAdvice | None = None
+    failed: int = 0
+    violating: int = 0
+    lost: int = 0
+    fallbacks: int = 0
+
+
+class RunStatus(RunObserver):
+    """Keeps the present snapshot; another thread may read it.
+
+    Parameters
+    ----------
+    study
+        The study.
+    method
+        The algorithm of the run.
+
+    Attributes
+    ----------
+    now
+        The present snapshot. It is replaced as a whole, never changed.
+    """
+
+    def __init__(self, study: Study, method: Method) -> None:
+        self._study = study
+        self._evaluations = 0
+        self._evaluation_seconds = 0.0
+        self._optimizer_seconds = 0.0
+        self._trial_seconds: list[float] = []
+        self._phase_evaluations = 0
+        worst = WORST_CUTS if study.worst_case_constraint is not None else 0
+        # Of one candidate: as a rule the first one holds.
+        self._check_evaluations = DRAWN_CUTS + worst if method.most_checked else 0
+        # Of the default and of the tuned parameter set.
+        self._validation_evaluations = 2 * study.budget.validation_draws
+        self.now = Snapshot()
+
+    def begin(self, phase: str, total: int) -> None:
+        """Take note of a new phase."""
+        self._phase_evaluations = 0
+        self._update(phase=phase, done=0, total=total)
+
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Take note of the trials on record."""
+        for trial in trials:
+            for evaluation in trial.evaluations:
+                self._count(evaluation)
+            self._take(trial)
+        self._phase_evaluations = 0
+        self._update(incumbent=incumbent)
+
+    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+        """Take note of an evaluation."""
+        self._count(evaluation)
+        self._update()
+
+    def advance(self) -> None:
+        """Take note of a step that is no trial."""
+        self._update(done=self.now.done + 1)
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Take note of a trial whose evaluations were told before."""
+        self._take(trial)
+        self._update(incumbent=incumbent)
+
+    def advise(self, advice: StopAdvice) -> None:
+        """Take note of the advice to stop."""
+        self._update(advice=advice)
+
+    def pause(self, paused: bool) -> None:
+        """Take note of a pause."""
+        self._update(paused=paused)
+
+    def _count(self, evaluation: Evaluation) -> None:
+        self._evaluations += 1
+        self._phase_evaluations += 1
+        self._evaluation_seconds += evaluation.seconds
+        if evaluation.outcome.state is EvaluationState.LOST:
+            self._update(lost=self.now.lost + 1)
+
+    def _take(self, trial: Trial) -> None:
+        self._optimizer_seconds += trial.seconds
+        self._trial_seconds.append(
+            trial.seconds + sum(evaluation.seconds for evaluation in trial.evaluations)
+        )
+        failed = trial.state is TrialState.FAILED
+        violating = verdict(self._study, trial).startswith("violates")
+        self._update(
+            done=self.now.done + 1,
+            trials=self.now.trials + 1,
+            last=trial,
+            failed=self.now.failed + failed,
+            violating=self.now.violating + violating,
+            fallbacks=self.now.fallbacks + (trial.origin == SPACE_FILLING),
+        )
+
+    def _update(self, **changes: object) -> None:
+        now = replace(self.now, **changes)  # type: ignore[arg-type]
+        self.now = replace(now, overhead=self._overhead(), time_left=self._time_left(now))
+
+    def _overhead(self) -> float | None:
+        busy = self._optimizer_seconds + self._evaluation_seconds
+        return self._optimizer_seconds / busy if busy > 0.0 else None
+
+    def _time_left(self, now: Snapshot) -> float | None:
+        if not self._trial_seconds:
+            return None
+        recent = self._trial_seconds[-RECENT:]
+        seconds, evaluations = 0.0, self._validation_evaluations
+        if now.phase == TUNING:
+            seconds = (now.total - now.done) * sum(recent) / len(recent)
+            evaluations += self._check_evaluations
+        elif now.phase == CHECKING:
+            evaluations += max(0, self._check_evaluations - self._phase_evaluations)
+        else:
+            evaluations = max(0, evaluations - self._phase_evaluations)
+        return seconds + evaluations * self._evaluation_seconds / self._evaluations

@@ -1,0 +1,1 @@
+"""Which parameters to try next, which to recommend, and when to stop."""

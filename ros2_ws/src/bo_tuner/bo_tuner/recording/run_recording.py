@@ -1,0 +1,123 @@
+"""The recording of a run, from its first trial to the validation, or none at all."""
+
+import contextlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from bo_tuner.recording.recorder import Recorder
+from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Trial, Value
+
+LOG = "recording.log"
+
+
+class Listener(Protocol):
+    """Hands on what the nodes say, until it is closed."""
+
+    def refresh(self) -> bool:
+        """Hear topics that were not there before, too; tells whether there were any."""
+
+    def take(self) -> None:
+        """Hand on what has come by now."""
+
+    def close(self) -> None:
+        """Stop listening."""
+
+
+Listen = Callable[[Recorder], Listener]
+"""Makes a listener that hands messages to a recorder."""
+
+
+class RunRecording:
+    """Records evaluations; use it in a ``with`` block around them.
+
+    Parameters
+    ----------
+    folder
+        Of the run; bags go to ``bags`` in it, what goes wrong with them to ``log/recording.log``.
+    study
+        The study.
+    options
+        What to record.
+    listen
+        Makes the listener; None if there is nothing to hear.
+    tell
+        Called with a line of text on each thing that goes wrong.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        study: Study,
+        options: RecordOptions,
+        listen: Listen | None,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._folder = folder
+        self._study = study
+        self._options = options
+        self._listen = listen
+        self._tell = tell
+        self._recorder: Recorder | None = None
+        self._listener: Listener | None = None
+        self.summary: dict[str, object] = {"policy": str(Policy.NONE)}
+
+    def __enter__(self) -> Self:
+        """Start to listen."""
+        if self._listen is not None and self._options.policy is not Policy.NONE:
+            self._recorder = Recorder(self._folder / "bags", self._study, self._options)
+            try:
+                self._listener = self._listen(self._recorder)
+            except BaseException:
+                self._recorder.close()
+                raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Stop listening and finish the bags."""
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+        if self._recorder is not None:
+            self.summary = self._recorder.close()
+            self._pass_news_on()
+            self._recorder = None
+
+    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+        """Tell that an evaluation of a parameter set has ended."""
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            self._recorder.evaluation(evaluation, parameters)
+
+    def trial(self, trial: Trial, best: bool) -> None:
+        """Tell that a trial has ended, and whether no other is better so far."""
+        if self._recorder is not None and self._listener is not None:
+            self._recorder.trial(trial, best)
+            self._listener.refresh()
+            self._pass_news_on()
+
+    def phase_ended(self) -> None:
+        """Tell that the checks, or the validation, have ended."""
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            self._recorder.phase_ended()
+            self._pass_news_on()
+
+    def _pass_news_on(self) -> None:
+        news = self._recorder.news() if self._recorder is not None else []
+        for text in news:
+            self._tell(text)
+            # On a full disk there is no log either; the run goes on.
+            with (
+                contextlib.suppress(OSError),
+                (self._folder / "log" / LOG).open("a", encoding="utf-8") as file,
+            ):
+                file.write(f"{text}\n")

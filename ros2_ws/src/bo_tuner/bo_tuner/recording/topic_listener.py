@@ -1,0 +1,171 @@
+"""Hears all topics of a study's nodes, whatever they are: the graph tells names and types."""
+
+import importlib
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from bo_tuner.recording.bag import Topic, make_topic
+
+NODE_NAME = "bo_tuner_recorder"
+NOT_HEARD = ("/rosout",)
+DEPTH = 2000
+"""Messages of a topic that may wait; some evaluations' worth, for a moment in which this process is
+busy."""
+PERIOD = 0.1
+"""Time [s] after which waiting messages are taken. To wake up for each of them would cost a loop
+that runs beside it on few cores a multiple of this."""
+SETTLE = 0.3
+"""Time [s] in which the nodes' publishers find a new subscription, on one machine."""
+
+
+class Sink(Protocol):
+    """Where messages go; its methods are called from any thread."""
+
+    def take(self, topic: Topic, data: bytes) -> None:
+        """Take a message."""
+
+    def lose(self, count: int) -> None:
+        """Take note of messages that the middleware has lost."""
+
+    def warn(self, text: str) -> None:
+        """Take note of a topic that cannot be heard."""
+
+
+class TopicListener:
+    """A ROS node with a subscription to each topic of some nodes, served by a thread.
+
+    Messages are taken as they are on the wire, without being decoded.
+
+    Parameters
+    ----------
+    context
+        The ROS context of the tuner: one participant for both keeps the traffic low.
+    nodes
+        Names of the nodes to hear, relative to the namespace.
+    sink
+        Where messages go.
+    """
+
+    def __init__(self, context: Context, nodes: list[str], sink: Sink) -> None:
+        self._nodes = nodes
+        self._sink = sink
+        self._heard: set[str] = set()
+        self._node = Node(
+            NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
+        )
+        self._subscriptions: list[_Heard] = []
+        self._taking = threading.Lock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="topic-listener", daemon=True)
+        self._thread.start()
+        while self.refresh():
+            time.sleep(SETTLE)
+
+    def refresh(self) -> bool:
+        """Subscribe to topics that were not there before; returns whether there were any."""
+        found: dict[str, str] = {}
+        for node in self._nodes:
+            path = node if node.startswith("/") else f"{self._node.get_namespace()}/{node}"
+            namespace, _, name = path.rpartition("/")
+            namespace = f"/{namespace.strip('/')}"
+            # A node that is lost at the moment has no topics.
+            try:
+                topics = self._node.get_publisher_names_and_types_by_node(name, namespace)
+                topics += self._node.get_subscriber_names_and_types_by_node(name, namespace)
+            except RuntimeError:
+                continue
+            for topic, types in topics:
+                found.setdefault(topic, types[0])
+        new = found.keys() - self._heard - {*NOT_HEARD}
+        for topic in sorted(new):
+            self._heard.add(topic)
+            self._subscribe(topic, found[topic])
+        return bool(new)
+
+    def take(self) -> None:
+        """Hand over all messages that wait, in the order in which they came."""
+        with self._taking:
+            waiting = [item for heard in self._subscriptions for item in heard.take()]
+            for _, topic, data in sorted(waiting, key=lambda item: item[0]):
+                self._sink.take(topic, data)
+            lost = sum(heard.lost for heard in self._subscriptions)
+            if lost:
+                self._sink.lose(lost)
+                for heard in self._subscriptions:
+                    heard.lost = 0
+
+    def close(self) -> None:
+        """Hand over what waits, and stop listening."""
+        self._stop.set()
+        self._thread.join()
+        self.take()
+        self._node.destroy_node()
+
+    def _subscribe(self, name: str, message_type: str) -> None:
+        try:
+            topic = make_topic(name, message_type)
+            message_class = _message_class(message_type)
+        except (KeyError, ImportError, AttributeError):
+            self._sink.warn(f"{name} is not recorded: its type {message_type} is not known here")
+            return
+        publishers = self._node.get_publishers_info_by_topic(name)
+        best_effort = any(
+            info.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT for info in publishers
+        )
+        qos = QoSProfile(
+            depth=DEPTH,
+            reliability=QoSReliabilityPolicy.BEST_EFFORT
+            if best_effort
+            else QoSReliabilityPolicy.RELIABLE,
+        )
+        # It is in no executor, which would call this.
+        subscription = self._node.create_subscription(
+            message_class, name, lambda message: None, qos, raw=True
+        )
+        with self._taking:
+            self._subscriptions.append(_Heard(topic, subscription, len(publishers) == 1))
+
+    def _run(self) -> None:
+        while not self._stop.wait(PERIOD):
+            self.take()
+
+
+@dataclass
+class _Heard:
+    """A subscription, and how many of its messages the middleware has lost.
+
+    A publisher numbers its messages; where there are several, a gap tells nothing.
+    """
+
+    topic: Topic
+    subscription: Subscription
+    one_publisher: bool
+    latest: int = 0
+    lost: int = 0
+
+    def take(self) -> list[tuple[int, Topic, bytes]]:
+        """Take the messages that wait, with the time of their arrival [ns]."""
+        found = []
+        handle = self.subscription.handle
+        with handle:
+            while (item := handle.take_message(self.subscription.msg_type, True)) is not None:
+                data, info = item
+                found.append((info["received_timestamp"], self.topic, data))
+                number = info["publication_sequence_number"]
+                # A publisher that was started anew begins again; not every middleware numbers.
+                if self.one_publisher and number and 0 < self.latest < number:
+                    self.lost += number - self.latest - 1
+                self.latest = number or 0
+        return found
+
+
+def _message_class(name: str) -> Any:
+    package, _, kind = name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), kind)

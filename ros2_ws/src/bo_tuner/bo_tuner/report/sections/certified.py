@@ -1,0 +1,164 @@
+"""What the run's certificate says, if it has one; `validate` writes it."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.certificate.record import CERTIFICATE, DEFAULT, TUNED
+from bo_tuner.certificate.verdict import PASS
+from bo_tuner.errors import RunRecordError
+from bo_tuner.report.content import Section, Table, number, quantity
+from bo_tuner.storage.record import RunRecord
+
+
+@dataclass(frozen=True)
+class CertificateFile:
+    """A certificate as its file tells it.
+
+    Attributes
+    ----------
+    content
+        All of the file.
+    section
+        What a report shows of it.
+    """
+
+    content: Mapping[str, Any]
+    section: Section
+
+    @property
+    def passed(self) -> bool:
+        """Whether the parameter set passed."""
+        return bool(self.content["verdict"] == PASS)
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial whose parameter set was tested."""
+        return int(self.content["trial"])
+
+    @property
+    def scope(self) -> str:
+        """How much was tested."""
+        confidence = 100.0 * float(self.content["confidence"])
+        return f"{self.content['draws']} fresh draws, {confidence:g} % confidence"
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Why it did not pass."""
+        return [str(reason) for reason in self.content["reasons"]]
+
+
+def certificate(record: RunRecord) -> CertificateFile | None:
+    """Read a run's certificate; None if there is none.
+
+    Raises
+    ------
+    RunRecordError
+        If it cannot be read, or is not laid out as `validate` does.
+    """
+    path = record.path / CERTIFICATE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return CertificateFile(content, _section(content, path))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise RunRecordError(f"{path}: no certificate that can be read: {error!r}") from error
+
+
+def _section(content: Mapping[str, Any], path: Path) -> Section:
+    verdict = str(content["verdict"])
+    confidence = f"{100.0 * float(content['confidence']):g} %"
+    lead = (
+        f"{verdict} for the parameter set of trial {content['trial']}, on {content['draws']} "
+        f"fresh draws. Every bound has a confidence of {confidence}."
+    )
+    return Section(
+        name="certificate",
+        title=f"What the certificate says: {verdict}",
+        lead=lead,
+        tables=[_limits(content, confidence), *_gaps(content)],
+        notes=[
+            *map(str, content["reasons"]),
+            *map(str, content["warnings"]),
+            f"All of it is in {path.name}, and the evaluations in {path.stem}_cuts.csv.",
+        ],
+    )
+
+
+def _limits(content: Mapping[str, Any], confidence: str) -> Table:
+    both = (content[DEFAULT], content[TUNED])
+    objective = content["objective"]
+    tail = f"mean of the worst {100.0 * (1.0 - float(content['tail_level'])):.3g} % (CVaR)"
+    rows = [
+        [f"mean {objective['metric']}", *(_mean(f["objective"]) for f in both), objective["unit"]],
+        [f"  {tail}", *(number(f["tail"]) for f in both), objective["unit"]],
+    ]
+    for pair in zip(both[0]["constraints"], both[1]["constraints"], strict=True):
+        first = pair[1]
+        metric, unit, limit = first["metric"], first["unit"], number(first["limit"])
+        rows += [
+            [f"largest {metric}", *(number(c["largest"]) for c in pair), unit],
+            [f"  {tail}", *(number(c["tail"]) for c in pair), unit],
+            [f"  draws above {limit}", *(str(c["violations"]) for c in pair), ""],
+            [
+                f"  probability of a violation, {confidence} bound",
+                *(number(c["violation_bound"]) for c in pair),
+                "",
+            ],
+        ]
+        if all(c["worst"] for c in pair):
+            worst = [c["worst"][0] for c in pair]
+            rows += [
+                [f"worst-case mean {metric}", *(_mean(w["mean"]) for w in worst), unit],
+                [f"  {confidence} bound", *(number(w["mean"]["upper"]) for w in worst), unit],
+                *(
+                    [f"  at {name}", *(number(w["context"][name]) for w in worst), ""]
+                    for name in worst[1]["context"]
+                ),
+            ]
+        rows.append([f"{first['name']}", *(_shown(c["passed"]) for c in pair), ""])
+    rows.append(
+        ["failed evaluations", *(f"{f['failures']} of {f['evaluations']}" for f in both), ""]
+    )
+    return Table(
+        caption="Default and tuned parameter set in the same fresh draws of context and noise",
+        header=["", "default", "tuned", "unit"],
+        rows=rows,
+        numeric=[1, 2],
+    )
+
+
+def _gaps(content: Mapping[str, Any]) -> list[Table]:
+    rows = [
+        [
+            gap["name"],
+            number(gap["shown"]),
+            number(gap["predicted"]),
+            number(gap["validated"]),
+            f"{gap['gap']:+.2g} ± {gap['standard_error']:.1g}",
+            gap["unit"],
+        ]
+        for gap in content["training_gaps"]
+    ]
+    if not rows:
+        return []
+    return [
+        Table(
+            caption="Training against validation: a gap of several standard errors means that the "
+            "search fell for its luckiest samples",
+            header=["", "shown in training", "predicted", "validated", "gap", "unit"],
+            rows=rows,
+            numeric=[1, 2, 3, 4],
+        )
+    ]
+
+
+def _mean(mean: Mapping[str, float]) -> str:
+    return f"{quantity(mean['value'], '')} ± {mean['standard_error']:.2g}"
+
+
+def _shown(passed: bool) -> str:
+    return "shown to hold" if passed else "not shown"

@@ -1,0 +1,227 @@
+"""Where the worst case lies: default and tuned evaluations over the contexts."""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Axis,
+    Color,
+    ColorScale,
+    Contour,
+    Element,
+    Figure,
+    Heatmap,
+    Limit,
+    Marker,
+    Panel,
+    Points,
+)
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, quantity, values
+from bo_tuner.study.parts import Metric
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation
+
+FEWEST_FOR_A_FIELD = 8
+"""With fewer evaluations a field between them would be guesswork."""
+
+FIELD_POINTS = 31
+MOST_VARIABLES = 3
+"""Pairs are drawn of so many context variables, the first ones of the study."""
+
+
+def contexts(analysis: Analysis) -> Section | None:
+    """Show the constrained metric over the contexts; None in a study without contexts."""
+    study = analysis.study
+    if not study.contexts:
+        return None
+    sides = [("default", analysis.evaluations_of(analysis.defaults))]
+    if analysis.answer is not None:
+        sides.append(("tuned", analysis.evaluations_of(analysis.answer.parameters)))
+    sides = [(name, evaluations) for name, evaluations in sides if evaluations]
+    if not sides:
+        return None
+    metric, limit = _metric(study)
+    worst = [
+        (name, max(evaluations, key=lambda c: c.outcome.metrics[metric.name]))
+        for name, evaluations in sides
+    ]
+    said = "; ".join(
+        f"{name}: {quantity(evaluation.outcome.metrics[metric.name], metric.unit)} at "
+        f"{values(evaluation.context)}"
+        for name, evaluation in worst
+    )
+    bound = ""
+    if limit is not None:
+        above = "; ".join(
+            f"{name} {_above(evaluations, metric, limit)}" for name, evaluations in sides
+        )
+        bound = f" Single evaluations above the limit of {quantity(limit, metric.unit)}: {above}."
+    return Section(
+        name="contexts",
+        title="Which contexts are the worst",
+        lead=f"Largest {metric.name} seen: {said}.{bound}",
+        figures=[_map(study, sides, metric, limit)],
+    )
+
+
+def _metric(study: Study) -> tuple[Metric, float | None]:
+    """Return the metric of the worst case and its limit, or the objective's and None."""
+    worst = study.worst_case_constraint
+    if worst is None:
+        return study.metrics[study.objective.metric], None
+    return study.metrics[worst.metric], worst.upper
+
+
+Side = tuple[str, list[Evaluation]]
+
+
+def _map(study: Study, sides: Sequence[Side], metric: Metric, limit: float | None) -> Figure:
+    seen = [
+        evaluation.outcome.metrics[metric.name]
+        for _, evaluations in sides
+        for evaluation in evaluations
+    ]
+    names = study.context_space().names
+    colors = _colors(metric, seen, limit)
+    if len(names) == 1:
+        # The same range on both sides, for a fair look.
+        ends = [*seen, *([] if limit is None else [limit])]
+        margin = 0.05 * ((max(ends) - min(ends)) or abs(max(ends)) or 1.0)
+        y = Axis(
+            label=metric.name, unit=metric.unit, limits=(min(ends) - margin, max(ends) + margin)
+        )
+        panels = [_panel_1d(study, side, metric, limit, y) for side in sides]
+    else:
+        pairs = list(itertools.combinations(names[:MOST_VARIABLES], 2))
+        panels = [
+            _panel_2d(study, side, metric, colors, limit, pair) for pair in pairs for side in sides
+        ]
+    return Figure(
+        name="contexts",
+        title=f"Every evaluation of default and tuned over the contexts, by {metric.name}",
+        caption="A point is one run, in any stage of the tuning. The field between the points is a "
+        "Gaussian process through them; the line is the limit. The search looks for the worst "
+        "case, so evaluations crowd where the metric is large.",
+        alternative="; ".join(_said(side, metric) for side in sides),
+        panels=panels,
+        columns=min(2, len(panels)),
+        panel_height=380,
+    )
+
+
+def _panel_1d(study: Study, side: Side, metric: Metric, limit: float | None, y: Axis) -> Panel:
+    name, evaluations = side
+    (variable,) = study.context_space().names
+    elements: list[Element] = [
+        Points(
+            x=[evaluation.context[variable] for evaluation in evaluations],
+            y=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
+            name="cut",
+            color=Color.BLUE,
+            filled=False,
+            hover=[_cut_said(evaluation, metric) for evaluation in evaluations],
+        )
+    ]
+    if limit is not None:
+        elements.append(Limit(value=limit, name="limit"))
+    return Panel(
+        title=name,
+        x=_axis(study, variable),
+        y=y,
+        elements=elements,
+    )
+
+
+def _panel_2d(
+    study: Study,
+    side: Side,
+    metric: Metric,
+    colors: ColorScale,
+    limit: float | None,
+    pair: tuple[str, str],
+) -> Panel:
+    name, evaluations = side
+    a, b = pair
+    elements: list[Element] = []
+    if len(study.contexts) == 2 and len(evaluations) >= FEWEST_FOR_A_FIELD:
+        x, y, z = _field(study, evaluations, metric)
+        elements.append(Heatmap(x=x, y=y, z=z, colors=colors))
+        if limit is not None:
+            elements.append(
+                Contour(x=x, y=y, z=z, levels=[limit], name="limit", color=Color.BLACK, width=2.0)
+            )
+    elements.append(
+        Points(
+            x=[evaluation.context[a] for evaluation in evaluations],
+            y=[evaluation.context[b] for evaluation in evaluations],
+            name="cut",
+            color=Color.INK,
+            marker=Marker.CIRCLE,
+            values=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
+            colors=colors,
+            hover=[_cut_said(evaluation, metric) for evaluation in evaluations],
+        )
+    )
+    return Panel(
+        title=name,
+        x=_axis(study, a),
+        y=_axis(study, b),
+        elements=elements,
+    )
+
+
+def _axis(study: Study, name: str) -> Axis:
+    variable = study.contexts[name]
+    lower, upper = variable.distribution.lower, variable.distribution.upper
+    return Axis(label=name, unit=variable.unit, limits=(lower, upper))
+
+
+def _field(
+    study: Study, evaluations: Sequence[Evaluation], metric: Metric
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Axes and posterior mean (rows, columns) of the metric over two context variables."""
+    space = study.context_space()
+    points = space.to_cube(
+        [[evaluation.context[name] for name in space.names] for evaluation in evaluations]
+    )
+    seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
+    model = GaussianProcess.fit(points, seen, rng=generator(study.seed, Stream.SEARCH, 2**31))
+    unit = np.linspace(0.0, 1.0, FIELD_POINTS)
+    grid = np.stack(np.meshgrid(unit, unit), axis=-1).reshape(-1, 2)
+    z = model.predict_mean(grid).reshape(FIELD_POINTS, FIELD_POINTS)
+    width = space.upper - space.lower
+    return space.lower[0] + unit * width[0], space.lower[1] + unit * width[1], z
+
+
+def _colors(metric: Metric, seen: Sequence[float], limit: float | None) -> ColorScale:
+    low, high = min(seen), max(seen)
+    if limit is not None:
+        # Equal steps to both sides, so that equal distances have equal colours.
+        reach = max(limit - low, high - limit) or abs(limit) or 1.0
+        low, high = limit - reach, limit + reach
+    elif not low < high:
+        low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
+    return ColorScale(label=metric.name, unit=metric.unit, low=low, high=high, middle=limit)
+
+
+def _above(evaluations: Sequence[Evaluation], metric: Metric, limit: float) -> str:
+    above = sum(evaluation.outcome.metrics[metric.name] > limit for evaluation in evaluations)
+    return f"{above} of {len(evaluations)}"
+
+
+def _said(side: Side, metric: Metric) -> str:
+    name, evaluations = side
+    seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
+    low, high = quantity(min(seen), metric.unit), quantity(max(seen), metric.unit)
+    return f"{name}: {len(evaluations)} evaluations from {low} to {high}"
+
+
+def _cut_said(evaluation: Evaluation, metric: Metric) -> str:
+    found = quantity(evaluation.outcome.metrics[metric.name], metric.unit)
+    drawn = f"{evaluation.stage} run, seed {evaluation.seed}"
+    return f"{metric.name} {found}\n{values(evaluation.context)}\n{drawn}"

@@ -1,0 +1,180 @@
+"""Contours of the objective's surrogate over pairs of parameters, with the feasible area."""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Color,
+    ColorScale,
+    Contour,
+    Dash,
+    Element,
+    Figure,
+    Heatmap,
+    Marker,
+    Panel,
+    Points,
+    Region,
+    Scale,
+)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.optimizers.ranking import BELIEVED_FEASIBLE
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted
+from bo_tuner.report.sections.convergence import LOOKS, describe
+from bo_tuner.study.parts import LOG
+from bo_tuner.trials import Trial
+
+MOST_PARAMETERS = 4
+"""Pairs are drawn of so many parameters, those with the shortest length scales."""
+
+
+def contours(analysis: Analysis, answer: Trial) -> Figure:
+    """Show the objective and the feasible area over pairs of parameters."""
+    study = analysis.study
+    at = analysis.tuned_values(answer.parameters)
+    names = most_sensitive(analysis)
+    grids = {name: parameter_grid(study, name, at, POINTS) for name in names}
+    pairs = list(itertools.combinations(names, 2))
+    fields = [_field(analysis, answer, grids[a], grids[b]) for a, b in pairs]
+    colors = _color_scale(analysis, [cost for cost, _, _ in fields])
+    panels = [
+        _contour_panel(analysis, answer, (grids[a], grids[b]), field, colors)
+        for (a, b), field in zip(pairs, fields, strict=True)
+    ]
+    metric = study.metrics[study.objective.metric]
+    return Figure(
+        name="contours",
+        title=f"Mean {metric.name} and feasible area, for pairs of parameters",
+        caption="Colour: posterior mean of the objective, the other parameters as tuned. Faded: "
+        "the limits are believed to be violated (probability of feasibility below one half). "
+        "Dotted: crashes or outliers are likely. Points are trials, projected.",
+        alternative=_contours_said(pairs, fields, analysis),
+        panels=panels,
+        columns=min(len(panels), 2 if len(panels) in (2, 4) else 3) if len(panels) > 1 else 1,
+        panel_height=340 if len(panels) > 1 else 460,
+    )
+
+
+Field = tuple[Array, Array, Array]
+"""Objective, probability of feasibility, and probability of no good end (rows, columns)."""
+
+
+def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid) -> Field:
+    study, models = analysis.study, analysis.models
+    if models.objective is None:
+        raise ValueError("no trial is complete")
+    at = study.search_space().to_cube(analysis.tuned_values(answer.parameters))
+    points = np.tile(at, (len(a.cube) * len(b.cube), 1))
+    points[:, a.column] = np.tile(a.cube, len(b.cube))
+    points[:, b.column] = np.repeat(b.cube, len(a.cube))
+    shape = len(b.cube), len(a.cube)
+    allowed = permitted(study, points)
+    objective = study.objective.from_cost(models.objective.predict_mean(points))
+    feasible = np.exp(models.log_feasibility(points))
+    good = np.exp(np.sum([c.log_complement(points) for c in models.classifiers], axis=0))
+    objective, feasible, bad = (
+        np.where(allowed, values, math.nan).reshape(shape)
+        for values in (objective, feasible, 1.0 - good)
+    )
+    return objective, feasible, bad
+
+
+def _contour_panel(
+    analysis: Analysis,
+    answer: Trial,
+    grids: tuple[ParameterGrid, ParameterGrid],
+    field: Field,
+    colors: ColorScale,
+) -> Panel:
+    a, b = grids
+    objective, feasible, bad = field
+    x, y = a.values, b.values
+    # What the order forbids is no better, and without it the edge would be ragged.
+    infeasible = np.where(np.isnan(feasible), 1.0, 1.0 - feasible)
+    elements: list[Element] = [Heatmap(x=x, y=y, z=objective, colors=colors)]
+    if analysis.models.constraints:
+        elements.append(
+            Region(
+                x=x, y=y, z=infeasible, above=1.0 - BELIEVED_FEASIBLE,
+                name="believed infeasible",
+            )
+        )  # fmt: skip
+        elements.append(
+            Contour(
+                x=x, y=y, z=feasible, levels=[BELIEVED_FEASIBLE], name="edge of the feasible area",
+                color=Color.INK, width=2.0,
+            )
+        )  # fmt: skip
+    if np.nanmax(bad) > 0.5:
+        elements.append(
+            Contour(
+                x=x, y=y, z=bad, levels=[0.5], name="crash or outlier likely",
+                color=Color.VERMILION, dash=Dash.DOTTED,
+            )
+        )  # fmt: skip
+    for kind, (color, marker, filled) in LOOKS.items():
+        chosen = [t for t in analysis.trials if analysis.outcome(t) == kind]
+        if chosen:
+            elements.append(
+                Points(
+                    x=[t.parameters[a.name] for t in chosen],
+                    y=[t.parameters[b.name] for t in chosen],
+                    name=kind,
+                    color=color,
+                    marker=marker,
+                    filled=filled,
+                    size=5,
+                    hover=[describe(analysis, t) for t in chosen],
+                )
+            )
+    for name, parameters, marker, color in (
+        ("default", analysis.defaults, Marker.SQUARE, Color.INK),
+        ("tuned", answer.parameters, Marker.STAR, Color.BLUE),
+    ):
+        elements.append(
+            Points(
+                x=[parameters[a.name]], y=[parameters[b.name]], name=name, color=color,
+                marker=marker, size=11, hover=[name],
+            )
+        )  # fmt: skip
+    return Panel(x=a.axis, y=b.axis, elements=elements)
+
+
+def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
+    """Spread the colours over the better nine tenths of all fields; the rest has the last one."""
+    study = analysis.study
+    metric = study.metrics[study.objective.metric]
+    seen = np.concatenate([field[np.isfinite(field)] for field in fields])
+    low, high = np.quantile(seen, [0.0, 0.9]) if len(seen) else (0.0, 1.0)
+    if not low < high:
+        low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
+    scale = Scale.LOG if study.objective.scale == LOG and low > 0.0 else Scale.LINEAR
+    return ColorScale(
+        label=f"mean {metric.name}", unit=metric.unit, low=float(low), high=float(high), scale=scale
+    )
+
+
+def most_sensitive(analysis: Analysis) -> list[str]:
+    """Tuned parameters with the shortest length scales of the objective, in the study's order."""
+    names, model = analysis.study.search_space().names, analysis.models.objective
+    if model is None:
+        return list(names[:MOST_PARAMETERS])
+    order = np.argsort(model.hyperparameters.length_scales, kind="stable")[:MOST_PARAMETERS]
+    return [names[k] for k in sorted(order)]
+
+
+def _contours_said(
+    pairs: Sequence[tuple[str, str]], fields: Sequence[Field], analysis: Analysis
+) -> str:
+    if not analysis.models.constraints:
+        return f"Posterior mean over {', '.join(f'{a} and {b}' for a, b in pairs)}."
+    shares = [
+        100.0 * float(np.mean(feasible[np.isfinite(feasible)] >= BELIEVED_FEASIBLE))
+        for _, feasible, _ in fields
+    ]
+    said = [f"{a} and {b}: {s:.0f} %" for (a, b), s in zip(pairs, shares, strict=True)]
+    return f"Share of the area that is believed feasible, {'; '.join(said)}."

@@ -1,0 +1,269 @@
+"""How the run came to its result: every trial, and the incumbent after each."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Axis,
+    Color,
+    Dash,
+    Element,
+    Figure,
+    Limit,
+    Line,
+    Marker,
+    Panel,
+    Points,
+    Scale,
+)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import Candidate, rank
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.content import Section, quantity, values
+from bo_tuner.study.parts import LOG
+from bo_tuner.trials import EvaluationState, Trial, TrialState
+
+MOST_INCUMBENTS = 40
+"""The incumbent is found anew for at most so many numbers of trials: each takes some 0.1 s."""
+
+LOOKS = {
+    Outcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
+    Outcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
+    Outcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
+    Outcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
+}
+"""Colour, marker, and whether it is filled, of a trial by its outcome."""
+
+
+def convergence(analysis: Analysis) -> Section:
+    """Show the trials, and the incumbent over trials and over evaluations."""
+    study, trials = analysis.study, analysis.record.trials
+    complete = any(trial.state is TrialState.COMPLETE for trial in trials)
+    figures = [_objective(analysis)] if complete else []
+    if complete and study.worst_case_constraint is not None:
+        figures.append(_worst_case(analysis))
+    counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
+    said = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
+    evaluations = sum(len(trial.evaluations) for trial in trials)
+    lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
+    return Section(
+        name="convergence",
+        title="How the run came to its result",
+        lead=f"{lead}: {said}." if said else f"{lead}.",
+        figures=figures,
+        notes=_notes(analysis),
+    )
+
+
+def describe(analysis: Analysis, trial: Trial) -> str:
+    """Tell a trial in some lines, for a pointer on it."""
+    study = analysis.study
+    unit = study.metrics[study.objective.metric].unit
+    lines = [
+        f"trial {trial.number} ({trial.origin or 'unknown origin'}): {analysis.outcome(trial)}",
+        values(analysis.tuned_values(trial.parameters)),
+    ]
+    if trial.state is TrialState.FAILED:
+        return "\n".join([*lines, trial.reason])
+    mean = analysis.mean_objective(trial)
+    lines.append(f"mean {study.objective.metric} {quantity(mean, unit)}")
+    worst = study.worst_case_constraint
+    if worst is not None and trial.worst_case is not None:
+        found = quantity(trial.worst_case.value, study.metrics[worst.metric].unit)
+        lines.append(f"worst {worst.metric} {found} at {values(trial.worst_case.context)}")
+    return "\n".join(lines)
+
+
+def _objective(analysis: Analysis) -> Figure:
+    study, trials = analysis.study, analysis.trials
+    metric = study.metrics[study.objective.metric]
+    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    y = Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale)
+    means = np.array([analysis.mean_objective(trial) for trial in trials])
+    incumbents = _incumbents(analysis)
+    shown = _within_sight(analysis, means, scale)
+    evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
+    panels = [
+        Panel(
+            title=title,
+            x=Axis(label=label),
+            y=y,
+            elements=[
+                *_incumbent_lines(incumbents, places),
+                *_default_line(analysis),
+                *_points(analysis, places, shown),
+            ],
+        )
+        for title, label, places in (
+            ("over trials", "trial", np.arange(len(trials), dtype=float)),
+            ("over evaluations", "evaluations so far", evaluations.astype(float)),
+        )
+    ]
+    return Figure(
+        name="convergence",
+        title=f"Mean {metric.name} of each trial, and of the incumbent",
+        caption="The incumbent is the parameter set that would be used if the run ended there; "
+        "its line is the posterior mean of the surrogate, which takes no lucky sample for a good "
+        "one. Failed trials, which have no value, and values far above the others are at the top.",
+        alternative=_said(analysis, incumbents),
+        panels=panels,
+        columns=2,
+    )
+
+
+def _worst_case(analysis: Analysis) -> Figure:
+    study = analysis.study
+    constraint = study.worst_case_constraint
+    if constraint is None:
+        raise ValueError("the study has no worst case")
+    metric = study.metrics[constraint.metric]
+    found = np.array([t.worst_case.value if t.worst_case else math.nan for t in analysis.trials])
+    shown = _within_sight(analysis, found, Scale.LINEAR)
+    within = int(np.sum(found <= constraint.upper))
+    places = np.arange(len(found), dtype=float)
+    return Figure(
+        name="worst-cases",
+        title=f"Worst {metric.name} found for each trial",
+        caption="The largest value over all contexts as the search in stage two estimates it. "
+        "Below the line the limit holds; failed trials and far larger values are at the top.",
+        alternative=f"{within} of {len(found)} trials stay below the limit of "
+        f"{quantity(constraint.upper, metric.unit)}.",
+        panels=[
+            Panel(
+                x=Axis(label="trial"),
+                y=Axis(label=f"worst {metric.name}", unit=metric.unit),
+                elements=[
+                    Limit(value=constraint.upper, name="limit"),
+                    *_points(analysis, places, shown),
+                ],
+            )
+        ],
+        panel_height=280,
+    )
+
+
+def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
+    drawn: list[Element] = []
+    outcomes = np.array([analysis.outcome(trial) for trial in analysis.trials])
+    for kind, (color, marker, filled) in LOOKS.items():
+        chosen = np.flatnonzero(outcomes == kind)
+        if len(chosen):
+            drawn.append(
+                Points(
+                    x=x[chosen],
+                    y=y[chosen],
+                    name=kind,
+                    color=color,
+                    marker=marker,
+                    filled=filled,
+                    hover=[describe(analysis, analysis.trials[k]) for k in chosen],
+                )
+            )
+    answer = analysis.answer
+    if answer is not None:
+        place = next(k for k, t in enumerate(analysis.trials) if t.number == answer.number)
+        drawn.append(
+            Points(
+                x=[x[place]],
+                y=[y[place]],
+                name="tuned",
+                color=Color.BLUE,
+                marker=Marker.STAR,
+                size=11,
+                hover=[describe(analysis, answer)],
+            )
+        )
+    return drawn
+
+
+def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
+    """Incumbents after some numbers of trials, with the place of the last of these trials."""
+    trials = analysis.record.trials
+    options = METHODS[analysis.record.algorithm].models
+    count = min(len(trials), MOST_INCUMBENTS)
+    found = []
+    for n in np.unique(np.linspace(1, len(trials), count).round().astype(int)):
+        ranked = rank(analysis.study, trials[: int(n)], options)
+        if ranked:
+            found.append((int(n) - 1, ranked[0]))
+    return found
+
+
+def _incumbent_lines(incumbents: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:
+    """Two lines: of incumbents believed feasible, and of the least violating ones."""
+    lines: list[Element] = []
+    places = [x[k] for k, _ in incumbents]
+    for feasible, name, color, dash in (
+        (True, "incumbent", Color.BLUE, Dash.SOLID),
+        (False, "incumbent, not feasible", Color.GRAY, Dash.DOTTED),
+    ):
+        y = [c.objective if c.believed_feasible is feasible else math.nan for _, c in incumbents]
+        if not np.all(np.isnan(y)):
+            lines.append(
+                Line(
+                    x=places,
+                    y=y,
+                    name=name,
+                    color=color,
+                    dash=dash,
+                    step=True,
+                    hover=[f"{name}: trial {c.trial.number}" for _, c in incumbents],
+                )
+            )
+    return lines
+
+
+def _default_line(analysis: Analysis) -> list[Element]:
+    if analysis.validations is None or math.isnan(analysis.validations[0].objective):
+        return []
+    value = analysis.validations[0].objective
+    return [Limit(value=value, name="default, validated", color=Color.INK, dash=Dash.DASH_DOT)]
+
+
+def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
+    """Bring what has no value, or a far larger one than the good trials, to a common top (n,)."""
+    good = [analysis.outcome(trial) == Outcome.WITHIN for trial in analysis.trials]
+    finite = np.isfinite(seen)
+    if not finite.any():
+        return np.ones(len(seen))
+    chosen = seen[finite & good] if (finite & good).any() else seen[finite]
+    low, high = float(seen[finite].min()), float(chosen.max())
+    if scale is Scale.LOG and low > 0.0:
+        top = high * max(high / low, 1.5)
+    else:
+        top = high + ((high - low) or abs(high) or 1.0)
+    largest = float(seen[finite].max())
+    if largest <= top:
+        # Nothing is out of sight, so the top is just above all.
+        top = largest * 1.1 if scale is Scale.LOG else largest + 0.1 * (largest - low)
+    return np.where(finite, np.minimum(seen, top), top)
+
+
+def _said(analysis: Analysis, incumbents: Sequence[tuple[int, Candidate]]) -> str:
+    unit = analysis.study.metrics[analysis.study.objective.metric].unit
+    feasible = [(k, c) for k, c in incumbents if c.believed_feasible]
+    if not feasible:
+        return "No trial is believed feasible, so there is no incumbent."
+    (_, first), (_, last) = feasible[0], feasible[-1]
+    return (
+        f"The first feasible incumbent is trial {first.trial.number} with "
+        f"{quantity(first.objective, unit)}, the last one trial {last.trial.number} with "
+        f"{quantity(last.objective, unit)}."
+    )
+
+
+def _notes(analysis: Analysis) -> list[str]:
+    notes = []
+    if len(analysis.record.trials) > MOST_INCUMBENTS:
+        notes.append(f"The incumbent's line has {MOST_INCUMBENTS} places, not one for each trial.")
+    if analysis.record.summary is not None and analysis.record.summary.get("stopped_early"):
+        notes.append("The run stopped early: what was left would have gained less than the noise.")
+    lost = sum(
+        r.evaluation.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations
+    )
+    if lost:
+        notes.append(f"{lost} evaluations were lost with their nodes.")
+    return notes

@@ -1,0 +1,79 @@
+"""What went wrong: failed evaluations, and outliers of the objective."""
+
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, Table, number, values
+from bo_tuner.trials import EvaluationState
+
+
+def faults(analysis: Analysis) -> Section:
+    """List failures and outliers."""
+    failed = [
+        r
+        for r in analysis.record.evaluations
+        if r.evaluation.outcome.state is not EvaluationState.COMPLETE
+    ]
+    outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
+    tables = []
+    if failed:
+        tables.append(
+            Table(
+                caption="Evaluations that failed, in the order in which they ran",
+                header=[
+                    "trial",
+                    "stage",
+                    "state",
+                    "reason",
+                    "parameters",
+                    "context",
+                    "seed",
+                    "bag",
+                ],
+                rows=[
+                    [
+                        str(r.evaluation.trial),
+                        r.evaluation.stage,
+                        r.evaluation.outcome.state,
+                        r.evaluation.outcome.reason,
+                        values(analysis.tuned_values(r.parameters)),
+                        values(r.evaluation.context),
+                        str(r.evaluation.seed),
+                        _bag(analysis, r.evaluation.trial),
+                    ]
+                    for r in failed
+                ],
+            )
+        )
+    metric = analysis.study.metrics[analysis.study.objective.metric]
+    if outliers:
+        tables.append(
+            Table(
+                caption="Outliers: trials left out of the surrogates, their surroundings avoided",
+                header=["trial", "parameters", f"mean {metric.name} [{metric.unit}]"],
+                rows=[
+                    [
+                        str(trial.number),
+                        values(analysis.tuned_values(trial.parameters)),
+                        number(analysis.mean_objective(trial)),
+                    ]
+                    for trial in outliers
+                ],
+                numeric=[2],
+            )
+        )
+    warnings = [f"Trial {t.number}: {text}." for t in analysis.trials for text in t.warnings]
+    lead = (
+        f"Failed runs: {len(failed)}. Trials taken for outliers of the objective: {len(outliers)}."
+    )
+    return Section(
+        name="failures",
+        title="What went wrong",
+        lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
+        tables=tables,
+        notes=warnings,
+    )
+
+
+def _bag(analysis: Analysis, trial: int) -> str:
+    """Path of a trial's bag within the run folder, if it was kept."""
+    path = f"bags/trial_{trial:04d}"
+    return path if (analysis.record.path / path).is_dir() else "–"

@@ -1,0 +1,120 @@
+"""Whether the optimum is a calm place: what a step to a neighbour costs."""
+
+import numpy as np
+
+from bo_tuner.certificate.neighbourhood import Neighbour, Neighbourhood, look_around
+from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
+from bo_tuner.optimizers.ranking import BELIEVED_FEASIBLE, TOLERABLE
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, Table, change, number
+
+
+def neighbours(analysis: Analysis) -> Section | None:
+    """Show what the surrogates say of the answer's neighbours; None while there is no answer."""
+    if analysis.answer is None:
+        return None
+    study = analysis.study
+    found = look_around(study, analysis.answer.parameters, analysis.models)
+    if found is None or not found.neighbours:
+        return None
+    metric = study.metrics[study.objective.metric]
+    optimum = found.optimum
+    rows = [
+        [
+            _step(neighbour, optimum),
+            number(neighbour.objective),
+            change(neighbour.objective, optimum.objective) if neighbour is not optimum else "",
+            f"{100.0 * neighbour.feasibility:.0f} %",
+            "yes" if neighbour.tolerable else "no",
+        ]
+        for neighbour in (optimum, *found.neighbours)
+    ]
+    lost = [
+        _step(n, optimum)
+        for n in found.neighbours
+        if n.feasibility < BELIEVED_FEASIBLE <= optimum.feasibility
+    ]
+    calm = (
+        f"None of {len(found.neighbours)} steps to a neighbour costs more than "
+        f"{100.0 * TOLERABLE:.0f} %, in the objective or over a limit."
+    )
+    lead = found.warning[:1].upper() + found.warning[1:] + "." if found.warning else calm
+    if lost:
+        lead += f" Believed infeasible one step away: {', '.join(lost)}."
+    return Section(
+        name="neighbours",
+        title="How calm the optimum is",
+        lead=lead,
+        figures=[_figure(found, metric.name)],
+        tables=[
+            Table(
+                caption="Neighbours of the tuned parameter set, as the surrogates predict them",
+                header=[
+                    "step",
+                    f"mean {metric.name} [{metric.unit}]" if metric.unit else metric.name,
+                    "change",
+                    "P(feasible)",
+                    "tolerable",
+                ],
+                rows=rows,
+                numeric=[1, 2, 3],
+            )
+        ],
+        notes=[
+            "A step is one for integers and a twentieth of the range for others. The score of the "
+            f"neighbourhood is {found.score:.3g}: the mean of what is lost beyond "
+            f"{100.0 * TOLERABLE:.0f} %; 0 is calm."
+        ],
+    )
+
+
+def _figure(found: Neighbourhood, metric: str) -> Figure:
+    optimum = found.optimum
+    steps = [_step(n, optimum) for n in found.neighbours]
+    relative = np.array([100.0 * (n.objective / optimum.objective - 1.0) for n in found.neighbours])
+    kept = np.array([n.feasibility >= BELIEVED_FEASIBLE for n in found.neighbours])
+    places = np.arange(len(steps), dtype=float)
+    bars = [
+        Bars(
+            x=places[chosen],
+            y=relative[chosen],
+            base=np.zeros(int(chosen.sum())),
+            name=name,
+            color=color,
+            hover=[
+                f"{steps[k]}: {relative[k]:+.1f} %\n"
+                f"P(feasible) {found.neighbours[k].feasibility:.2f}"
+                for k in np.flatnonzero(chosen)
+            ],
+        )
+        for name, color, chosen in (
+            ("believed feasible", Color.GREEN, kept),
+            ("believed infeasible", Color.ORANGE, ~kept),
+        )
+        if chosen.any()
+    ]
+    return Figure(
+        name="neighbours",
+        title=f"Change of the mean {metric} one step away from the tuned parameter set",
+        caption="Predicted by the surrogates. A gain at an infeasible neighbour means that the "
+        "optimum lies at the edge of the feasible area; long bars on both sides mean that it is "
+        "a narrow one.",
+        alternative="; ".join(f"{s}: {r:+.1f} %" for s, r in zip(steps, relative, strict=True)),
+        panels=[
+            Panel(
+                x=Axis(label="", ticks=list(zip(places.tolist(), steps, strict=True))),
+                y=Axis(label="change of the mean", unit="%"),
+                elements=bars,
+            )
+        ],
+        panel_height=300,
+    )
+
+
+def _step(neighbour: Neighbour, optimum: Neighbour) -> str:
+    if not neighbour.changed:
+        return "tuned"
+    return ", ".join(
+        f"{name} {value - optimum.parameters[name]:+.3g}"
+        for name, value in neighbour.changed.items()
+    )

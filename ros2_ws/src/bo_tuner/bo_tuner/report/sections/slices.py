@@ -1,0 +1,192 @@
+"""Slices of the surrogates through the tuned parameter set."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_tuner.acquisition.acquisition import SurrogateConstraint
+from bo_tuner.figures.figure import (
+    Axis,
+    Band,
+    Color,
+    Dash,
+    Element,
+    Figure,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Scale,
+)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import quantity
+from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
+from bo_tuner.report.sections.convergence import describe
+from bo_tuner.study.parts import CHANCE, LOG, Constraint
+from bo_tuner.trials import Trial
+
+NEARBY = 0.1
+"""A trial is drawn into a slice if its other coordinates in the unit cube are this close."""
+
+MOST_COLUMNS = 4
+TWO_SIGMA = 2.0
+
+
+def slices(analysis: Analysis, answer: Trial) -> Figure:
+    """Show how objective and constraints depend on each parameter alone."""
+    study = analysis.study
+    at = analysis.tuned_values(answer.parameters)
+    grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().names]
+    limited = list(zip(_constraints(analysis), analysis.models.constraints, strict=True))
+    panels = []
+    for grid in grids:
+        panels.append(_objective_slice(analysis, answer, grid))
+        panels += [_constraint_slice(analysis, answer, grid, c, model) for c, model in limited]
+    columns = min(1 + len(limited), MOST_COLUMNS)
+    return Figure(
+        name="slices",
+        title="Slices through the tuned parameter set",
+        caption="Each row varies one parameter, the others stay. Line: posterior mean; band: "
+        "two standard deviations of the belief, without the noise of a run. Where the line breaks "
+        "off, the order of the parameters forbids the values. A limit with a probability is drawn "
+        "lower by the noise of single evaluations.",
+        alternative=_slices_said(analysis, grids, answer),
+        panels=panels,
+        columns=columns,
+        panel_height=250,
+    )
+
+
+def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> Panel:
+    study, model = analysis.study, analysis.models.objective
+    if model is None:
+        raise ValueError("no trial is complete")
+    points, allowed = _along(analysis, answer, grid)
+    mean, variance = model.predict(points)
+    sigma = TWO_SIGMA * np.sqrt(variance)
+    line, one, other = (
+        np.where(allowed, study.objective.from_cost(cost), math.nan)
+        for cost in (mean, mean - sigma, mean + sigma)
+    )
+    metric = study.metrics[study.objective.metric]
+    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    near = _near(analysis, answer, grid)
+    y = [analysis.mean_objective(trial) for trial in near]
+    return Panel(
+        x=grid.axis,
+        y=Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale),
+        elements=[
+            *_curve(grid, line, np.minimum(one, other), np.maximum(one, other)),
+            *_near_points(analysis, near, grid, y),
+            *_markers(analysis, answer, grid),
+        ],
+    )
+
+
+def _constraint_slice(
+    analysis: Analysis,
+    answer: Trial,
+    grid: ParameterGrid,
+    constraint: Constraint,
+    model: SurrogateConstraint,
+) -> Panel:
+    points, allowed = _along(analysis, answer, grid)
+    mean, variance = model.predict(points)
+    sigma = TWO_SIGMA * np.sqrt(variance)
+    line, low, high = (
+        np.where(allowed, value, math.nan) for value in (mean, mean - sigma, mean + sigma)
+    )
+    metric = analysis.study.metrics[constraint.metric]
+    kind = "mean" if constraint.kind == CHANCE else "worst"
+    # The mean has to keep away from the limit of single evaluations by their noise.
+    return Panel(
+        x=grid.axis,
+        y=Axis(label=f"{kind} {metric.name}", unit=metric.unit),
+        elements=[
+            *_curve(grid, line, low, high),
+            Limit(value=model.limit, name="limit"),
+            *_markers(analysis, answer, grid),
+        ],
+    )
+
+
+def _curve(grid: ParameterGrid, line: Array, low: Array, high: Array) -> list[Element]:
+    # NaN would break the outline of the band's area, so it covers the permitted values only.
+    kept = np.isfinite(line)
+    return [
+        Band(x=grid.values[kept], lower=low[kept], upper=high[kept], name="two sigma"),
+        Line(x=grid.values, y=line, name="posterior mean"),
+    ]
+
+
+def _near_points(
+    analysis: Analysis, near: Sequence[Trial], grid: ParameterGrid, y: Sequence[float]
+) -> list[Element]:
+    if not near:
+        return []
+    return [
+        Points(
+            x=[trial.parameters[grid.name] for trial in near], y=y, name="trials nearby",
+            color=Color.GRAY, filled=False, hover=[describe(analysis, trial) for trial in near],
+        )
+    ]  # fmt: skip
+
+
+def _markers(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Element]:
+    """Draw where the tuned and the default values are."""
+    return [
+        Limit(
+            value=float(analysis.defaults[grid.name]), name="default", vertical=True,
+            color=Color.INK, dash=Dash.DASH_DOT,
+        ),
+        Limit(
+            value=float(answer.parameters[grid.name]), name="tuned", vertical=True,
+            color=Color.GREEN, dash=Dash.SOLID,
+        ),
+    ]  # fmt: skip
+
+
+def _along(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> tuple[Array, np.ndarray]:
+    """Points (n, d) of the slice, and which of them are permitted (n,)."""
+    space = analysis.study.search_space()
+    points = np.tile(space.to_cube(analysis.tuned_values(answer.parameters)), (len(grid.cube), 1))
+    points[:, grid.column] = grid.cube
+    return points, permitted(analysis.study, points)
+
+
+def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]:
+    """Complete trials, outliers excepted, that are close to the slice."""
+    space = analysis.study.search_space()
+    at = space.to_cube(analysis.tuned_values(answer.parameters))
+    near = []
+    for candidate in analysis.ranked:
+        trial = candidate.trial
+        away = np.abs(space.to_cube(analysis.tuned_values(trial.parameters)) - at)
+        away[grid.column] = 0.0
+        if away.max() <= NEARBY:
+            near.append(trial)
+    return near
+
+
+def _constraints(analysis: Analysis) -> list[Constraint]:
+    """Constraints in the order of their surrogates."""
+    worst = analysis.study.worst_case_constraint
+    return [*analysis.study.chance_constraints, *([] if worst is None else [worst])]
+
+
+def _slices_said(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:
+    study = analysis.study
+    unit = study.metrics[study.objective.metric].unit
+    parts = []
+    for grid in grids:
+        points, allowed = _along(analysis, answer, grid)
+        model = analysis.models.objective
+        if model is not None and allowed.any():
+            line = study.objective.from_cost(model.predict_mean(points[allowed]))
+            parts.append(
+                f"over {grid.name} the mean goes from {quantity(float(line.min()), unit)} to "
+                f"{quantity(float(line.max()), unit)}"
+            )
+    return f"Along each slice: {'; '.join(parts)}."

@@ -1,0 +1,199 @@
+"""Signals of the default and the tuned parameter set, in the nominal and the worst context.
+
+They are simulated anew by the objects that the study names for its nodes, in this process. The
+trigger's object may offer ``trace()``: signals of its last evaluation, by name, each with its unit
+and its values. ``time`` is what they run over; ``group/signal`` puts signals of a group into one
+panel.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
+from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, values
+from bo_tuner.trials import EvaluationState, Value
+
+TIME = "time"
+MOST_SAMPLES = 2000
+"""Of a signal in the page; longer ones are thinned."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal of an evaluation: its unit and its values (N,)."""
+
+    unit: str
+    values: NDArray[np.float64]
+
+
+Trace = Mapping[str, Signal]
+
+
+class NoTraceError(Exception):
+    """Why there are no signals, for people."""
+
+
+class TracingBackend(InProcessBackend):
+    """The study's objects, asked for the signals of their last evaluation."""
+
+    def open(self) -> None:
+        """Make the objects.
+
+        Raises
+        ------
+        StudyError
+            If one cannot be had.
+        NoTraceError
+            If the trigger's object offers no signals: no evaluation is to be run for nothing.
+        """
+        super().open()
+        key = self._study.trigger.node
+        if getattr(self._objects[key], "trace", None) is None:
+            raise NoTraceError(f"the object of node '{key}' has no trace() for its signals")
+
+    def trace(self) -> Trace:
+        """Return the signals of the last evaluation.
+
+        Raises
+        ------
+        NoTraceError
+            If they are not as they should be.
+        """
+        key = self._study.trigger.node
+        try:
+            signals = {
+                str(name): Signal(str(unit), np.asarray(seen, dtype=np.float64).ravel())
+                for name, (unit, seen) in self._objects[key].trace().items()
+            }
+            lengths = {len(signal.values) for signal in signals.values()}
+        except Exception as error:  # foreign code, which may do anything
+            raise NoTraceError(
+                f"trace() of node '{key}': {type(error).__name__}: {error}"
+            ) from None
+        if TIME not in signals or len(lengths) != 1:
+            raise NoTraceError(
+                f"trace() of node '{key}': expected '{TIME}' and other signals of its length"
+            )
+        return signals
+
+
+def trajectories(analysis: Analysis) -> Section | None:
+    """Show the signals; None while there is no parameter set to show."""
+    answer = analysis.answer
+    if answer is None:
+        return None
+    section = Section(name="trajectories", title="What the machine does", lead="")
+    nominal = analysis.study.context_space()
+    contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
+    if answer.worst_case is not None:
+        contexts["worst context"] = dict(answer.worst_case.context)
+    try:
+        panels = _panels(analysis, answer.parameters, contexts)
+    except (NoTraceError, StudyError, BackendError) as error:
+        lead = f"There are no trajectories to show: {error}."
+        return Section(name=section.name, title=section.title, lead=lead)
+    where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
+    figure = Figure(
+        name="trajectories",
+        title="One evaluation of default and tuned, with the same noise",
+        caption="Simulated in process by the study's objects, not recorded during the run. "
+        "Drag across a panel to look closer; a double click shows all again.",
+        alternative=f"Signals over time of both parameter sets. {where}.",
+        panels=panels,
+        columns=len(contexts),
+        panel_height=260,
+    )
+    lead = "Default and tuned parameter set in the same contexts, with the same noise"
+    return Section(
+        name=section.name,
+        title=section.title,
+        lead=f"{lead} ({where})." if where else f"{lead}.",
+        figures=[figure],
+    )
+
+
+def _panels(
+    analysis: Analysis,
+    tuned: Mapping[str, Value],
+    contexts: Mapping[str, Mapping[str, float]],
+) -> list[Panel]:
+    backend = TracingBackend(analysis.study)
+    backend.open()
+    try:
+        columns = [
+            {
+                name: _run(analysis, backend, parameters, context)
+                for name, parameters in (("default", analysis.defaults), ("tuned", tuned))
+            }
+            for context in contexts.values()
+        ]
+    finally:
+        backend.close()
+    groups = list(dict.fromkeys(_group(name) for name in columns[0]["tuned"] if name != TIME))
+    return [
+        _panel(title, sides, group)
+        for group in groups
+        for title, sides in zip(contexts, columns, strict=True)
+    ]
+
+
+def _run(
+    analysis: Analysis,
+    backend: TracingBackend,
+    parameters: Mapping[str, Value],
+    context: Mapping[str, float],
+) -> Trace:
+    seed = noise_seed(analysis.study.seed, Stream.VALIDATION_NOISE, 0)
+    outcome = backend.run_cut(analysis.study.assignments(parameters, context, seed))
+    if outcome.state is not EvaluationState.COMPLETE:
+        raise NoTraceError(f"the evaluation failed: {outcome.reason}")
+    return backend.trace()
+
+
+def _panel(title: str, sides: Mapping[str, Trace], group: str) -> Panel:
+    default, tuned = sides["default"], sides["tuned"]
+    names = [name for name in tuned if name != TIME and _group(name) == group]
+    common = [
+        name
+        for name in names
+        if name in default and np.array_equal(default[name].values, tuned[name].values)
+    ]
+    lines: list[Element] = []
+    for name in names:
+        short = name.rpartition("/")[2]
+        if name in common:
+            lines.append(_line(tuned, name, short, Color.INK, Dash.DOTTED))
+            continue
+        label = f", {short}" if len(names) - len(common) > 1 else ""
+        if name in default:
+            lines.append(_line(default, name, f"default{label}", Color.ORANGE, Dash.SOLID))
+        lines.append(_line(tuned, name, f"tuned{label}", Color.BLUE, Dash.SOLID))
+    return Panel(
+        title=title,
+        x=Axis(label=TIME, unit=tuned[TIME].unit),
+        y=Axis(label=group, unit=tuned[names[0]].unit),
+        elements=lines,
+    )
+
+
+def _line(trace: Trace, name: str, label: str, color: Color, dash: Dash) -> Line:
+    step = -(-len(trace[TIME].values) // MOST_SAMPLES)
+    return Line(
+        x=trace[TIME].values[::step],
+        y=trace[name].values[::step],
+        name=label,
+        color=color,
+        dash=dash,
+        width=1.5,
+    )
+
+
+def _group(name: str) -> str:
+    return name.rpartition("/")[0] or name

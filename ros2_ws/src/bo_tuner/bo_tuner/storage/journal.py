@@ -1,0 +1,186 @@
+"""The durable record of a run: one SQLite file, a committed row for each evaluation and each trial.
+
+`bo_tuner.storage.journal_reader` reads it. Rows are only ever added. Each carries a checksum of its
+values, since SQLite itself notices damage to its structure, but not to what is stored.
+"""
+
+import contextlib
+import json
+import sqlite3
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from bo_tuner.errors import JournalError
+from bo_tuner.trials import Evaluation, Trial
+
+SCHEMA_VERSION = 3
+"""Of the tables below; a journal of another version is refused."""
+
+COLUMNS = {
+    "session": ("provenance",),
+    "trial": (
+        "number", "parameters", "origin", "state", "reason", "worst_case", "warnings",
+        "hyperparameters", "evaluations", "seconds",
+    ),
+    "evaluation": (
+        "trial", "position", "stage", "parameters", "context", "seed", "state", "reason",
+        "metrics", "details", "seconds",
+    ),
+}  # fmt: skip
+
+SCHEMA = """
+CREATE TABLE session (provenance TEXT NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE trial (
+    number INTEGER NOT NULL UNIQUE, parameters TEXT NOT NULL, origin TEXT NOT NULL,
+    state TEXT NOT NULL, reason TEXT NOT NULL, worst_case TEXT, warnings TEXT NOT NULL,
+    hyperparameters TEXT NOT NULL, evaluations INTEGER NOT NULL, seconds REAL NOT NULL,
+    checksum INTEGER NOT NULL
+);
+CREATE TABLE evaluation (
+    trial INTEGER NOT NULL, position INTEGER NOT NULL, stage TEXT NOT NULL,
+    parameters TEXT NOT NULL, context TEXT NOT NULL, seed INTEGER NOT NULL, state TEXT NOT NULL,
+    reason TEXT NOT NULL, metrics TEXT NOT NULL, details TEXT NOT NULL, seconds REAL NOT NULL,
+    checksum INTEGER NOT NULL
+);
+"""
+
+
+class Journal:
+    """Append-only record of evaluations and trials.
+
+    Each call that records something returns only once it is on disk.
+
+    Parameters
+    ----------
+    path
+        The file; made if it does not exist.
+    provenance
+        What works on the run from now on: versions, seed, host. A row of its own each time.
+
+    Raises
+    ------
+    JournalError
+        If the file cannot be opened, is no journal, or is of another version.
+    """
+
+    def __init__(self, path: Path, provenance: Mapping[str, str]) -> None:
+        self._path = path
+        new = not path.exists()
+        try:
+            self._db = sqlite3.connect(path, isolation_level=None)
+        except sqlite3.Error as error:
+            raise JournalError(f"{path}: {error}") from error
+        try:
+            self._open(new, (json.dumps(dict(provenance)),))
+        except sqlite3.Error as error:
+            self.close()
+            raise JournalError(f"{path}: {error}") from error
+        except JournalError:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        """Use the journal in a ``with`` block, which closes it."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the journal."""
+        self.close()
+
+    def record_evaluation(
+        self, evaluation: Evaluation, parameters: Mapping[str, int | float]
+    ) -> None:
+        """Append an evaluation of the parameter set `parameters`."""
+        outcome = evaluation.outcome
+        row = (
+            evaluation.trial,
+            evaluation.index,
+            str(evaluation.stage),
+            json.dumps(dict(parameters)),
+            json.dumps(dict(evaluation.context)),
+            evaluation.seed,
+            str(outcome.state),
+            _storable(outcome.reason),
+            json.dumps(dict(outcome.metrics)),
+            json.dumps(dict(outcome.details)),
+            float(evaluation.seconds),
+        )
+        self._insert("evaluation", row)
+
+    def record_trial(self, trial: Trial) -> None:
+        """Append a trial whose evaluations were recorded before."""
+        row = (
+            trial.number,
+            json.dumps(dict(trial.parameters)),
+            trial.origin,
+            str(trial.state),
+            _storable(trial.reason),
+            json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
+            json.dumps(trial.warnings),
+            json.dumps(dict(trial.hyperparameters)),
+            len(trial.evaluations),
+            float(trial.seconds),
+        )
+        self._insert("trial", row)
+
+    def close(self) -> None:
+        """Close the file, and leave it alone in the folder unless somebody reads it just now."""
+        with contextlib.suppress(sqlite3.Error):
+            self._db.execute("PRAGMA journal_mode = DELETE")
+        self._db.close()
+
+    def _open(self, new: bool, session: tuple[str]) -> None:
+        self._db.execute("PRAGMA journal_mode = WAL")
+        self._db.execute("PRAGMA synchronous = FULL")
+        if new:
+            # One transaction: a kill in between must not leave a journal without a version.
+            self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA_VERSION}; {SCHEMA}")
+        else:
+            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            check_version(self._path, version)
+        self._insert("session", session)
+        if new:
+            self._db.execute("COMMIT")
+
+    def _insert(self, table: str, row: tuple[object, ...]) -> None:
+        marks = ", ".join("?" * (len(row) + 1))
+        columns = ", ".join((*COLUMNS[table], "checksum"))
+        try:
+            self._db.execute(
+                f"INSERT INTO {table} ({columns}) VALUES ({marks})", (*row, checksum(row))
+            )
+        except sqlite3.Error as error:
+            raise JournalError(f"{self._path}: {error}") from error
+
+
+def checksum(row: Sequence[object]) -> int:
+    """CRC-32 of the values of a row."""
+    return zlib.crc32(repr(tuple(row)).encode())
+
+
+def check_version(path: Path, version: int) -> None:
+    """Refuse a journal of another version.
+
+    Raises
+    ------
+    JournalError
+        With both versions.
+    """
+    if version != SCHEMA_VERSION:
+        raise JournalError(
+            f"{path}: journal version {version}; this program reads version {SCHEMA_VERSION}"
+        )
+
+
+def _storable(text: str) -> str:
+    """Replace what UTF-8 cannot hold, such as half a character that a node said."""
+    return text.encode("utf-8", "replace").decode("utf-8")

@@ -1,0 +1,318 @@
+"""Reading a journal: all that is whole, and what is not, in a line.
+
+What was damaged, by a disk or a hand, ends the reading: everything before it is used. A run goes on
+from there, see `salvage`.
+"""
+
+import csv
+import json
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from bo_tuner.errors import JournalError
+from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
+from bo_tuner.trials import (
+    TUNING,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    WorstCase,
+)
+
+OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
+"""Columns that hold JSON objects."""
+
+NOT_EXPORTED = ("seconds", "hyperparameters")
+"""Columns of no use in a table, or that differ between runs which are the same."""
+
+LARGEST = 1_000_000_000
+"""Size [byte] beyond which a header that tells the size of a journal is not believed."""
+
+# Page size and number of pages, see https://www.sqlite.org/fileformat.html.
+_SQLITE = b"SQLite format 3\0"
+_HEADER = struct.Struct(">16xH10xI")
+_WAL_HEADER = struct.Struct(">IIIIIIII")
+_FRAME_HEADER = struct.Struct(">IIIIII")
+
+
+@dataclass(frozen=True)
+class RecordedEvaluation:
+    """An evaluation and the parameter set that it was of."""
+
+    evaluation: Evaluation
+    parameters: Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class JournalContent:
+    """What a journal holds.
+
+    Attributes
+    ----------
+    sessions
+        Provenance of each process that worked on the run, the first first.
+    trials
+        Trials with their evaluations, numbered from 0 without a gap. Checks of a trial are not
+        among its evaluations.
+    evaluations
+        All evaluations, in the order in which they were recorded.
+    damage
+        What could not be read; empty if nothing is amiss.
+    """
+
+    sessions: tuple[Mapping[str, str], ...]
+    trials: tuple[Trial, ...]
+    evaluations: tuple[RecordedEvaluation, ...]
+    damage: str
+
+
+def read_journal(path: Path) -> JournalContent:
+    """Read a journal, which another process may be writing.
+
+    Raises
+    ------
+    JournalError
+        If the file cannot be read, is no journal, or is of another version.
+    """
+    if not path.is_file():
+        raise JournalError(f"{path}: no journal there")
+    try:
+        with closing(_connect(path)) as db:
+            (version,) = db.execute("PRAGMA user_version").fetchone()
+            check_version(path, version)
+            sessions, damaged_sessions = _rows(db, "session")
+            evaluation_rows, damaged_evaluations = _rows(db, "evaluation")
+            trial_rows, damaged_trials = _rows(db, "trial")
+    except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
+        if isinstance(error, JournalError):
+            raise
+        raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
+    try:
+        evaluations = tuple(_evaluation(row) for row in evaluation_rows)
+        trials = tuple(_trials(trial_rows, evaluations))
+        provenances = tuple(dict(json.loads(str(row["provenance"]))) for row in sessions)
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+        # The checksums hold, so it was no disk: somebody else wrote this.
+        raise JournalError(f"{path}: rows that this program does not write: {error}") from error
+    missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its evaluations"
+    damage = damaged_evaluations or damaged_trials or damaged_sessions or missing
+    return JournalContent(
+        sessions=provenances,
+        trials=trials,
+        evaluations=evaluations,
+        damage=f"{path.name}: {damage}" if damage else "",
+    )
+
+
+def salvage(path: Path) -> tuple[JournalContent, str]:
+    """Read a journal that no process is writing, and make a damaged one whole.
+
+    The damaged files stay beside the new ones, under another name.
+
+    Returns
+    -------
+    content
+        What could be read.
+    text
+        What was done, in a line; empty if nothing was amiss.
+
+    Raises
+    ------
+    JournalError
+        As in `read_journal`, or if the new journal cannot be written.
+    """
+    content = read_journal(path)
+    used = (
+        f"everything before it is used ({len(content.trials)} trials, "
+        f"{len(content.evaluations)} evaluations)"
+    )
+    if not content.damage:
+        lost = _lost_commits(path)
+        return content, f"{lost}; {used}" if lost else ""
+    kept = _set_aside(path)
+    sessions = content.sessions or ({},)
+    for provenance in sessions:
+        with Journal(path, provenance):
+            pass
+    with Journal(path, dict(sessions[-1]) | {"salvaged_from": kept.name}) as journal:
+        for recorded in content.evaluations:
+            journal.record_evaluation(recorded.evaluation, recorded.parameters)
+        for trial in content.trials:
+            journal.record_trial(trial)
+    return content, f"{content.damage}; {used}, the damaged file is kept as {kept.name}"
+
+
+def export_csv(path: Path, directory: Path) -> None:
+    """Write ``trials.csv`` and ``evaluations.csv`` from the journal at `path`.
+
+    Each parameter, context variable and metric has a column of its own, such as
+    ``metrics.overshoot``.
+
+    Raises
+    ------
+    JournalError
+        If the journal cannot be read, or a file cannot be written.
+    """
+    for table in ("trial", "evaluation"):
+        try:
+            with closing(_connect(path)) as db:
+                found, _ = _rows(db, table)
+        except sqlite3.Error as error:
+            raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
+        rows = [_flat(row) for row in found]
+        names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
+        header = list(dict.fromkeys(key for row in rows for key in row)) or names
+        file = directory / f"{table}s.csv"
+        try:
+            with file.open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.DictWriter(stream, header)
+                writer.writeheader()
+                writer.writerows(rows)
+        except OSError as error:
+            raise JournalError(f"{file}: cannot be written: {error.strerror}") from error
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    """Open a journal to be read; one that was cut off is made readable in memory."""
+    db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    try:
+        db.execute("SELECT 1 FROM sqlite_master").fetchone()
+    except (sqlite3.DatabaseError, UnicodeDecodeError):
+        db.close()
+        data = bytearray(path.read_bytes())
+        if len(data) < _HEADER.size or not data.startswith(_SQLITE):
+            raise
+        page, pages = _HEADER.unpack_from(data)
+        size = (65536 if page == 1 else page) * pages
+        if not len(data) < size <= LARGEST:
+            raise
+        # What is missing reads as empty pages; without a log there is no write-ahead mode.
+        data[18:20] = b"\1\1"
+        db = sqlite3.connect(":memory:")
+        db.deserialize(bytes(data.ljust(size, b"\0")))
+    return db
+
+
+def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], str]:
+    """Read a table as far as it is whole; returns the rows and what ended the reading."""
+    columns = COLUMNS[table]
+    query = f"SELECT {', '.join(columns)}, checksum FROM {table} ORDER BY rowid"
+    found: list[dict[str, object]] = []
+    try:
+        for *values, expected in db.execute(query):
+            if checksum(values) != expected:
+                return found, f"{table} {len(found) + 1} is damaged"
+            found.append(dict(zip(columns, values, strict=True)))
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+        return found, f"damaged after {table} {len(found)} ({error})"
+    return found, ""
+
+
+def _evaluation(row: Mapping[str, object]) -> RecordedEvaluation:
+    state = EvaluationState(str(row["state"]))
+    outcome = Outcome(
+        state, json.loads(str(row["metrics"])), str(row["reason"]), json.loads(str(row["details"]))
+    )
+    evaluation = Evaluation(
+        trial=int(str(row["trial"])),
+        index=int(str(row["position"])),
+        stage=Stage(str(row["stage"])),
+        context=json.loads(str(row["context"])),
+        seed=int(str(row["seed"])),
+        outcome=outcome,
+        seconds=float(str(row["seconds"])),
+    )
+    return RecordedEvaluation(evaluation, json.loads(str(row["parameters"])))
+
+
+def _trials(
+    rows: list[dict[str, object]], evaluations: tuple[RecordedEvaluation, ...]
+) -> Iterator[Trial]:
+    """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
+    by_trial: dict[int, dict[int, Evaluation]] = {}
+    for recorded in evaluations:
+        evaluation = recorded.evaluation
+        if evaluation.stage in TUNING:
+            # A later one of the same place takes the place of one that a kill left behind.
+            by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    for number, row in enumerate(sorted(rows, key=lambda row: int(str(row["number"])))):
+        of_trial = by_trial.get(number, {})
+        count = int(str(row["evaluations"]))
+        if row["number"] != number or any(index not in of_trial for index in range(count)):
+            return
+        worst = row["worst_case"]
+        hyperparameters = json.loads(str(row["hyperparameters"]))
+        yield Trial(
+            number=number,
+            parameters=json.loads(str(row["parameters"])),
+            origin=str(row["origin"]),
+            state=TrialState(str(row["state"])),
+            reason=str(row["reason"]),
+            evaluations=tuple(of_trial[index] for index in range(count)),
+            worst_case=WorstCase(**json.loads(str(worst))) if worst else None,
+            warnings=tuple(json.loads(str(row["warnings"]))),
+            hyperparameters={key: tuple(phi) for key, phi in hyperparameters.items()},
+            seconds=float(str(row["seconds"])),
+        )
+
+
+def _lost_commits(path: Path) -> str:
+    """Tell whether the write-ahead log holds commits that SQLite passes over as damaged.
+
+    See https://www.sqlite.org/walformat.html. What a kill leaves of a commit is no damage.
+    """
+    log = path.with_name(f"{path.name}-wal")
+    try:
+        data = log.read_bytes() if log.exists() else b""
+        if len(data) < _WAL_HEADER.size:
+            return ""
+        _, _, page, _, salt, pepper, _, _ = _WAL_HEADER.unpack_from(data)
+        with closing(sqlite3.connect(path)) as db:
+            _, valid, _ = db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+    except (OSError, sqlite3.Error) as error:
+        return f"{log.name}: {error}"
+    size = _FRAME_HEADER.size + page
+    for start in range(_WAL_HEADER.size + valid * size, len(data) - size + 1, size):
+        _, is_commit, *salts, _, _ = _FRAME_HEADER.unpack_from(data, start)
+        # What a log held before it was begun anew has other salts.
+        if salts != [salt, pepper]:
+            break
+        if is_commit:
+            return f"{log.name}: damaged after page {valid}"
+    return ""
+
+
+def _set_aside(path: Path) -> Path:
+    number = 1
+    while (kept := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
+        number += 1
+    try:
+        for suffix in ("", "-wal", "-shm"):
+            file = path.with_name(path.name + suffix)
+            if file.exists():
+                file.rename(kept.with_name(kept.name + suffix))
+    except OSError as error:
+        raise JournalError(f"{path}: cannot be set aside: {error.strerror}") from error
+    return kept
+
+
+def _flat(row: Mapping[str, object]) -> dict[str, object]:
+    """Spread the JSON objects of a row over columns of their own."""
+    flat: dict[str, object] = {}
+    for key, value in row.items():
+        if key in NOT_EXPORTED:
+            continue
+        if key in OBJECTS and value is not None:
+            # With the section in front: names are unique within one only.
+            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
+        else:
+            flat[key] = value
+    return flat

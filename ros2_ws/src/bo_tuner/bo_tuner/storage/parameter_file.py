@@ -1,0 +1,79 @@
+"""Parameter files in the form that ``--params-file`` takes."""
+
+from collections.abc import Mapping
+
+import yaml
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
+
+NodeValues = Mapping[str, Mapping[str, object]]
+"""Values by the name of the ROS node, then by its parameter."""
+
+SECTION = "ros__parameters"
+ANY_NAMESPACE = "/**/"
+
+
+def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
+    """Return what the tuned nodes are told for a parameter set.
+
+    What the study sets once on a tuned node is part of it: the parameter set was judged with it.
+    """
+    values: dict[str, dict[str, object]] = {}
+    for key in dict.fromkeys(study.parameters[name].node for name in parameters):
+        spec = study.nodes[key]
+        of_node = values.setdefault(spec.node, {})
+        of_node.update({name: _plain(constant) for name, constant in spec.parameters.items()})
+    for name, value in parameters.items():
+        item = study.parameters[name]
+        typed = int(value) if item.is_integer else float(value)
+        values[study.nodes[item.node].node][item.parameter] = typed
+    return values
+
+
+def to_yaml(values: NodeValues) -> str:
+    """Return the text of a parameter file.
+
+    A node is addressed by its name in any namespace. Doubles keep their decimal point, since a
+    node refuses an integer for one.
+    """
+    nodes = {
+        f"{ANY_NAMESPACE}{node}": {SECTION: {k: _plain(v) for k, v in of_node.items()}}
+        for node, of_node in values.items()
+    }
+    return yaml.safe_dump(nodes, sort_keys=False)
+
+
+def from_yaml(text: str) -> dict[str, dict[str, object]]:
+    """Return the values in a text that `to_yaml` made.
+
+    Raises
+    ------
+    ValueError
+        If it is another text; one line.
+    """
+    try:
+        document = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise ValueError(f"no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(document, dict) or not document:
+        raise ValueError(f"expected a parameter file, found {checks.show(document)}")
+    values: dict[str, dict[str, object]] = {}
+    for key, section in document.items():
+        given = section.get(SECTION) if isinstance(section, dict) and len(section) == 1 else None
+        if not isinstance(key, str) or not key.startswith(ANY_NAMESPACE) or given is None:
+            raise ValueError(
+                f"expected '{ANY_NAMESPACE}<node>' with {SECTION} only, found {checks.show(key)}"
+            )
+        try:
+            checked = checks.parameter_values(given, key)
+        except StudyError as error:
+            raise ValueError(str(error)) from error
+        values[key.removeprefix(ANY_NAMESPACE)] = {k: _plain(v) for k, v in checked.items()}
+    return values
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,173 @@
+"""The folder of a run: the study as run, the journal, and what came out of it."""
+
+import fcntl
+import json
+import math
+import os
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Self
+
+from bo_tuner.errors import OutputError
+from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.trials import Value
+
+LATEST = "latest"
+LOCK = ".lock"
+STUDY = "study.yaml"
+JOURNAL = "journal.sqlite"
+BEST = "best.yaml"
+SUMMARY = "summary.json"
+REPORT = "report.html"
+
+
+class RunFolder:
+    """The folder of a run, which this process alone works in until it is closed.
+
+    Parameters
+    ----------
+    path
+        An existing folder.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written to, or another process works in it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            # The lock ends with the process, however that ends.
+            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = os.read(self._lock, 20).decode("ascii", "replace").strip()
+            self.close()
+            by = f" (process {holder})" if holder.isdigit() else ""
+            raise OutputError(f"{path}: another process works in this run{by}") from None
+        try:
+            os.ftruncate(self._lock, 0)
+            os.write(self._lock, str(os.getpid()).encode())
+        except OSError as error:
+            self.close()
+            raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
+
+    @classmethod
+    def create(cls, output: Path, study: Study) -> Self:
+        """Make ``<output>/<study>-<date-time>``, with a number behind if that exists.
+
+        Parameters
+        ----------
+        output
+            Where runs are kept; made if need be.
+        study
+            The study as run, with what the command line changed in it.
+
+        Raises
+        ------
+        OutputError
+            If the folder cannot be made or written to.
+        """
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+            folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
+            folder.log.mkdir()
+            (folder.path / STUDY).write_text(study_to_yaml(study), encoding="utf-8")
+        except OutputError:
+            raise
+        except OSError as error:
+            raise OutputError(f"{output}: cannot write runs there: {error.strerror}") from error
+        return folder
+
+    def close(self) -> None:
+        """Let other processes work in the folder."""
+        os.close(self._lock)
+
+    @property
+    def log(self) -> Path:
+        """Folder for what the nodes print."""
+        return self.path / "log"
+
+    @property
+    def journal(self) -> Path:
+        """File of the journal."""
+        return self.path / JOURNAL
+
+    def link_latest(self) -> None:
+        """Let ``latest``, beside the folder, point to it.
+
+        Raises
+        ------
+        OutputError
+            If the link cannot be made, for example because a folder has its name.
+        """
+        link = self.path.with_name(f".{LATEST}-{os.getpid()}")
+        target = self.path.with_name(LATEST)
+        try:
+            link.unlink(missing_ok=True)
+            link.symlink_to(self.path.name)
+            link.replace(target)
+        except OSError as error:
+            link.unlink(missing_ok=True)
+            raise OutputError(f"{target}: cannot point to the run: {error.strerror}") from error
+
+    def write_parameters(self, study: Study, parameters: Mapping[str, Value]) -> Path:
+        """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        return self._write(BEST, to_yaml(node_values(study, parameters)))
+
+    def write_summary(self, summary: Mapping[str, object]) -> Path:
+        """Write ``summary.json``, with null for what is not a number, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
+        return self._write(SUMMARY, text + "\n")
+
+    def _write(self, name: str, text: str) -> Path:
+        path = self.path / name
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        return path
+
+
+def _new_folder(path: Path) -> Path:
+    """Make `path`, or the first of ``<path>-2``, ``<path>-3``... that does not exist yet."""
+    folder = path
+    number = 1
+    while True:
+        # Making it is the test: two runs of the same second must not meet in one folder.
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            folder = path.with_name(f"{path.name}-{number}")
+        else:
+            return folder
+
+
+def without_nan(value: object) -> object:
+    """Replace what is not finite, which JSON has no word for, by None."""
+    if isinstance(value, Mapping):
+        return {key: without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

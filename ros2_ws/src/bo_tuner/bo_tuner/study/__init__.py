@@ -1,0 +1,1 @@
+"""What is tuned: the study, its file, its search space and its contexts."""

@@ -1,0 +1,153 @@
+"""The context: a box for the worst-case search, a distribution for the draws."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bo_tuner.errors import ParameterError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.distributions import Distribution
+
+
+class ContextSpace:
+    """Independent context variables in a fixed order.
+
+    In the shapes below, d is the number of variables (0 is allowed: nothing to perturb) and n any
+    number of contexts.
+
+    Parameters
+    ----------
+    distributions : mapping from str to Distribution
+        The variables by name; its order is the order of the columns.
+    """
+
+    def __init__(self, distributions: Mapping[str, Distribution]) -> None:
+        self.names = tuple(distributions)
+        self.distributions = tuple(distributions.values())
+        self.lower = np.array([item.lower for item in self.distributions])
+        self.upper = np.array([item.upper for item in self.distributions])
+
+    @property
+    def dimension(self) -> int:
+        """Number of context variables, d."""
+        return len(self.names)
+
+    def nominal(self) -> Array:
+        """Return the context that the controller's model assumes, shape (d,), own units."""
+        return np.array([item.nominal for item in self.distributions])
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw contexts from their distribution.
+
+        The same generator state gives the same first contexts whatever the `count`.
+
+        Parameters
+        ----------
+        count : int
+            Number of contexts, n.
+        rng : numpy.random.Generator
+            Source of d uniform numbers for each context.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Contexts in their own units.
+        """
+        return self._at_quantiles(rng.random((count, self.dimension)))
+
+    def draw_stratified(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw contexts that together cover their distribution evenly.
+
+        Each single one follows the distribution, but of n values of a variable one lies in each
+        of its n quantile ranges, independently arranged for each variable (Latin hypercube; McKay,
+        Beckman and Conover 1979). A mean over them varies less than over independent draws.
+
+        Parameters
+        ----------
+        count : int
+            Number of contexts, n.
+        rng : numpy.random.Generator
+            Source of the arrangement and the places within the ranges.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Contexts in their own units.
+        """
+        return self._at_quantiles(latin_hypercube(count, self.dimension, rng))
+
+    def to_contexts(self, cube: ArrayLike) -> Array:
+        """Map points of the unit cube to contexts, linearly between the bounds.
+
+        Parameters
+        ----------
+        cube : array_like, shape (n, d)
+            Points; what lies outside [0, 1] is clipped.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Contexts in their own units; a discrete variable takes its nearest possible value.
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or a point is not finite.
+        """
+        points = np.clip(self._rows(cube, "cube"), 0.0, 1.0)
+        return self.clip(self.lower + points * (self.upper - self.lower))
+
+    def to_cube(self, contexts: ArrayLike) -> Array:
+        """Map contexts, shape (n, d), to points of the unit cube, shape (n, d).
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or a context is not finite.
+        """
+        rows = self._rows(contexts, "contexts")
+        cube: Array = (rows - self.lower) / (self.upper - self.lower)
+        return np.clip(cube, 0.0, 1.0)
+
+    def clip(self, contexts: ArrayLike) -> Array:
+        """Return the nearest possible contexts, shape (n, d), for `contexts`, shape (n, d).
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or a context is not finite.
+        """
+        rows = self._rows(contexts, "contexts").copy()
+        for column, item in enumerate(self.distributions):
+            rows[:, column] = item.clip(rows[:, column])
+        return rows
+
+    def to_dict(self, context: ArrayLike) -> dict[str, float]:
+        """Return one context, shape (d,), as values by name.
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or a value is not finite.
+        """
+        row = self._rows(np.asarray(context, dtype=np.float64)[None], "context")[0]
+        return dict(zip(self.names, row.tolist(), strict=True))
+
+    def _at_quantiles(self, probability: Array) -> Array:
+        """Return the contexts (n, d) below which each variable stays with these probabilities."""
+        contexts = np.empty_like(probability)
+        for column, item in enumerate(self.distributions):
+            contexts[:, column] = item.ppf(probability[:, column])
+        return contexts
+
+    def _rows(self, values: ArrayLike, name: str) -> Array:
+        rows = np.asarray(values, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.dimension:
+            raise ParameterError(
+                f"{name}: expected rows of {self.dimension} values, found shape {rows.shape}"
+            )
+        if not np.all(np.isfinite(rows)):
+            raise ParameterError(f"{name}: expected finite values")
+        return rows

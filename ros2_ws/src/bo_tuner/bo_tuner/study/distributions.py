@@ -1,0 +1,305 @@
+"""Distributions of the context, all with bounded support, and the space they span.
+
+Bounded, because the worst case over an unbounded context does not exist. Each distribution is one
+frozen class whose fields are the keys of the study file.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from bo_tuner.errors import ParameterError, StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks
+
+# Stands for a nominal value that was not given; `__post_init__` replaces it.
+_DEFAULT = cast(float, None)
+
+
+class Distribution(ABC):
+    """A distribution on a bounded support.
+
+    Attributes
+    ----------
+    nominal : float
+        The value that the controller's designer assumed.
+    """
+
+    kind: ClassVar[str]
+    nominal: float
+
+    @property
+    @abstractmethod
+    def lower(self) -> float:
+        """Lower end of the support."""
+
+    @property
+    @abstractmethod
+    def upper(self) -> float:
+        """Upper end of the support."""
+
+    @abstractmethod
+    def _quantile(self, probability: Array) -> Array: ...
+
+    def ppf(self, probability: ArrayLike) -> Array:
+        """Return quantiles, the inverse of the cumulative distribution function.
+
+        Parameters
+        ----------
+        probability : array_like, shape (...)
+            Probabilities in [0, 1].
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Quantiles, in the variable's unit, never outside the support.
+
+        Raises
+        ------
+        ParameterError
+            If a probability lies outside [0, 1].
+        """
+        q = np.asarray(probability, dtype=np.float64)
+        if not np.all((q >= 0.0) & (q <= 1.0)):
+            raise ParameterError("probability: expected values in [0, 1]")
+        with np.errstate(all="ignore"):
+            quantiles = np.asarray(self._quantile(q), dtype=np.float64)
+        return np.clip(quantiles, self.lower, self.upper)
+
+    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> Array:
+        """Draw independent values by inversion: one uniform number for each.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            Source of the uniform numbers.
+        size : int or tuple of int
+            Shape of the result.
+
+        Returns
+        -------
+        ndarray, shape `size`
+            Values in the support, in the variable's unit.
+        """
+        return self.ppf(rng.random(size))
+
+    def clip(self, values: ArrayLike) -> Array:
+        """Return the nearest value of the support for each of `values`, shape (...)."""
+        return np.clip(np.asarray(values, dtype=np.float64), self.lower, self.upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Continuous(Distribution):
+    """What the continuous distributions share: an interval and a nominal value in it."""
+
+    bounds: tuple[float, float]
+    nominal: float = _DEFAULT
+
+    @property
+    def lower(self) -> float:
+        """Lower bound."""
+        return self.bounds[0]
+
+    @property
+    def upper(self) -> float:
+        """Upper bound."""
+        return self.bounds[1]
+
+    @property
+    def width(self) -> float:
+        """Length of the support."""
+        return self.upper - self.lower
+
+    def _check_bounds(self) -> None:
+        bounds = checks.bounds(self.bounds, "bounds", instead="a context needs room to vary")
+        object.__setattr__(self, "bounds", bounds)
+
+    def _finish(self, default_nominal: float) -> None:
+        if self.nominal is None:
+            nominal = float(np.clip(default_nominal, self.lower, self.upper))
+        else:
+            nominal = self._inside(self.nominal, "nominal")
+        object.__setattr__(self, "nominal", nominal)
+        with np.errstate(all="ignore"):
+            quantiles = self._quantile(np.array([0.0, 0.1, 0.5, 0.9, 1.0]))
+        slack = 1e-6 * self.width
+        if not np.all((quantiles >= self.lower - slack) & (quantiles <= self.upper + slack)):
+            raise StudyError(f"this {self.kind} is too extreme to compute its quantiles")
+
+    def _inside(self, value: object, key: str) -> float:
+        checked = checks.number(value, key)
+        if not self.lower <= checked <= self.upper:
+            raise StudyError(
+                f"{checked} lies outside the bounds [{self.lower}, {self.upper}]", (key,)
+            )
+        return checked
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruncatedNormal(_Continuous):
+    """Normal distribution cut off at the bounds.
+
+    `mean` and `standard_deviation` are those of the normal distribution before the evaluation; the
+    nominal value is the mean, or the bound nearest to it.
+    """
+
+    kind: ClassVar[str] = "truncated_normal"
+    mean: float
+    standard_deviation: float
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        self._check_bounds()
+        object.__setattr__(self, "mean", checks.number(self.mean, "mean"))
+        deviation = checks.positive(self.standard_deviation, "standard_deviation")
+        object.__setattr__(self, "standard_deviation", deviation)
+        self._finish(self.mean)
+
+    def _quantile(self, probability: Array) -> Array:
+        low, high = (
+            (np.float64(bound) - self.mean) / self.standard_deviation for bound in self.bounds
+        )
+        return cast(
+            Array,
+            stats.truncnorm.ppf(
+                probability, low, high, loc=self.mean, scale=self.standard_deviation
+            ),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uniform(_Continuous):
+    """Uniform distribution between the bounds; the nominal value is the middle."""
+
+    kind: ClassVar[str] = "uniform"
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        self._check_bounds()
+        self._finish(self.lower + 0.5 * self.width)
+
+    def _quantile(self, probability: Array) -> Array:
+        return cast(Array, stats.uniform.ppf(probability, loc=self.lower, scale=self.width))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beta(_Continuous):
+    """Beta distribution with shapes `a` and `b`, stretched from [0, 1] to the bounds.
+
+    The nominal value is its mean.
+    """
+
+    kind: ClassVar[str] = "beta"
+    a: float
+    b: float
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        self._check_bounds()
+        object.__setattr__(self, "a", checks.positive(self.a, "a"))
+        object.__setattr__(self, "b", checks.positive(self.b, "b"))
+        # Written so that neither a + b nor b / a of extreme shapes raises.
+        with np.errstate(all="ignore"):
+            mean = 1.0 / (1.0 + np.float64(self.b) / np.float64(self.a))
+        self._finish(self.lower + float(mean) * self.width)
+
+    def _quantile(self, probability: Array) -> Array:
+        return cast(
+            Array,
+            stats.beta.ppf(probability, self.a, self.b, loc=self.lower, scale=self.width),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Triangular(_Continuous):
+    """Triangular distribution between the bounds; the nominal value is its `mode`."""
+
+    kind: ClassVar[str] = "triangular"
+    mode: float
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        self._check_bounds()
+        object.__setattr__(self, "mode", self._inside(self.mode, "mode"))
+        self._finish(self.mode)
+
+    def _quantile(self, probability: Array) -> Array:
+        peak = np.clip((self.mode - self.lower) / self.width, 0.0, 1.0)
+        return cast(Array, stats.triang.ppf(probability, peak, loc=self.lower, scale=self.width))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Discrete(Distribution):
+    """Finitely many `values`, strictly increasing, each with its probability.
+
+    The nominal value is the most probable one, the smallest of several.
+    """
+
+    kind: ClassVar[str] = "discrete"
+    values: tuple[float, ...]
+    probabilities: tuple[float, ...]
+    nominal: float = _DEFAULT
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        values, probabilities = (
+            tuple(
+                checks.number(item, key, index)
+                for index, item in enumerate(checks.sequence(value, "a list of numbers", key))
+            )
+            for key, value in (("values", self.values), ("probabilities", self.probabilities))
+        )
+        if len(values) < 2:
+            raise StudyError(f"expected at least two values, found {len(values)}", ("values",))
+        if any(left >= right for left, right in pairwise(values)):
+            raise StudyError("expected strictly increasing values", ("values",))
+        checks.check_width(values[0], values[-1], "values", instead="a context needs to vary")
+        if len(probabilities) != len(values):
+            raise StudyError(
+                f"expected one for each of the {len(values)} values, found {len(probabilities)}",
+                ("probabilities",),
+            )
+        for index, probability in enumerate(probabilities):
+            checks.fraction(probability, "probabilities", index)
+        if abs(sum(probabilities) - 1.0) > 1e-9:
+            raise StudyError(f"expected a sum of 1, found {sum(probabilities)}", ("probabilities",))
+        nominal = values[int(np.argmax(probabilities))]
+        if self.nominal is not None:
+            nominal = checks.number(self.nominal, "nominal")
+            if nominal not in values:
+                raise StudyError(f"{nominal} is none of the values", ("nominal",))
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "probabilities", probabilities)
+        object.__setattr__(self, "nominal", nominal)
+
+    @property
+    def lower(self) -> float:
+        """Smallest value."""
+        return self.values[0]
+
+    @property
+    def upper(self) -> float:
+        """Largest value."""
+        return self.values[-1]
+
+    def _quantile(self, probability: Array) -> Array:
+        # The last value takes what rounding leaves of the sum.
+        cumulative = np.cumsum(self.probabilities)[:-1]
+        return np.asarray(self.values)[np.searchsorted(cumulative, probability, side="left")]
+
+    def clip(self, values: ArrayLike) -> Array:
+        """Return the nearest of the possible values for each of `values`, shape (...)."""
+        support = np.asarray(self.values)
+        middles = support[:-1] + 0.5 * np.diff(support)
+        return support[np.searchsorted(middles, np.asarray(values, dtype=np.float64))]
+
+
+DISTRIBUTIONS: dict[str, type[Distribution]] = {
+    cls.kind: cls for cls in (TruncatedNormal, Uniform, Beta, Triangular, Discrete)
+}
+"""Distribution by its name in the study file."""

@@ -1,0 +1,164 @@
+"""The parameters of a study as a whole: ties, fixed values and order between them."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from bo_tuner.errors import ParameterError, StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks
+from bo_tuner.study.ordering import PartialOrder
+from bo_tuner.study.parameter import Number, Parameter
+
+
+class Parametrization:
+    """Maps between all parameters by name and a row of the d tuned values.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        All parameters; the tuned ones become the columns of a row, in this order.
+    order : sequence of (str, str)
+        Names (a, b) of parameters with a <= b.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        All parameters.
+    order : tuple of (str, str)
+        As given.
+    tuned : tuple of Parameter
+        The tuned ones.
+    names : tuple of str
+        Names of the tuned ones.
+    lower, upper : ndarray, shape (d,)
+        Bounds of the tuned parameters as the study gives them, in own units.
+    permitted : tuple of two ndarrays, shape (d,)
+        What the order leaves of these bounds.
+    partial_order : PartialOrder
+        Order between columns.
+    defaults : dict from str to int or float
+        Hand-tuned value of every parameter.
+
+    Raises
+    ------
+    StudyError
+        If a reference leads nowhere, nothing is tuned, or the order cannot be satisfied or is
+        violated by the defaults.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]]) -> None:
+        self.parameters = tuple(parameters)
+        self.order = tuple(order)
+        self._by_name = {item.name: item for item in self.parameters}
+        if len(self._by_name) != len(self.parameters):
+            raise StudyError("two parameters have the same name", ("parameters",))
+        self.tuned = tuple(item for item in self.parameters if item.is_tuned)
+        if not self.tuned:
+            raise StudyError("no parameter is tuned; give one bounds", ("parameters",))
+        self._check_ties()
+        self.names = tuple(item.name for item in self.tuned)
+        self._column = {name: column for column, name in enumerate(self.names)}
+        bounds = np.array([item.bounds for item in self.tuned], dtype=np.float64)
+        self.lower, self.upper = bounds[:, 0], bounds[:, 1]
+        self.defaults: dict[str, Number] = {}
+        for item in self.parameters:
+            default = self._leader(item.name).default
+            if default is not None:
+                self.defaults[item.name] = default
+        self.permitted = (self.lower, self.upper)
+        self.partial_order = PartialOrder(len(self.tuned), ())
+        for index, names in enumerate(self.order):
+            self._add_order(index, names)
+
+    def row(self, parameters: Mapping[str, Number]) -> Array:
+        """Return the tuned values of a parameter set in own units, shape (d,).
+
+        Tied and fixed parameters may be left out.
+
+        Raises
+        ------
+        ParameterError
+            If a tuned parameter is missing, of a wrong type or out of bounds, or a name is unknown.
+        """
+        for name in parameters:
+            if name not in self._by_name:
+                raise ParameterError(
+                    f"{name}: unknown parameter; {checks.suggestion(str(name), self._by_name)}"
+                )
+        row = np.empty(len(self.tuned))
+        for column, item in enumerate(self.tuned):
+            if item.name not in parameters:
+                raise ParameterError(f"{item.name}: missing")
+            try:
+                check = checks.integer if item.is_integer else checks.number
+                row[column] = check(parameters[item.name])
+            except StudyError as error:
+                raise ParameterError(f"{item.name}: {error}") from None
+            if not self.lower[column] <= row[column] <= self.upper[column]:
+                raise ParameterError(
+                    f"{item.name}: {parameters[item.name]} lies outside the bounds {item.bounds}"
+                )
+        return row
+
+    def complete(self, row: Array) -> dict[str, Number]:
+        """Return all parameters by name for a row of tuned values in own units, shape (d,)."""
+        parameters = dict(self.defaults)
+        for item in self.parameters:
+            column = self._column.get(self._leader(item.name).name)
+            if column is not None:
+                value = float(row[column])
+                parameters[item.name] = int(value) if item.is_integer else value
+        return parameters
+
+    def _leader(self, name: str) -> Parameter:
+        item = self._by_name[name]
+        return item if item.tied_to is None else self._by_name[item.tied_to]
+
+    def _check_ties(self) -> None:
+        for item in self.parameters:
+            if item.tied_to is None:
+                continue
+            path = ("parameters", item.name, "tied_to")
+            others = [name for name in self._by_name if name != item.name]
+            checks.reference(item.tied_to, "other parameter", others, *path)
+            leader = self._by_name[item.tied_to]
+            if leader.tied_to is not None:
+                raise StudyError(f"'{leader.name}' is itself tied to '{leader.tied_to}'", path)
+            if leader.type != item.type:
+                raise StudyError(f"'{leader.name}' is of type {leader.type}, not {item.type}", path)
+            if item.default is not None and item.default != leader.default:
+                raise StudyError(
+                    f"{item.default} differs from {leader.default}, the default of "
+                    f"'{leader.name}' to which it is tied",
+                    ("parameters", item.name, "default"),
+                )
+
+    def _add_order(self, index: int, names: tuple[str, str]) -> None:
+        path = ("order", index)
+        for place, name in enumerate(names):
+            checks.reference(name, "parameter", self._by_name, *path, place)
+        leaders = [self._leader(name) for name in names]
+        rule = f"'{names[0]}' <= '{names[1]}'"
+        if names[0] == names[1]:
+            raise StudyError(f"'{names[0]}' is compared with itself", path)
+        if leaders[0].type != leaders[1].type:
+            raise StudyError(f"'{names[0]}' and '{names[1]}' are of different types", path)
+        lower, upper = (bounds.copy() for bounds in self.permitted)
+        i, j = (self._column.get(item.name) for item in leaders)
+        if i is not None and j is not None:
+            if i != j and self.partial_order.implies(j, i):
+                raise StudyError(f"{rule} closes a circle; use tied_to for equal values", path)
+            pairs = [*self.partial_order.pairs, (i, j)]
+            # Values tied to one another are in order whatever they are.
+            self.partial_order = PartialOrder(len(self.tuned), [p for p in pairs if p[0] != p[1]])
+        elif i is not None:
+            upper[i] = min(upper[i], self.defaults[names[1]])
+        elif j is not None:
+            lower[j] = max(lower[j], self.defaults[names[0]])
+        self.permitted = low, high = self.partial_order.tighten(lower, upper)
+        if np.any(low > high):
+            raise StudyError(f"the bounds leave no values with {rule}", path)
+        first, second = (self.defaults[name] for name in names)
+        if first > second:
+            raise StudyError(f"expected {rule}, found the defaults {first} and {second}", path)

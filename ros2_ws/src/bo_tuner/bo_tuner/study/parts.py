@@ -1,0 +1,315 @@
+"""The parts of a study. Each class checks its own fields.
+
+A broken rule is a `StudyError` whose path leads from the object to the value.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import ndtri
+
+from bo_tuner.errors import StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks
+from bo_tuner.study.distributions import Distribution
+
+LINEAR, LOG = "linear", "log"
+MINIMIZE, MAXIMIZE = "minimize", "maximize"
+CHANCE, WORST_CASE = "chance", "worst_case"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeSpec:
+    """A node that takes parameters or gives metrics.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    node : str
+        Name of the ROS node, relative to the namespace.
+    result : str
+        Topic with the metrics of an evaluation; `~/` stands for the node's own name.
+    package, executable : str, optional
+        What to start; needed unless the node runs already.
+    object : str, optional
+        `module:name` of the same without ROS; needed for the in-process backend.
+    parameters : mapping from str to value
+        Set once, before the first trial.
+    inprocess_parameters : mapping from str to value
+        Set over `parameters` on the in-process backend.
+    """
+
+    name: str
+    node: str
+    result: str
+    package: str | None = None
+    executable: str | None = None
+    object: str | None = None
+    parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+    inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
+        checks.matching(
+            self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
+        )
+        checks.matching(
+            self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
+        )
+        for key, pattern, expected in (
+            ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
+            ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
+            ("object", checks.OBJECT_PATH, "module:name such as axis.simulation:Axis"),
+        ):
+            if getattr(self, key) is not None:
+                checks.matching(getattr(self, key), pattern, expected, key)
+        for key, other in (("package", "executable"), ("executable", "package")):
+            if getattr(self, key) is None and getattr(self, other) is not None:
+                raise StudyError(f"missing; {other} alone does not start a node", (key,))
+        for key in ("parameters", "inprocess_parameters"):
+            object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContextVariable:
+    """A double parameter that changes from cut to evaluation.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    node : str
+        Node in the study that has the parameter.
+    distribution : Distribution
+        Which values occur how often.
+    unit : str
+        Unit, for people.
+    parameter : str
+        Name of the parameter in the node; `name` unless given.
+    """
+
+    name: str
+    node: str
+    distribution: Distribution
+    unit: str = ""
+    parameter: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.parameter_name(self.name)
+        checks.text(self.node, "node")
+        checks.text(self.unit, "unit")
+        if self.parameter == "":
+            object.__setattr__(self, "parameter", self.name)
+        checks.parameter_name(self.parameter, "parameter")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeedParameter:
+    """The integer `parameter` of `node` that seeds the noise of an evaluation."""
+
+    node: str
+    parameter: str
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.text(self.node, "node")
+        checks.parameter_name(self.parameter, "parameter")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trigger:
+    """The `service` (std_srvs/Trigger) of `node` that starts a run, with a `timeout` [s]."""
+
+    node: str
+    service: str
+    timeout: float = 30.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.text(self.node, "node")
+        checks.matching(
+            self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
+        )
+        object.__setattr__(self, "timeout", checks.positive(self.timeout, "timeout"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A number that `node` gives after an evaluation, under `key` (its `name` unless given).
+
+    One that a node measures by the clock is not `reproducible`: over ROS it differs when the same
+    evaluation is run again, and `replay` does not judge it.
+    """
+
+    name: str
+    node: str
+    key: str = ""
+    unit: str = ""
+    reproducible: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.parameter_name(self.name)
+        checks.text(self.node, "node")
+        checks.text(self.unit, "unit")
+        if not isinstance(self.reproducible, bool):
+            raise StudyError(
+                f"expected true or false, found {checks.show(self.reproducible)}",
+                ("reproducible",),
+            )
+        if not checks.text(self.key, "key"):
+            object.__setattr__(self, "key", self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objective:
+    """The metric whose expectation over the contexts is to become small or large.
+
+    Attributes
+    ----------
+    metric : str
+        Metric in the study.
+    scale : str
+        `linear`, or `log` for a positive metric that spans orders of magnitude.
+    direction : str
+        `minimize` or `maximize`.
+    """
+
+    metric: str
+    scale: str = LINEAR
+    direction: str = MINIMIZE
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.text(self.metric, "metric")
+        checks.choice(self.scale, (LINEAR, LOG), "scale")
+        checks.choice(self.direction, (MINIMIZE, MAXIMIZE), "direction")
+
+    @property
+    def sign(self) -> float:
+        """Factor that makes a metric the better the smaller it is: 1, or -1 to maximize."""
+        return 1.0 if self.direction == MINIMIZE else -1.0
+
+    def to_cost(self, values: ArrayLike) -> Array:
+        """Return costs, the smaller the better, for metric values, both of shape (...).
+
+        On the log scale a value that is not positive gives NaN.
+        """
+        cost = np.asarray(values, dtype=np.float64)
+        if self.scale == LOG:
+            cost = np.log(np.where(cost > 0.0, cost, np.nan))
+        return self.sign * cost
+
+    def from_cost(self, cost: ArrayLike) -> Array:
+        """Return metric values for costs, both of shape (...); the inverse of `to_cost`."""
+        values = self.sign * np.asarray(cost, dtype=np.float64)
+        return np.exp(values) if self.scale == LOG else values
+
+
+SINGLE_CUT_PROBABILITY = 0.85
+"""With this probability an evaluation in the worst context shall stay within the limit (Eq. 3f).
+
+On the machine a single run does the damage, so its noise counts, although the worst case itself
+is an expectation over it. The paper's maximum of observations has the noise in it already.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constraint:
+    """An upper limit of a metric.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    kind : str
+        `chance`: the metric stays below the limit with at least `probability` (Eq. 3d);
+        `worst_case`: it stays below in every context (Eq. 3e), in expectation over noise, and a
+        single evaluation in the worst context with at least `probability` as well.
+    metric : str
+        Metric in the study.
+    upper : float
+        The limit, in the metric's unit.
+    probability : float
+        Between 0 and 1. A `chance` constraint needs one. Of a `worst_case` one, 0.5 leaves only
+        the expectation, and less is not permitted; `SINGLE_CUT_PROBABILITY` if left out.
+    """
+
+    name: str
+    kind: str
+    metric: str
+    upper: float
+    probability: float = math.nan
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.parameter_name(self.name)
+        checks.choice(self.kind, (CHANCE, WORST_CASE), "kind")
+        checks.text(self.metric, "metric")
+        object.__setattr__(self, "upper", checks.number(self.upper, "upper"))
+        left_out = isinstance(self.probability, float) and math.isnan(self.probability)
+        if left_out and self.kind == CHANCE:
+            raise StudyError(
+                "missing; a chance constraint needs one, such as 0.96", ("probability",)
+            )
+        given = SINGLE_CUT_PROBABILITY if left_out else self.probability
+        probability = checks.fraction(given, "probability")
+        if self.kind == WORST_CASE and probability < 0.5:
+            raise StudyError(
+                f"expected at least 0.5 of a worst_case constraint, found {probability:g}",
+                ("probability",),
+            )
+        object.__setattr__(self, "probability", probability)
+
+    @property
+    def allowed(self) -> float:
+        """Share of draws from the contexts' distribution that may exceed the limit."""
+        return 0.0 if self.kind == WORST_CASE else 1.0 - self.probability
+
+    @property
+    def deviations(self) -> float:
+        """Standard deviations between mean and limit of a normal metric that keeps it so often."""
+        return float(ndtri(self.probability))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """How much may be tried.
+
+    Attributes
+    ----------
+    trials : int
+        Parameter sets in all, with the initial design.
+    initial_trials : int
+        Parameter sets of the initial design.
+    drawn_contexts : int
+        Evaluations of a trial in contexts drawn from their distribution.
+    search_evaluations : int
+        Most evaluations of a trial in the search of the worst context.
+    validation_draws : int
+        Fresh draws for the validation of a result.
+    """
+
+    trials: int
+    initial_trials: int
+    drawn_contexts: int = 5
+    search_evaluations: int = 10
+    validation_draws: int = 25
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        for item in dataclasses.fields(self):
+            lowest = 0 if item.name == "search_evaluations" else 1
+            checks.integer(getattr(self, item.name), item.name, at_least=lowest)
+        if self.initial_trials > self.trials:
+            raise StudyError(
+                f"{self.initial_trials} are more than the {self.trials} trials in all",
+                ("initial_trials",),
+            )

@@ -1,0 +1,325 @@
+"""The search space: the unit cube that the optimizer sees, and the parameters that nodes take.
+
+Scaling. A tuned parameter v with bounds [lower, upper] lies at the cube coordinate
+z = (s(v) - s(lower)) / (s(upper) - s(lower)), where s is the logarithm for a parameter on the log
+scale and the identity otherwise. An integer is represented by its own coordinate, so that repaired
+positions are constant within an integer; the surrogates therefore see what the node gets
+(Garrido-Merchan and Hernandez-Lobato 2020).
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bo_tuner.errors import ParameterError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parametrization import Parametrization
+
+# Doubles that differ by less than this part of their range count as the same parameter set.
+RESOLUTION = 1e-6
+
+STEP = 0.05
+"""A step to a neighbour in a double is this part of its range, on its scale; in an integer it is 1.
+
+The same in all runs, so that what is said of neighbours can be compared between them.
+"""
+
+
+class SearchSpace:
+    """The unit cube over the tuned parameters.
+
+    In the shapes below, d is the number of tuned parameters and n any number of parameter sets.
+
+    Parameters
+    ----------
+    parameters : iterable of Parameter
+        All parameters of a parameter set; tuned ones become the columns, in this order.
+    order : sequence of (str, str)
+        Names (a, b) of parameters with a <= b in every parameter set.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        All parameters.
+    order : tuple of (str, str)
+        As given.
+    names : tuple of str
+        Tuned parameters, one for each column.
+    lower, upper : ndarray, shape (d,)
+        Bounds of the tuned parameters, in own units.
+
+    Raises
+    ------
+    StudyError
+        If a reference leads nowhere, nothing is tuned, or the order cannot be satisfied or is
+        violated by the defaults.
+    """
+
+    def __init__(
+        self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]] = ()
+    ) -> None:
+        self._parametrization = Parametrization(parameters, order)
+        self.parameters = self._parametrization.parameters
+        self.order = self._parametrization.order
+        self.names = self._parametrization.names
+        self.lower = self._parametrization.lower
+        self.upper = self._parametrization.upper
+        self._tuned = self._parametrization.tuned
+        self.integer = np.array([item.is_integer for item in self._tuned])
+        self._log = np.array([item.scale == "log" for item in self._tuned])
+        self._scaled_lower = self._scaled(self.lower)
+        self._scaled_width = self._scaled(self.upper) - self._scaled_lower
+        self._order = self._parametrization.partial_order
+        # What the order leaves of the bounds.
+        self._low, self._high = self._parametrization.permitted
+
+    @property
+    def dimension(self) -> int:
+        """Number of tuned parameters, d."""
+        return len(self.names)
+
+    @property
+    def defaults(self) -> dict[str, Number]:
+        """The hand-tuned parameter set, with tied and fixed parameters."""
+        return dict(self._parametrization.defaults)
+
+    def to_parameters(self, cube: ArrayLike) -> dict[str, Number]:
+        """Return the repaired parameter set at a point of the unit cube.
+
+        Parameters
+        ----------
+        cube : array_like, shape (d,)
+            The point.
+
+        Returns
+        -------
+        dict from str to int or float
+            All parameters, tied and fixed ones too, in own units and in the study's order.
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or the point is not finite.
+        """
+        point = np.asarray(cube, dtype=np.float64)
+        if point.shape != (self.dimension,):
+            raise ParameterError(f"cube: expected shape ({self.dimension},), found {point.shape}")
+        return self._parametrization.complete(self._values(point[None])[0])
+
+    def to_cube(self, parameters: Mapping[str, Number]) -> Array:
+        """Return the point of the unit cube, shape (d,), where a parameter set lies.
+
+        Parameters
+        ----------
+        parameters : mapping from str to int or float
+            The tuned parameters at least, in own units.
+
+        Raises
+        ------
+        ParameterError
+            If a tuned parameter is missing, of a wrong type or out of bounds, or a name is unknown.
+        """
+        return self._to_unit(self._parametrization.row(parameters))
+
+    def repair(self, positions: ArrayLike) -> Array:
+        """Move positions to points that stand for a permitted parameter set.
+
+        Clips to the cube, moves parameters in the wrong order to their middle, and integers to
+        their nearest representative. A second repair changes nothing (to rounding).
+
+        Parameters
+        ----------
+        positions : array_like, shape (n, d)
+            Any finite positions.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Points of the unit cube.
+
+        Raises
+        ------
+        ParameterError
+            If the shape is another or a position is not finite.
+        """
+        rows = np.asarray(positions, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != self.dimension:
+            raise ParameterError(
+                f"positions: expected shape (n, {self.dimension}), found {rows.shape}"
+            )
+        return self._to_unit(self._values(rows))
+
+    def key(self, parameters: Mapping[str, Number]) -> tuple[Number, ...]:
+        """Return what two parameter sets share when they count as the same one.
+
+        The tuned values in own units: integers as they are, doubles rounded to the decimal place
+        at or below one millionth of their range.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`.
+        """
+        row = self._parametrization.row(parameters)
+        places = -np.floor(np.log10(RESOLUTION * (self.upper - self.lower))).astype(int)
+        return tuple(
+            int(value) if integer else round(value, int(digits))
+            for value, integer, digits in zip(row.tolist(), self.integer, places, strict=True)
+        )
+
+    def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw a space-filling design (McKay, Beckman and Conover 1979).
+
+        Each parameter's permitted range is cut into n equal strata with one point in each; all
+        integers are equally likely, also the outermost. Values in the wrong order are exchanged,
+        equal parameter sets are moved to the nearest integers that are still free.
+
+        Parameters
+        ----------
+        count : int
+            Number of points, n, at least 1.
+        rng : numpy.random.Generator
+            Source of the strata's order and the places within.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+            Repaired points of the unit cube, all different as long as the space has enough.
+        """
+        if count < 1:
+            raise ParameterError(f"count: expected at least 1 point, found {count}")
+        uniform = latin_hypercube(count, self.dimension, rng)
+        values = self._low + uniform * (self._high - self._low)
+        choices = self._high - self._low + 1.0
+        integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
+        values = np.where(self.integer, integers, values)
+        return self._distinct(self._to_unit(self._values_of(self._order.swap(values))))
+
+    def minimum_length_scales(self) -> Array:
+        """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
+
+        A squared-exponential kernel correlates integers that are d apart in the cube by at least
+        c = `minimum_correlation` if l >= d / sqrt(-2 ln c), here for the neighbours that are
+        farthest apart: 1 / (upper - lower) on the linear scale, the lowest two on the log scale.
+        The paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
+        0 where the study sets no minimum.
+        """
+        scales = np.zeros(self.dimension)
+        step = self._to_unit(self.lower + 1.0)
+        for column, item in enumerate(self._tuned):
+            if item.minimum_correlation is not None:
+                reach = np.sqrt(-2.0 * np.log(item.minimum_correlation))
+                scales[column] = step[column] / reach
+        return scales
+
+    def integer_neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
+        """Return the permitted parameter sets one integer step away.
+
+        Parameters
+        ----------
+        parameters : mapping from str to int or float
+            The tuned parameters at least, in own units.
+
+        Returns
+        -------
+        list of dict from str to int or float
+            For each tuned integer, one below and one above, as far as bounds and order permit;
+            doubles as in `parameters`, tied parameters follow.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`.
+        """
+        row = self._parametrization.row(parameters)
+        neighbours = []
+        for column in np.flatnonzero(self.integer):
+            for step in (-1.0, 1.0):
+                moved = row.copy()
+                moved[column] += step
+                inside = self._low[column] <= moved[column] <= self._high[column]
+                if inside and self._order.satisfied(moved[None])[0]:
+                    neighbours.append(self._parametrization.complete(moved))
+        return neighbours
+
+    def neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
+        """Return the permitted parameter sets one step away, see `STEP`.
+
+        Parameters
+        ----------
+        parameters : mapping from str to int or float
+            The tuned parameters at least, in own units.
+
+        Returns
+        -------
+        list of dict from str to int or float
+            The integer neighbours, then for each tuned double one below and one above, moved into
+            bounds and order; whole parameter sets.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`.
+        """
+        found = self.integer_neighbours(parameters)
+        row = self._parametrization.row(parameters)
+        at = self.repair(self.to_cube(parameters)[None])
+        for column in np.flatnonzero(~self.integer):
+            for step in (-STEP, STEP):
+                moved = at.copy()
+                moved[0, column] += step
+                moved = self.repair(moved)
+                if np.any(moved != at):
+                    # A value that stays does so to the last digit.
+                    values = np.where(moved == at, row, self._values(moved))
+                    found.append(self._parametrization.complete(values[0]))
+        return found
+
+    def _values(self, positions: Array) -> Array:
+        """Return permitted tuned values, shape (n, d), at positions of shape (n, d)."""
+        if not np.all(np.isfinite(positions)):
+            raise ParameterError("positions: expected finite values")
+        scaled = self._scaled_lower + np.clip(positions, 0.0, 1.0) * self._scaled_width
+        values = scaled.copy()
+        values[:, self._log] = np.exp(scaled[:, self._log])
+        return self._values_of(values)
+
+    def _values_of(self, values: Array) -> Array:
+        ordered = self._order.project(values)
+        # Rounding and clipping to tightened bounds both keep the order.
+        rounded = np.where(self.integer, np.floor(ordered + 0.5), ordered)
+        return np.clip(rounded, self._low, self._high)
+
+    def _to_unit(self, values: Array) -> Array:
+        unit: Array = (self._scaled(values) - self._scaled_lower) / self._scaled_width
+        return unit
+
+    def _scaled(self, values: Array) -> Array:
+        """Return s(v) for values of shape (..., d)."""
+        scaled = values.copy()
+        scaled[..., self._log] = np.log(values[..., self._log])
+        return scaled
+
+    def _distinct(self, points: Array) -> Array:
+        """Move repeated points to the nearest free parameter set in integer steps."""
+        points = points.copy()
+        seen: set[tuple[Number, ...]] = set()
+        for index, point in enumerate(points):
+            layer = [self.to_parameters(point)]
+            visited = {self.key(layer[0])}
+            while layer:
+                free = [item for item in layer if self.key(item) not in seen]
+                if free:
+                    points[index] = self.to_cube(free[0])
+                    seen.add(self.key(free[0]))
+                    break
+                steps = [step for item in layer for step in self.integer_neighbours(item)]
+                layer = []
+                for step in steps:
+                    if self.key(step) not in visited:
+                        visited.add(self.key(step))
+                        layer.append(step)
+        return points

@@ -1,0 +1,244 @@
+"""A study: what is tuned, on which nodes, in which contexts, for what, and for how long."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parts import (
+    CHANCE,
+    WORST_CASE,
+    Budget,
+    Constraint,
+    ContextVariable,
+    Metric,
+    NodeSpec,
+    Objective,
+    SeedParameter,
+    Trigger,
+)
+from bo_tuner.study.search_space import SearchSpace
+
+__all__ = [
+    "Budget",
+    "Constraint",
+    "ContextVariable",
+    "Metric",
+    "NodeSpec",
+    "Objective",
+    "Parameter",
+    "SeedParameter",
+    "Study",
+    "Trigger",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A whole study, checked; the fields are the sections of the study file, in its order.
+
+    Attributes
+    ----------
+    name : str
+        Short name, also of the result folder.
+    nodes : mapping from str to NodeSpec
+        Nodes that take parameters or give metrics.
+    parameters : mapping from str to Parameter
+        The parameter set: tuned, tied and fixed parameters.
+    trigger : Trigger
+        How an evaluation is started.
+    metrics : mapping from str to Metric
+        Numbers that come out of an evaluation.
+    objective : Objective
+        What is optimized.
+    budget : Budget
+        How much may be tried.
+    contexts : mapping from str to ContextVariable
+        What changes from cut to evaluation; may be empty.
+    constraints : mapping from str to Constraint
+        Limits of metrics; at most one is a worst case.
+    order : tuple of (str, str)
+        Parameters (a, b) with a <= b.
+    seed_parameter : SeedParameter, optional
+        Where an evaluation's noise is seeded.
+    seed : int
+        Seed of everything random in a run.
+    description : str
+        For people.
+
+    Raises
+    ------
+    StudyError
+        If a rule is broken; its path leads to the value as in the study file.
+    """
+
+    name: str
+    nodes: Mapping[str, NodeSpec]
+    parameters: Mapping[str, Parameter]
+    trigger: Trigger
+    metrics: Mapping[str, Metric]
+    objective: Objective
+    budget: Budget
+    contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
+    constraints: Mapping[str, Constraint] = field(default_factory=dict)
+    order: tuple[tuple[str, str], ...] = ()
+    seed_parameter: SeedParameter | None = None
+    seed: int = 1
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        """Check what the parts say of one another."""
+        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -", "name")
+        checks.text(self.description, "description")
+        checks.integer(self.seed, "seed", at_least=0)
+        object.__setattr__(self, "order", _order(self.order))
+        for section in ("nodes", "parameters", "metrics"):
+            if not getattr(self, section):
+                raise StudyError("expected at least one", (section,))
+        for section in ("nodes", "parameters", "contexts", "metrics", "constraints"):
+            for name, item in getattr(self, section).items():
+                if item.name != name:
+                    raise StudyError(f"is called '{item.name}' in itself", (section, name))
+        for path, node in self._node_references():
+            checks.reference(node, "node", self.nodes, *path, "node")
+        checks.reference(self.objective.metric, "metric", self.metrics, "objective", "metric")
+        for name, constraint in self.constraints.items():
+            checks.reference(
+                constraint.metric, "metric", self.metrics, "constraints", name, "metric"
+            )
+        worst = [name for name, item in self.constraints.items() if item.kind == WORST_CASE]
+        if len(worst) > 1:
+            raise StudyError(
+                f"'{worst[0]}' is a worst_case constraint already; expected at most one",
+                ("constraints", worst[1], "kind"),
+            )
+        self._check_targets()
+        self.search_space()
+
+    def search_space(self) -> SearchSpace:
+        """Return the unit cube over the tuned parameters."""
+        return SearchSpace(self.parameters.values(), self.order)
+
+    def context_space(self) -> ContextSpace:
+        """Return the context variables' box and distribution."""
+        return ContextSpace({name: item.distribution for name, item in self.contexts.items()})
+
+    @property
+    def chance_constraints(self) -> tuple[Constraint, ...]:
+        """Constraints that hold with a probability."""
+        return tuple(item for item in self.constraints.values() if item.kind == CHANCE)
+
+    @property
+    def worst_case_constraint(self) -> Constraint | None:
+        """The constraint that holds in every context, if there is one."""
+        worst = [item for item in self.constraints.values() if item.kind == WORST_CASE]
+        return worst[0] if worst else None
+
+    def assignments(
+        self, parameters: Mapping[str, Number], context: Mapping[str, float], seed: int
+    ) -> dict[str, dict[str, Number]]:
+        """Return what each node is told before an evaluation.
+
+        Parameters
+        ----------
+        parameters : mapping from str to int or float
+            Values of the study's parameters, in own units.
+        context : mapping from str to float
+            Values of the context variables, in own units.
+        seed : int
+            Noise seed of the evaluation; goes nowhere without a `seed_parameter`.
+
+        Returns
+        -------
+        dict from str to dict
+            Values by node of the study, then by the node's own parameter name.
+        """
+        values: dict[str, dict[str, Number]] = {}
+        for name, value in parameters.items():
+            item = self.parameters[name]
+            values.setdefault(item.node, {})[item.parameter] = value
+        for name, value in context.items():
+            variable = self.contexts[name]
+            values.setdefault(variable.node, {})[variable.parameter] = value
+        if self.seed_parameter is not None:
+            values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
+        return values
+
+    def replace(
+        self,
+        *,
+        seed: int | None = None,
+        trials: int | None = None,
+        initial_trials: int | None = None,
+        drawn_contexts: int | None = None,
+        search_evaluations: int | None = None,
+        validation_draws: int | None = None,
+    ) -> "Study":
+        """Return the study with another seed or budget, checked again; None keeps a value.
+
+        With `trials` alone, the initial design shrinks to it if need be.
+
+        Raises
+        ------
+        StudyError
+            If a value breaks a rule.
+        """
+        given = {
+            "trials": trials,
+            "initial_trials": initial_trials,
+            "drawn_contexts": drawn_contexts,
+            "search_evaluations": search_evaluations,
+            "validation_draws": validation_draws,
+        }
+        changes = {key: value for key, value in given.items() if value is not None}
+        if trials is not None and initial_trials is None:
+            changes["initial_trials"] = max(1, min(self.budget.initial_trials, trials))
+        try:
+            budget = dataclasses.replace(self.budget, **changes)
+        except StudyError as error:
+            raise error.under("budget") from None
+        return dataclasses.replace(self, budget=budget, seed=self.seed if seed is None else seed)
+
+    def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
+        for section in ("parameters", "contexts", "metrics"):
+            for name, item in getattr(self, section).items():
+                yield (section, name), item.node
+        yield ("trigger",), self.trigger.node
+        if self.seed_parameter is not None:
+            yield ("seed_parameter",), self.seed_parameter.node
+
+    def _check_targets(self) -> None:
+        """Refuse two sources for one parameter of a node."""
+        sources: dict[tuple[str, str], str] = {}
+        for key, node in self.nodes.items():
+            for name in (*node.parameters, *node.inprocess_parameters):
+                sources[key, name] = f"nodes.{key}"
+        targets: list[tuple[KeyPath, str, str]] = [
+            ((section, name), item.node, item.parameter)
+            for section, items in (("parameters", self.parameters), ("contexts", self.contexts))
+            for name, item in items.items()
+        ]
+        if self.seed_parameter is not None:
+            seeded = self.seed_parameter
+            targets.append((("seed_parameter",), seeded.node, seeded.parameter))
+        for path, node_key, parameter in targets:
+            here = ".".join(map(str, path))
+            other = sources.setdefault((node_key, parameter), here)
+            if other != here:
+                raise StudyError(
+                    f"parameter '{parameter}' of node '{node_key}' is set by {other} already", path
+                )
+
+
+def _order(order: object) -> tuple[tuple[str, str], ...]:
+    expected = "[smaller, larger], two names of parameters"
+    pairs = []
+    for index, item in enumerate(checks.sequence(order, f"a list of {expected}", "order")):
+        smaller, larger = checks.pair(item, expected, "order", index)
+        pairs.append(
+            (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
+        )
+    return tuple(pairs)

@@ -1,0 +1,263 @@
+"""Study files: from YAML to a checked `Study`, and back."""
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.package_files import config_directory
+from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parts import (
+    Budget,
+    Constraint,
+    ContextVariable,
+    Metric,
+    NodeSpec,
+    Objective,
+    SeedParameter,
+    Trigger,
+)
+from bo_tuner.study.study import Study
+
+MAX_BYTES = 1_000_000
+LONGEST_PROBLEM = 1000
+
+T = TypeVar("T")
+
+# Sections of one object each, and sections of objects by name.
+_SINGLE: dict[str, type[Any]] = {
+    "trigger": Trigger,
+    "seed_parameter": SeedParameter,
+    "objective": Objective,
+    "budget": Budget,
+}
+_NAMED: dict[str, type[Any]] = {
+    "nodes": NodeSpec,
+    "parameters": Parameter,
+    "contexts": ContextVariable,
+    "metrics": Metric,
+    "constraints": Constraint,
+}
+
+
+def shipped_studies() -> list[str]:
+    """Return the names of the studies that come with the package."""
+    return sorted(path.stem for path in (config_directory() / "studies").glob("*.yaml"))
+
+
+def load_study(name_or_path: str | Path) -> Study:
+    """Read a study.
+
+    Parameters
+    ----------
+    name_or_path : str or pathlib.Path
+        Name of a shipped study, or the path of a file: text with a suffix or a separator.
+
+    Returns
+    -------
+    Study
+        The checked study.
+
+    Raises
+    ------
+    StudyError
+        If there is no such study, the file cannot be read, or it breaks a rule. One line with
+        the file, the line, the path of keys, what was expected and what was found.
+    """
+    if isinstance(name_or_path, str) and not _is_path(name_or_path):
+        names = shipped_studies()
+        if name_or_path not in names:
+            raise StudyError(
+                f"unknown study {checks.quoted(name_or_path)}; shipped are {', '.join(names)}; "
+                "write a path with its suffix, such as ./mine.yaml"
+            )
+        path = config_directory() / "studies" / f"{name_or_path}.yaml"
+        return parse_study(_read(path, path.name), path.name)
+    return parse_study(_read(Path(name_or_path), str(name_or_path)), str(name_or_path))
+
+
+def parse_study(text: str, source: str = "study") -> Study:
+    """Return the study that a YAML text describes; `source` names it in errors.
+
+    Raises
+    ------
+    StudyError
+        If the text is no YAML or breaks a rule.
+    """
+    lines: Mapping[KeyPath, int] = {}
+    try:
+        document = strict_yaml.parse(text)
+        lines = document.lines
+        return study_from_mapping(document.value)
+    except StudyError as error:
+        line = error.line
+        path = error.path
+        while line is None and path:
+            line = lines.get(path)
+            path = path[:-1]
+        # A problem may list names of the file, which can be long.
+        problem = error.problem
+        if len(problem) > LONGEST_PROBLEM:
+            problem = f"{problem[: LONGEST_PROBLEM - 3]}..."
+        raise StudyError(problem, error.path, source, line) from None
+
+
+def study_from_mapping(mapping: object) -> Study:
+    """Return the study for the dictionaries and lists of a study file.
+
+    Raises
+    ------
+    StudyError
+        If they break a rule; its path leads to the value.
+    """
+    values = _arguments(Study, mapping)
+    for key, cls in _SINGLE.items():
+        if key in values:
+            with _under(key):
+                values[key] = _build(cls, values[key])
+    for key, cls in _NAMED.items():
+        if key in values:
+            with _under(key):
+                values[key] = _build_named(cls, values[key])
+    return Study(**values)
+
+
+def study_to_mapping(study: Study) -> dict[str, object]:
+    """Return the dictionaries and lists of a study file that describes `study`."""
+    mapping = _plain_fields(study)
+    for key in _SINGLE:
+        if key in mapping:
+            mapping[key] = _plain_fields(mapping[key])
+    for key in _NAMED:
+        items = getattr(study, key)
+        if items:
+            mapping[key] = {name: _plain_part(item) for name, item in items.items()}
+    return mapping
+
+
+def study_to_yaml(study: Study) -> str:
+    """Return a study file's text; `parse_study` makes an equal study of it."""
+    return strict_yaml.dump(study_to_mapping(study))
+
+
+def _is_path(text: str) -> bool:
+    return "/" in text or "\\" in text or Path(text).suffix != ""
+
+
+def _read(path: Path, source: str) -> str:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror or error}"
+        raise StudyError(problem, source=source) from None
+    except ValueError as error:
+        # A path with a null character.
+        raise StudyError(f"cannot be read: {error}", source=repr(source)) from None
+    if len(content) > MAX_BYTES:
+        raise StudyError("expected a study file of at most 1 MB", source=source)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise StudyError("expected UTF-8 text", source=source, line=line) from None
+
+
+@contextmanager
+def _under(*keys: str | int) -> Iterator[None]:
+    """Put `keys` in front of the path of an error from within."""
+    try:
+        yield
+    except StudyError as error:
+        raise error.under(*keys) from None
+
+
+def _build(cls: type[T], value: object, **given: object) -> T:
+    """Make an object of the fields in `value`; `given` ones are no keys of the file."""
+    return cls(**_arguments(cls, value, skip=tuple(given)), **given)
+
+
+def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise StudyError(f"expected a mapping of names, {{}} for none, found {checks.show(value)}")
+    items: dict[str, Any] = {}
+    for name, fields in value.items():
+        if not isinstance(name, str):
+            raise StudyError(f"expected a name, found {checks.show(name)}")
+        with _under(name):
+            if cls is ContextVariable:
+                items[name] = _build_context(name, fields)
+            else:
+                items[name] = _build(cls, fields, name=name)
+    return items
+
+
+def _build_context(name: str, value: object) -> ContextVariable:
+    """Part the keys of the variable from those of its distribution, which lie side by side."""
+    if not isinstance(value, dict):
+        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    if "distribution" not in value:
+        raise StudyError(f"missing; expected one of {', '.join(DISTRIBUTIONS)}", ("distribution",))
+    kind = checks.choice(value["distribution"], tuple(DISTRIBUTIONS), "distribution")
+    own = [field.name for field in dataclasses.fields(ContextVariable) if field.name != "name"]
+    cls = DISTRIBUTIONS[kind]
+    shape = {key: item for key, item in value.items() if key not in own}
+    distribution = cls(**_arguments(cls, shape, also=own))
+    variable = {key: item for key, item in value.items() if key in own and key != "distribution"}
+    return _build(ContextVariable, variable, name=name, distribution=distribution)
+
+
+def _arguments(
+    cls: type[Any], value: object, skip: Sequence[str] = (), also: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return the keys in `value` if they are fields of `cls` and none is missing.
+
+    `skip` are fields that are no keys, `also` further keys to suggest for an unknown one.
+    """
+    if not isinstance(value, dict):
+        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
+    names = [field.name for field in fields]
+    for key in value:
+        if not isinstance(key, str):
+            raise StudyError(f"expected text as a key, found {checks.show(key)}")
+        if key not in names:
+            raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
+    for field in fields:
+        needed = field.default is field.default_factory is dataclasses.MISSING
+        if needed and field.name not in value:
+            raise StudyError("missing", (field.name,))
+    return dict(value)
+
+
+def _plain_part(part: Any) -> dict[str, object]:
+    fields = _plain_fields(part)
+    # The name is the key of the part.
+    del fields["name"]
+    if isinstance(part, ContextVariable):
+        distribution: Distribution = part.distribution
+        fields["distribution"] = distribution.kind
+        fields |= _plain_fields(distribution)
+    return fields
+
+
+def _plain_fields(settings: Any) -> dict[str, Any]:
+    """Return the fields that say something, with lists for tuples."""
+    fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return {
+        key: _plain(value)
+        for key, value in fields.items()
+        if value is not None and value != "" and value != () and value != {}
+    }
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return value

@@ -1,0 +1,1 @@
+"""The run: trials, the check of the best candidates, and the validation."""

@@ -1,0 +1,1 @@
+"""The search of the context in which parameters do worst."""

@@ -1,0 +1,172 @@
+"""Algorithm V: one Gaussian process over parameter set and context (Krause and Ong 2011).
+
+The paper's stage two starts from nothing for every parameter set. Here every evaluation of every
+trial tells of the constrained metric at its point (theta_c, theta_e); the worst case of a parameter
+set is the largest posterior mean over the contexts, known in part before its first evaluation.
+
+Notation: d tuned parameters, e context variables; a joint point is (x, c), both in unit cubes.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from scipy.special import ndtri
+
+from bo_tuner.acquisition.acquisition import SurrogateConstraint
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.hyperpriors import Hyperparameters
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.trials import WorstCase
+from bo_tuner.worst_case.search import PRIORS, corners, maximise_over_contexts
+
+CANDIDATES = 24
+"""Contexts within the box over which a worst case is taken, besides the corners."""
+
+DECIDED = 2.0
+"""A limit this many standard deviations away from the worst case needs no further evaluation."""
+
+
+def candidate_contexts(space: ContextSpace) -> Array:
+    """Contexts (m, e) of the unit cube over which worst cases are taken, corners first.
+
+    The others are a Latin hypercube, the same in every call.
+    """
+    inside = latin_hypercube(CANDIDATES, space.dimension, np.random.default_rng(0))
+    return space.to_cube(space.to_contexts(np.vstack([corners(space), inside])))
+
+
+@dataclass(frozen=True, eq=False)
+class JointConstraint(SurrogateConstraint):
+    """Upper limit on the worst case of a metric over the contexts, by the joint model.
+
+    Attributes
+    ----------
+    model : GaussianProcess
+        Over joint points (d + e columns).
+    limit : float
+        Upper limit of the latent worst case, in the metric's unit.
+    contexts : ndarray, shape (m, e)
+        Candidate contexts in the unit cube.
+    """
+
+    contexts: Array
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the metric in the worst candidate context of each x (n, d)."""
+        joint = np.hstack(
+            [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
+        )
+        mean = self.model.predict_mean(joint).reshape(len(x), -1)
+        worst = mean.argmax(axis=1)
+        return self.model.predict(np.hstack([x, self.contexts[worst]]))
+
+
+class JointSearch:
+    """Stage two of Algorithm V for one parameter set, by ask and tell.
+
+    Each evaluation is put where the joint model's upper bound is largest, since only there the
+    decision can turn. The search ends as soon as the decision is clear, or with its evaluations.
+
+    Parameters
+    ----------
+    space
+        The contexts.
+    limit
+        Upper limit of the metric, the distance for a single cut's noise not yet taken off.
+    probability
+        As `JointConstraint`.
+    evaluations
+        Most contexts that `ask` will give.
+    point
+        The parameter set (d,) in the unit cube.
+    x, y
+        Joint points (n, d + e) and metrics (n,) of earlier trials.
+    hyperparameters
+        Of the joint model; fitted to the data if not given.
+    """
+
+    def __init__(
+        self,
+        space: ContextSpace,
+        limit: float,
+        probability: float,
+        evaluations: int,
+        point: Array,
+        x: Array,
+        y: Array,
+        hyperparameters: Hyperparameters | None = None,
+    ) -> None:
+        self._space = space
+        self._limit = limit
+        self._probability = probability
+        self._evaluations = evaluations if space.dimension > 0 else 0
+        self._point = point
+        self._x = x
+        self._y = y
+        self._hyperparameters = hyperparameters
+        self._model: GaussianProcess | None = None
+        self._observed: list[float] = []
+        self._asked = 0
+
+    def tell(self, context: Mapping[str, float], value: float) -> None:
+        """Take note of an evaluation: its context and the metric."""
+        self._x = np.vstack([self._x, self._joint(self._to_cube(context))])
+        self._y = np.append(self._y, value)
+        self._observed.append(value)
+        self._model = None
+
+    def done(self, rng: np.random.Generator) -> bool:
+        """Whether all evaluations are used, or the limit is clearly kept or clearly violated."""
+        if self._asked >= self._evaluations:
+            return True
+        model = self._fit(rng)
+        margin = float(ndtri(self._probability)) * sqrt(model.noise_variance)
+        context, _ = self._maximise(lambda c: self._upper(model, c), rng)
+        mean, variance = model.predict(self._joint(self._to_cube(context)))
+        distance = self._limit - margin - float(mean[0])
+        error = DECIDED * sqrt(float(variance[0]))
+        # A few drawn evaluations can make a model too sure: nothing counts as kept without an
+        # evaluation where the model expects the worst.
+        return distance < -error or (distance > error and self._asked > 0)
+
+    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+        """Give the context with the largest upper bound."""
+        self._asked += 1
+        model = self._fit(rng)
+        return self._maximise(lambda c: self._upper(model, c), rng)[0]
+
+    def worst_case(self, rng: np.random.Generator) -> WorstCase:
+        """Estimate the worst case from all that was told."""
+        model = self._fit(rng)
+        observed = max(self._observed)
+        context, value = self._maximise(lambda c: model.predict_mean(self._joint(c)), rng)
+        return WorstCase(value, context, observed, sqrt(model.noise_variance))
+
+    def _fit(self, rng: np.random.Generator) -> GaussianProcess:
+        if self._model is None and self._hyperparameters is None:
+            self._model = GaussianProcess.fit(self._x, self._y, rng=rng, priors=PRIORS)
+        elif self._model is None and self._hyperparameters is not None:
+            self._model = GaussianProcess.condition(self._hyperparameters, self._x, self._y)
+        if self._model is None:
+            raise RuntimeError("unreachable: the model was just made")
+        return self._model
+
+    def _joint(self, c: Array) -> Array:
+        return np.hstack([np.tile(self._point, (len(c), 1)), c])
+
+    def _upper(self, model: GaussianProcess, c: Array) -> Array:
+        mean, variance = model.predict(self._joint(c))
+        return mean + np.sqrt(variance)
+
+    def _to_cube(self, context: Mapping[str, float]) -> Array:
+        return self._space.to_cube([[context[name] for name in self._space.names]])
+
+    def _maximise(
+        self, function: Callable[[Array], Array], rng: np.random.Generator
+    ) -> tuple[dict[str, float], float]:
+        own = self._x[len(self._x) - len(self._observed) :, len(self._point) :]
+        return maximise_over_contexts(self._space, function, rng, own)

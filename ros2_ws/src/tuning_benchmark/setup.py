@@ -1,0 +1,49 @@
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "tuning_benchmark"
+
+
+def shared(folder):
+    """List the files below a folder for share/<package>, sub-folders kept."""
+    folders = [path for path in Path(folder).glob("**/") if path.name != "__pycache__"]
+    return [
+        (f"share/{NAME}/{path}", [str(file) for file in sorted(path.iterdir()) if file.is_file()])
+        for path in folders
+    ]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Campaigns of tuning runs, judged by the truth",
+    maintainer="bo_tuner maintainers",
+    maintainer_email="maintainers@example.com",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"lib/{NAME}", ["scripts/benchmark"]),
+        *shared("config"),
+    ],
+    # Our other packages are named in package.xml only: they are on no index.
+    python_requires=">=3.11",
+    install_requires=["joblib>=1.4,<2", "numpy>=1.26,<3", "scipy>=1.11,<2", "threadpoolctl>=3,<4"],
+    extras_require={
+        "cluster": ["distributed>=2024.8"],
+        # The other optimizers, see tuning_benchmark.peers.
+        "peers": [
+            "torch",
+            "botorch>=0.18,<0.19",
+            "optuna>=5,<6",
+            "greenlet",
+            "smac>=2.4,<3",
+            "cma>=4.5,<5",
+        ],
+        "test": ["pytest"],
+    },
+    entry_points={"console_scripts": [f"benchmark = {NAME}.executable:benchmark"]},
+    zip_safe=False,
+)

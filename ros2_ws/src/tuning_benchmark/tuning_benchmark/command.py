@@ -1,0 +1,209 @@
+"""``benchmark``: a campaign of many runs, judged by the truth, as one results page."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.cli.common import Parser, guarded
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_OK
+from bo_tuner.errors import OutputError, RunError
+from bo_tuner.interruption import Interrupted, Interruption
+from tuning_benchmark import page, plugins, sources
+from tuning_benchmark.campaign import conduct, unfinished
+from tuning_benchmark.experiment import Experiment
+from tuning_benchmark.experiment_file import load_experiment, shipped_experiments
+from tuning_benchmark.partial import on_record
+from tuning_benchmark.records import Records
+from tuning_benchmark.tasks import Task, tasks_of
+
+DESCRIPTION = """\
+Run the algorithms of the paper, or other optimizers, many times on a study,
+judge each answer by the truth, and write a page of tables and figures. Records
+are kept task by task: a campaign that was ended goes on where it was.
+BoTorch, Optuna, SMAC3 and CMA-ES are compared by `make benchmark` in the
+repository, which installs them first.
+"""
+
+EPILOG = """\
+exit codes:
+  0    the page is written
+  1    the campaign could not go on, or a task failed (the page tells which)
+  2    something given is wrong: experiment, option, cluster, records of another
+       version of the code
+  130  interrupted by Ctrl-C (143: by SIGTERM); what has ended is on record
+
+examples:
+  benchmark                              the paper's tables and figures
+  benchmark --experiment small --jobs 2  all algorithms, in half a minute
+  benchmark --experiment ./mine.yaml --output mine
+  benchmark --cluster tcp://10.0.0.5:8786
+"""
+
+PAGE = "results.md"
+
+
+def make_parser() -> Parser:
+    """Make the parser of the command line."""
+    parser = Parser("benchmark", DESCRIPTION, EPILOG)
+    parser.add_argument(
+        "--experiment",
+        action="append",
+        metavar="NAME|FILE",
+        help=f"shipped experiment ({', '.join(shipped_experiments())}) or path of a file; several "
+        "make one page (default: paper)",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("benchmark_results"),
+        metavar="DIR",
+        help=f"folder for {PAGE} and its figures (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--records",
+        type=Path,
+        metavar="DIR",
+        help="folder for the records of finished tasks (default: the output folder)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=1,
+        metavar="N",
+        help="processes on this machine (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--cluster",
+        default="",
+        metavar="ADDRESS",
+        help="do the tasks on the workers of a Dask scheduler instead, dask://host:port or "
+        "tcp://host:port; each with one thread, and the same packages installed",
+    )
+    parser.add_argument(
+        "--page-only",
+        action="store_true",
+        help="write the page from what is on record so far, by whatever version of the code",
+    )
+    return parser
+
+
+@guarded
+def run(argv: Sequence[str], interruption: Interruption) -> int:
+    """Run the command; returns its exit code, or exits after a wrong option.
+
+    Parameters
+    ----------
+    argv
+        The command line without the command.
+    interruption
+        Ends the campaign on a signal; what has ended is on record.
+    """
+    parser = make_parser()
+    arguments = parser.parse_args(argv)
+    if arguments.jobs < 1:
+        parser.error(f"--jobs: expected at least 1, found {arguments.jobs}")
+    scheme, found, _ = arguments.cluster.partition("://")
+    if arguments.cluster and (not found or scheme not in ("dask", "tcp")):
+        parser.error("--cluster: expected dask://host:port or tcp://host:port")
+    folder = arguments.records or arguments.output
+    experiments = [load_experiment(name) for name in arguments.experiment or ["paper"]]
+    plans = [(experiment, tasks_of(experiment)) for experiment in experiments]
+    # All are checked against their records before the first task runs.
+    records = [
+        Records(
+            folder / f"{experiment.name}.jsonl",
+            {task.name: task.version for task in tasks},
+            any_version=arguments.page_only,
+        )
+        for experiment, tasks in plans
+    ]
+    for (experiment, tasks), recorded in zip(plans, records, strict=True):
+        left = unfinished(tasks, recorded)
+        if left and not arguments.cluster and not arguments.page_only:
+            _check_plugins(experiment)
+    for (experiment, tasks), recorded in zip(plans, records, strict=True):
+        if not arguments.page_only:
+            try:
+                _carry_out(experiment, tasks, recorded, interruption, arguments)
+            except RunError as error:
+                _tell(f"error: {error}; what has ended is on record in {folder}")
+                return EXIT_FAULT
+            except Interrupted:
+                _tell(f"what has ended is on record in {folder}; the same command goes on")
+                raise
+    return _write(experiments, records, arguments.output)
+
+
+def _check_plugins(experiment: Experiment) -> None:
+    """Load what the experiment names, to say at once what is not there."""
+    plugins.load(experiment.judge, "judge")
+    for name, case in experiment.cases.items():
+        for key, row in case.rows.items():
+            if row.optimizer:
+                plugins.load(row.optimizer, "cases", name, "rows", key, "optimizer")
+
+
+def _carry_out(
+    experiment: Experiment,
+    tasks: Sequence[Task],
+    records: Records,
+    interruption: Interruption,
+    arguments: Any,
+) -> None:
+    about = _about(tasks)
+    if records.done:
+        _tell(f"{experiment.name}: {len(records.done)} of {len(tasks)} tasks are on record")
+
+    def tell(record: dict[str, Any]) -> None:
+        outcome = f"failed: {record['failed']}" if record["failed"] else "done"
+        count = f"{len(records.done)}/{len(tasks)}"
+        _tell(f"{experiment.name} {count} {record['task']} {outcome}, {record['wall_seconds']} s")
+
+    with records:
+        conduct(
+            tasks,
+            records,
+            interruption,
+            jobs=arguments.jobs,
+            cluster=arguments.cluster,
+            about=about,
+            tell=tell,
+        )
+
+
+def _write(experiments: Sequence[Experiment], records: Sequence[Records], output: Path) -> int:
+    # Matplotlib takes a second to load.
+    from bo_tuner.figures.matplotlib_renderer import write_figure
+
+    parts = []
+    failed: dict[str, str] = {}
+    for whole, recorded in zip(experiments, records, strict=True):
+        experiment, missing = on_record(whole, recorded.done)
+        parts += page.sections(experiment, recorded.done, missing)
+        failed |= page.failed_tasks(recorded.done)
+        print(page.numbers(experiment, recorded.done))
+    for part in parts:
+        for figure in part.figures:
+            write_figure(figure, output / page.FOLDER)
+    first = experiments[0]
+    text = page.markdown(parts, first.title or first.name, first.description)
+    path = output / PAGE
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+    _tell(f"page: {path}")
+    for name, reason in failed.items():
+        _tell(f"{name} failed: {reason}")
+    return EXIT_FAULT if failed else EXIT_OK
+
+
+def _about(tasks: Sequence[Task]) -> dict[str, str]:
+    """Tell what makes the records, beside what each process adds."""
+    return {"commit": sources.commit({module for task in tasks for module in task.modules})}
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()

@@ -1,0 +1,131 @@
+"""What surrogates, and the truth, say over the whole plane of two tuned parameters (Fig. 5)."""
+
+from typing import Any
+
+import numpy as np
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, TrialState, Value
+from bo_tuner.tuning.loop import run_cut
+from tuning_benchmark.experiment_parts import Row
+from tuning_benchmark.runs import RunSize, tune
+from tuning_benchmark.truth import Effort, Truth
+
+EFFORT = Effort(drawn=200, grid=5)
+"""For each point of the true fields; enough for a figure."""
+
+
+def axes(study: Study, points: int) -> list[list[Value]]:
+    """Grid values of each tuned parameter: all integers, and `points` values of a real one."""
+    space = study.search_space()
+    return [
+        list(range(int(lower), int(upper) + 1))
+        if integer
+        else [round(float(v), 9) for v in np.linspace(lower, upper, points)]
+        for lower, upper, integer in zip(space.lower, space.upper, space.integer, strict=True)
+    ]
+
+
+def surrogate_fields(
+    study: Study, row: Row, seed: int, size: RunSize, points: int
+) -> dict[str, Any]:
+    """Repeat a run and evaluate its final surrogates on a grid.
+
+    Returns
+    -------
+    dict
+        ``axes``; fields over them, one list for each value of the first: ``objective``, the
+        constrained responses in ``constraints``, ``feasibility``, ``failure`` and ``outlier``;
+        ``samples``, the trials; and the trial of the ``answer``.
+    """
+    seeded, contestant, backend, tuning, budget = tune(study, row, seed, size)
+    for _ in tuning:
+        if backend.evaluations >= budget:
+            break
+    answer = contestant.answer(backend, tuning.trials)
+    trials = tuning.trials
+    rng = generator(seeded.seed, Stream.ACQUISITION, 2**31, len(trials))
+    models = Surrogates.fit(seeded, trials, rng=rng, options=contestant.method.models)
+    space = seeded.search_space()
+    first, second = axes(seeded, points)
+    grid = np.array([_cube(space, a, b) for a in first for b in second])
+    shape = (len(first), len(second))
+
+    def field(values: Array) -> list[list[float]]:
+        rows: list[list[float]] = np.round(values.reshape(shape), 6).tolist()
+        return rows
+
+    worst = seeded.worst_case_constraint
+    constraints = [*seeded.chance_constraints, *([] if worst is None else [worst])]
+    nowhere = np.zeros(len(grid))
+    failure, *outlier = (c.probability(grid) for c in models.classifiers)
+    return {
+        "names": list(space.names),
+        "axes": [first, second],
+        "objective": None
+        if models.objective is None
+        else field(seeded.objective.from_cost(models.objective.predict(grid)[0])),
+        "constraints": {
+            item.name: {"field": field(model.predict(grid)[0]), "limit": model.limit}
+            for item, model in zip(constraints, models.constraints, strict=True)
+        },
+        "feasibility": field(np.exp(models.log_feasibility(grid))),
+        "failure": field(failure),
+        "outlier": field(outlier[0] if outlier else nowhere),
+        "samples": [
+            {
+                "point": [t.parameters[name] for name in space.names],
+                "failed": t.state is TrialState.FAILED,
+                "outlier": t.number in models.outliers,
+            }
+            for t in trials
+        ],
+        "answer": None
+        if answer is None
+        else [trials[answer[0]].parameters[name] for name in space.names],
+        "default": [space.defaults[name] for name in space.names],
+    }
+
+
+def true_fields(study: Study, judge: str, points: int, first: Value) -> dict[str, Any]:
+    """Judge the grid where the first tuned parameter has one value.
+
+    Returns
+    -------
+    dict
+        Over the second parameter: ``objective``, ``worst``, ``feasible``, and each chance
+        constraint's metric in a cut in the nominal context.
+    """
+    truth = Truth(study, judge, EFFORT)
+    backend = InProcessBackend(study)
+    backend.open()
+    space = study.search_space()
+    nominal = study.context_space()
+    context = nominal.to_dict(nominal.nominal())
+    found: dict[str, Any] = {"objective": [], "worst": [], "constraints": {}}
+    for second in axes(study, points)[1]:
+        parameters = space.to_parameters(_cube(space, first, second))
+        judged = truth.judge.judge(study.assignments(parameters, {}, 0))
+        found["objective"].append(_number(judged.objective))
+        found["worst"].append(_number(judged.worst))
+        evaluation = run_cut(
+            study, backend, parameters, Evaluation(0, 0, Stage.NOMINAL, context, 1)
+        )
+        whole = evaluation.outcome.state is EvaluationState.COMPLETE
+        for constraint in study.chance_constraints:
+            value = evaluation.outcome.metrics[constraint.metric] if whole else np.nan
+            found["constraints"].setdefault(constraint.name, []).append(_number(value))
+    return found
+
+
+def _cube(space: SearchSpace, first: Value, second: Value) -> Array:
+    return space.to_cube(dict(zip(space.names, (first, second), strict=True)))
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), 6) if np.isfinite(value) else None

@@ -1,0 +1,82 @@
+"""What an optimizer that is no part of the product has to offer to take part in a campaign.
+
+The campaign drives it by ask and tell. It is told the initial samples of its run first, all of
+them, the same ones that the product's algorithms start from, and then what each parametrization
+that it asked for showed. The campaign finds it by the name in the experiment file, `module:Class`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What the cuts of one trial say about its parametrization.
+
+    Attributes
+    ----------
+    parameters : mapping from str to int or float
+        The tuned parameters only, in own units.
+    failed : bool
+        Whether a cut crashed. The values below are then None or empty.
+    objective : float or None
+        Mean over the drawn contexts, in the study's scale for surrogates (see
+        `Objective.to_cost`); smaller is better.
+    constraints : mapping from str to float
+        For each constraint what was seen minus the limit, in the metric's unit; the constraint
+        holds if it is at most 0.
+    """
+
+    parameters: Mapping[str, Value]
+    failed: bool
+    objective: float | None
+    constraints: Mapping[str, float]
+
+
+class Optimizer(Protocol):
+    """An optimizer of a study's tuned parameters, driven by ask and tell.
+
+    Parameters
+    ----------
+    study : Study
+        What is tuned: `study.search_space()` has the bounds, the integers and the repair of a
+        point that breaks the order of two parameters.
+    seed : int
+        Source of everything random.
+    """
+
+    def __init__(self, study: Study, seed: int) -> None: ...
+
+    def ask(self) -> dict[str, Value]:
+        """Return every tuned parameter for the next trial: in bounds, in order, of its type."""
+        ...
+
+    def tell(self, observation: Observation) -> None:
+        """Take what a trial showed; also the initial samples, which it did not ask for."""
+        ...
+
+    def recommend(self) -> int | None:
+        """Return the index of the told observation it would use, by its own recommended way.
+
+        Counts from 0 in the order of `tell`; None if no observation is feasible.
+        """
+        ...
+
+
+def is_feasible(observation: Observation) -> bool:
+    """Whether a trial ended and kept all limits as observed."""
+    return not observation.failed and all(v <= 0.0 for v in observation.constraints.values())
+
+
+def best_observed(observations: Sequence[Observation]) -> int | None:
+    """Index of the lowest observed objective of all that are feasible as observed, if any is."""
+    objectives = {
+        index: observation.objective
+        for index, observation in enumerate(observations)
+        if is_feasible(observation) and observation.objective is not None
+    }
+    return min(objectives, key=objectives.__getitem__, default=None)

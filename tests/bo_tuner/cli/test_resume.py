@@ -1,0 +1,309 @@
+"""A run that was cut short anywhere goes on as if nothing had been, in process bit for bit."""
+
+import json
+import os
+import shutil
+import signal
+import sqlite3
+import struct
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.errors import OutputError
+from bo_tuner.storage.journal_reader import RecordedEvaluation, read_journal
+from bo_tuner.storage.record import read_run
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+
+DEADLINE = 60.0
+COUNT = """\
+import os
+from pathlib import Path
+
+
+class Axis:
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def run_cut(self):
+        counter = Path(os.environ["CUTS"])
+        number = int(counter.read_text() or 0) + 1 if counter.exists() else 1
+        counter.write_text(str(number))
+        if number == int(os.environ.get("KILL", "0")):
+            os.kill(os.getpid(), 9)
+        error = 25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))
+        return {"status": "ok", "error": error, "peak": self.load * self.gain}
+"""
+RESULTS = ("trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
+
+
+class Runs:
+    """Runs of the command on a small object; each counts its evaluations in a file of its own."""
+
+    def __init__(self, folder, study):
+        self.folder = folder
+        (folder / "counting_axis.py").write_text(COUNT)
+        self.study = folder / "axis.yaml"
+        self.study.write_text(study_to_yaml(study))
+
+    def start(self, name, *arguments, kill=0):
+        return subprocess.Popen(
+            [sys.executable, "-m", "bo_tuner", "tune", *map(str, arguments)],
+            cwd=self.folder,
+            env=os.environ
+            | {
+                "PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]),
+                "CUTS": str(self.folder / f"{name}.evaluations"),
+                "KILL": str(kill),
+                "COLUMNS": "80",
+            },
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, name, *arguments, kill=0):
+        process = self.start(name, *arguments, kill=kill)
+        out, err = process.communicate(timeout=DEADLINE)
+        assert "Traceback" not in out + err, err
+        return process.returncode, out, err
+
+    def begin(self, name, kill=0):
+        arguments = ("--study", self.study, "--backend", "inprocess", "--output", name)
+        return self.run(name, *arguments, kill=kill)
+
+    def resume(self, name, *arguments, kill=0):
+        return self.run(name, "--resume", self.latest(name), *arguments, kill=kill)
+
+    def latest(self, name):
+        return self.folder / name / "latest"
+
+    def copy(self, name, new):
+        """Copy a run's folder, so that the copy may be changed."""
+        shutil.copytree(self.latest(name), self.folder / new / "run")
+        self.latest(new).symlink_to("run")
+
+    def evaluations(self, name):
+        return int((self.folder / f"{name}.evaluations").read_text())
+
+    def results(self, name):
+        summary = json.loads((self.latest(name) / "summary.json").read_text())
+        files = [(self.latest(name) / file).read_bytes() for file in RESULTS]
+        return [summary, *files]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, make_study):
+    nodes = {"axis": {"node": "axis", "result": "~/r", "object": "counting_axis:Axis"}}
+    study = make_study(nodes=nodes, seed_parameter={"node": "axis", "parameter": "seed"})
+    return Runs(tmp_path_factory.mktemp("runs"), study)
+
+
+@pytest.fixture(scope="module")
+def whole(runs):
+    """A run that nothing disturbed."""
+    code, _, err = runs.begin("whole")
+    assert code == 0, err
+    return "whole"
+
+
+class TestResume:
+    @pytest.mark.parametrize("moment", [0.02, 0.45, 0.7, 1.0])
+    def test_after_a_kill_the_run_is_the_same_to_the_last_bit(self, runs, whole, moment):
+        evaluations = runs.evaluations(whole)
+        kill = max(1, round(moment * evaluations))
+        name = f"killed-{kill}"
+        code, _, _ = runs.begin(name, kill=kill)
+        assert code == -signal.SIGKILL
+        code, _, err = runs.resume(name)
+        assert code == 0, err
+        assert runs.results(name) == runs.results(whole)
+        # Only the evaluation that was running is run twice.
+        assert runs.evaluations(name) == evaluations + 1
+
+    def test_kills_one_after_the_other(self, runs, whole):
+        code, _, _ = runs.begin("often", kill=3)
+        for kill in (7, 12, 20):
+            assert code == -signal.SIGKILL
+            code, _, _ = runs.resume("often", kill=kill)
+        code, _, err = runs.resume("often")
+        assert code == 0, err
+        assert runs.results("often") == runs.results(whole)
+        assert runs.evaluations("often") == runs.evaluations(whole) + 4
+        sessions = read_journal(runs.latest("often") / "journal.sqlite").sessions
+        assert len({session["process"] for session in sessions}) == 5
+
+    def test_a_run_that_has_ended_is_told_again(self, runs, whole):
+        runs.copy(whole, "again")
+        code, out, _ = runs.resume("again")
+        assert code == 0
+        assert "default against tuned" in out
+        assert runs.results("again") == runs.results(whole)
+        assert not (runs.folder / "again.cuts").exists()
+
+    @pytest.mark.parametrize(
+        ("arguments", "complaint"),
+        [
+            (["--resume", "nowhere"], "nowhere: no such run folder"),
+            (["--resume", "."], "no run folder: it has no study.yaml"),
+            (["--resume", "whole/latest", "--seed", "3"], "--resume has --seed from the run's"),
+            (["--resume", "whole/latest", "--study", "full"], "--resume has --study from"),
+            (["--resume", "whole/latest", "--attach"], "--attach needs --backend ros"),
+        ],
+    )
+    def test_refusals(self, runs, whole, arguments, complaint):
+        code, out, err = runs.run("refused", *arguments)
+        assert (code, out) == (2, "")
+        assert complaint in err
+        assert err.startswith("error: ")
+        assert err.count("\n") == 1
+
+    def test_a_folder_in_use_is_refused(self, runs, whole):
+        folder = RunFolder(runs.latest(whole).resolve())
+        try:
+            code, _, err = runs.resume(whole)
+            assert code == 2
+            assert f"another process works in this run (process {os.getpid()})" in err
+            with pytest.raises(OutputError, match="another process works"):
+                RunFolder(folder.path)
+        finally:
+            folder.close()
+        RunFolder(folder.path).close()
+
+
+class TestDamage:
+    @pytest.fixture
+    def copy(self, runs, whole, request):
+        """Run folder that may be damaged."""
+        name = request.node.name.translate(str.maketrans("[].", "---"))
+        runs.copy(whole, name)
+        return name
+
+    def goes_on(self, runs, whole, name):
+        code, _, err = runs.resume(name)
+        assert code == 0, err
+        assert runs.results(name) == runs.results(whole)
+        assert "the record was damaged: " in err
+        assert "everything before it is used" in err
+        assert read_run(runs.latest(name)).damage == ""
+        return err
+
+    @pytest.mark.parametrize("part", [0.3, 0.9])
+    def test_a_journal_cut_off(self, runs, whole, copy, part):
+        journal = runs.latest(copy) / "journal.sqlite"
+        pages = journal.stat().st_size // 4096
+        os.truncate(journal, int(part * pages) * 4096)
+        err = self.goes_on(runs, whole, copy)
+        assert "kept as journal.damaged-1.sqlite" in err
+        assert (runs.latest(copy) / "journal.damaged-1.sqlite").exists()
+
+    def test_a_changed_byte_in_a_value(self, runs, whole, copy):
+        journal = runs.latest(copy) / "journal.sqlite"
+        content = journal.read_bytes()
+        before = read_run(runs.latest(copy))
+        seed = str(before.evaluations[20].evaluation.outcome.metrics["error"]).encode()
+        place = content.index(seed) + 5
+        changed = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+        journal.write_bytes(changed)
+        after = read_run(runs.latest(copy))
+        assert after.damage == "journal.sqlite: evaluation 21 is damaged"
+        assert after.evaluations == before.evaluations[:20]
+        # As many trials as have all their evaluations.
+        assert after.trials == before.trials[: len(after.trials)]
+        assert sum(len(trial.evaluations) for trial in after.trials) <= 20
+        self.goes_on(runs, whole, copy)
+
+    def test_a_damaged_log_of_commits(self, runs, whole):
+        """What a kill leaves is in SQLite's log; SQLite drops what comes after damage there."""
+        code, _, _ = runs.begin("log", kill=25)
+        assert code == -signal.SIGKILL
+        log = runs.latest("log") / "journal.sqlite-wal"
+        content = bytearray(log.read_bytes())
+        (page,) = struct.unpack_from(">I", content, 8)
+        place = 32 + (24 + page) * ((len(content) - 32) // (24 + page) // 2) + 100
+        content[place] ^= 1
+        log.write_bytes(content)
+        assert "damaged after page" in self.goes_on(runs, whole, "log")
+
+    def test_a_killed_writer_is_no_damage(self, runs):
+        code, _, _ = runs.begin("no-damage", kill=25)
+        assert code == -signal.SIGKILL
+        code, _, err = runs.resume("no-damage")
+        assert code == 0
+        assert "damaged" not in err
+
+    def test_a_trial_without_its_evaluations_is_not_taken(self, runs, whole, copy):
+        journal = runs.latest(copy) / "journal.sqlite"
+        database = sqlite3.connect(journal)
+        database.execute("DELETE FROM evaluation WHERE trial = 2 AND position = 1")
+        database.commit()
+        database.close()
+        record = read_run(runs.latest(copy))
+        assert len(record.trials) == 2
+        assert record.damage == "journal.sqlite: a trial lacks some of its evaluations"
+
+    @pytest.mark.parametrize("content", [b"", b"SQLite format 3\0", b"x" * 5000])
+    def test_no_journal_at_all(self, runs, copy, content):
+        (runs.latest(copy) / "journal.sqlite").write_bytes(content)
+        code, _, err = runs.resume(copy)
+        assert code == 2
+        assert err.startswith("error: ")
+        assert "journal.sqlite: " in err
+        assert err.count("\n") == 1
+
+
+class TestRecordOfARunInProgress:
+    def test_is_a_prefix_of_what_it_will_be(self, runs, whole):
+        process = runs.start(
+            "progress", "--study", runs.study, "--backend", "inprocess", "--output", "progress"
+        )
+        seen = []
+        end = time.monotonic() + DEADLINE
+        while process.poll() is None and time.monotonic() < end:
+            if (runs.latest("progress") / "journal.sqlite").exists():
+                seen.append(read_run(runs.latest("progress")))
+            time.sleep(0.02)
+        process.communicate(timeout=DEADLINE)
+        final = read_run(runs.latest(whole))
+        assert len(seen) > 3
+        for record in seen:
+            assert record.damage == ""
+            assert record.trials == final.trials[: len(record.trials)]
+            assert record.evaluations == final.evaluations[: len(record.evaluations)]
+
+
+class TestRecordedEvaluations:
+    def test_each_is_given_once_and_only_for_the_same_assignments(
+        self, make_study, function_backend
+    ):
+        study = make_study()
+        outcomes = [
+            Outcome(EvaluationState.COMPLETE, {"error": e, "peak": 0.1}) for e in (1.0, 2.0)
+        ]
+        recorded = [
+            RecordedEvaluation(
+                Evaluation(0, k, Stage.DRAWN, {"load": 1.5}, 7, outcome), {"gain": 0.5}
+            )
+            for k, outcome in enumerate(outcomes)
+        ]
+        ran = []
+
+        def function(**values):
+            ran.append(values)
+            return {"error": 3.0, "peak": 0.1}
+
+        backend = RecordedEvaluations(function_backend(study, function), study, recorded)
+        backend.open()
+        same = study.assignments({"gain": 0.5}, {"load": 1.5}, 7)
+        assert [backend.run_cut(same) for _ in range(2)] == outcomes
+        assert backend.given == recorded[1].evaluation
+        assert ran == []
+        assert backend.run_cut(same).metrics["error"] == 3.0
+        assert backend.given is None
+        backend.run_cut(study.assignments({"gain": 0.5}, {"load": 1.5 + 2**-50}, 7))
+        assert len(ran) == 2

@@ -1,0 +1,379 @@
+"""The command: exit codes, one line for each mistake, and what stays after an interruption.
+
+The evaluations are those of a small object in this process; tests/ros has the same on nodes.
+"""
+
+import json
+import os
+import pty
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.cli import tune as tune_command
+from bo_tuner.cli.common import split_ros_arguments
+from bo_tuner.interruption import Interruption
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.trials import EvaluationState, TrialState
+
+DEADLINE = 60.0
+
+OBJECTS = """\
+import os, time
+from pathlib import Path
+
+
+class Axis:
+    evaluations = 0
+
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def run_cut(self):
+        Axis.evaluations += 1
+        Path(os.environ.get("CUTS", os.devnull)).write_text(str(Axis.evaluations))
+        time.sleep(float(os.environ.get("PACE", "0")))
+        if os.environ.get("FAILING"):
+            return {"status": "failed", "reason": "stalled [/x] for good"}
+        peak = float(os.environ.get("PEAK", "0.2"))
+        return {"status": "ok", "error": 25 * (self.gain - 0.3) ** 2 + self.load, "peak": peak}
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path, make_study):
+    (tmp_path / "axis_objects.py").write_text(OBJECTS)
+    file = tmp_path / "axis.yaml"
+    file.write_text(study_to_yaml(make_study()))
+    return file
+
+
+@pytest.fixture
+def tune(tmp_path, study_file):
+    """Function that starts the command on the small object."""
+
+    def start(*arguments, study=study_file, environment=None, **options):
+        path = os.pathsep.join([str(tmp_path), *sys.path])
+        command = [sys.executable, "-m", "bo_tuner", "tune", "--backend", "inprocess"]
+        return subprocess.Popen(
+            [*command, "--study", study, *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path, "COLUMNS": "80"} | (environment or {}),
+            text=True,
+            **({"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options),
+        )
+
+    return start
+
+
+def finish(process):
+    out, err = process.communicate(timeout=DEADLINE)
+    assert "Traceback" not in out + err, err
+    return process.returncode, out, err
+
+
+def latest(tmp_path):
+    return tmp_path / "runs" / "latest"
+
+
+def recorded(folder):
+    return list(read_journal(folder / "journal.sqlite").trials)
+
+
+def wait_for(condition):
+    end = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+class TestRun:
+    def test_feasible(self, tune, tmp_path):
+        code, out, err = finish(tune())
+        assert code == 0, err
+        folder = latest(tmp_path)
+        assert {path.name for path in folder.iterdir()} == {
+            ".lock", "best.yaml", "evaluations.csv", "deploy", "journal.sqlite", "log",
+            "report.html",
+            "study.yaml", "summary.json", "trials.csv",
+        }  # fmt: skip
+        assert [trial.number for trial in recorded(folder)] == list(range(5))
+        summary = json.loads((folder / "summary.json").read_text())
+        assert summary["feasible"] is True
+        assert summary["tuned"]["draws"] == summary["default"]["draws"] == 5
+        assert summary["tuned"]["objective"] < summary["default"]["objective"]
+        # One plain line for each trial, none broken, and the table on stdout alone.
+        lines = err.splitlines()
+        assert sum(line.startswith("trial ") for line in lines) == 5
+        assert "\x1b" not in out + err
+        assert "default against tuned, the same 5 fresh draws" in out
+        assert str(Path("runs") / folder.readlink() / "best.yaml") in out
+
+    def test_not_feasible(self, tune, tmp_path):
+        code, out, err = finish(tune(environment={"PEAK": "2"}))
+        assert code == 3, err
+        assert (latest(tmp_path) / "best.yaml").exists()
+        assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
+        assert "no parameter set is feasible" in out
+        assert "the file holds the one nearest to it" in out
+
+    def test_every_trial_fails(self, tune, tmp_path):
+        code, _, err = finish(tune(environment={"FAILING": "1"}))
+        assert code == 3
+        assert err.count("FAILED: axis: stalled [/x] for good (context load ") == 5
+        assert {trial.state for trial in recorded(latest(tmp_path))} == {TrialState.FAILED}
+        assert not (latest(tmp_path) / "best.yaml").exists()
+
+    def test_one_seed_one_run(self, tune, tmp_path):
+        for name in ("a", "b"):
+            code, _, err = finish(tune("--seed", "3", "--trials", "4", "--output", name))
+            assert code == 0, err
+        first, second = (
+            [(tmp_path / name / "latest" / file).read_bytes() for file in
+             ("trials.csv", "evaluations.csv", "best.yaml", "summary.json", "study.yaml")]
+            for name in ("a", "b")
+        )  # fmt: skip
+        assert first == second
+
+    def test_a_terminal_gets_a_bar(self, tune):
+        leader, follower = pty.openpty()
+        process = tune(
+            stdin=follower,
+            stdout=follower,
+            stderr=follower,
+            environment={"TERM": "xterm-256color", "COLUMNS": "100", "PACE": "0.02"},
+        )
+        os.close(follower)
+        shown = b""
+        while True:
+            try:
+                chunk = os.read(leader, 4096)
+            except OSError:
+                break
+            if not chunk:
+                break
+            shown += chunk
+        os.close(leader)
+        assert process.wait(DEADLINE) == 0, shown
+        text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", shown.decode())
+        assert "5/5" in text
+        assert "incumbent: trial" in text
+        assert "validation" in text
+
+    def test_a_terminal_without_our_signs(self, tune):
+        environment = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
+        code, out, err = finish(tune("--trials", "1", environment=environment))
+        assert code == 0, err
+        assert "feasible" in out
+
+    def test_help_fits_80_columns(self):
+        text = tune_command.make_parser().format_help()
+        assert max(map(len, text.splitlines())) <= 80
+        for code in ("0", "1", "2", "3", "130"):
+            assert re.search(rf"^  {code}\s+\w", text, re.MULTILINE)
+
+
+class TestInterruption:
+    @pytest.mark.parametrize(
+        ("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"]
+    )
+    @pytest.mark.parametrize("cuts", [3, 22], ids=["tuning", "validation"])
+    def test_the_record_stays(self, tune, tmp_path, signum, code, evaluations):
+        """A run has 5 trials of 4 evaluations, so that evaluation 22 is one of the validation."""
+        counter = tmp_path / "cuts"
+        process = tune(environment={"CUTS": str(counter), "PACE": "0.05"})
+        wait_for(lambda: counter.exists() and int(counter.read_text() or 0) >= evaluations)
+        process.send_signal(signum)
+        found, _, err = finish(process)
+        assert found == code, err
+        assert "interrupted by" in err.splitlines()[-1]
+        folder = latest(tmp_path)
+        trials = recorded(folder)
+        assert len(trials) == min(evaluations // 4, 5)
+        lines = (folder / "evaluations.csv").read_text().splitlines()
+        assert evaluations <= len(lines) - 1 <= evaluations + 2
+        assert not (folder / "best.yaml").exists()
+
+    @pytest.mark.parametrize("delay", [0.3, 0.7])
+    def test_at_the_start(self, tune, delay):
+        process = tune()
+        # Python itself needs a moment until it can be told anything.
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        code, _, err = finish(process)
+        assert code in (130, 0), err
+
+    def test_twice(self, tune, tmp_path):
+        counter = tmp_path / "cuts"
+        process = tune(environment={"CUTS": str(counter), "PACE": "0.05"})
+        wait_for(lambda: counter.exists() and int(counter.read_text() or 0) >= 2)
+        for _ in range(3):
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+        code, _, err = finish(process)
+        assert code == 130, err
+        assert len(recorded(latest(tmp_path))) == 0
+
+
+class TestFaults:
+    def test_a_full_disk(self, tune, tmp_path):
+        def limit():
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+        process = tune("--trials", "200", environment={"PEAK": "2"}, preexec_fn=limit)
+        code, _, err = finish(process)
+        assert code == 1, err
+        last = err.splitlines()[-1]
+        assert last.startswith("error: ")
+        assert "journal.sqlite" in last
+        assert "go on by: tune --resume " in last
+        assert sum(line.startswith("error") for line in err.splitlines()) == 1
+        # What was told as done is in the record.
+        told = sum(line.startswith("trial ") for line in err.splitlines())
+        assert len(recorded(latest(tmp_path))) in (told, told + 1)
+
+    def test_a_table_that_cannot_be_written(self, tune, tmp_path):
+        counter = tmp_path / "cuts"
+        process = tune(environment={"CUTS": str(counter), "PACE": "0.02"})
+        wait_for(counter.exists)
+        (latest(tmp_path) / "trials.csv").mkdir()
+        code, _, err = finish(process)
+        assert code == 1
+        assert "trials.csv: cannot be written: Is a directory" in err.splitlines()[-1]
+
+    def test_a_reader_that_went_away(self, tune):
+        """As in `tune | head -0`."""
+        leader, follower = os.pipe()
+        process = tune("--trials", "1", stdout=follower)
+        os.close(follower)
+        os.close(leader)
+        _, err = process.communicate(timeout=DEADLINE)
+        assert "Traceback" not in err, err
+        assert process.returncode not in (0, 2)
+
+
+@pytest.fixture
+def refusal(tmp_path, study_file, monkeypatch, capsys):
+    """Function that runs the command in this process and returns its one line of complaint."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    handlers = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*arguments, code=2):
+        interruption = Interruption()
+        try:
+            found = tune_command.run(list(arguments), interruption)
+        except SystemExit as exit_:
+            found = exit_.code
+        out, err = capsys.readouterr()
+        assert found == code, err
+        assert out == ""
+        (line,) = err.splitlines()
+        assert line.startswith("error: ")
+        return line
+
+    yield run
+    for signum, handler in handlers.items():
+        signal.signal(signum, handler)
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("arguments", "complaint"),
+        [
+            (["--study", "bench"], "unknown study 'bench'; shipped are benchmark, full"),
+            (["--study", "./nowhere.yaml"], "./nowhere.yaml: cannot be read: No such file"),
+            (["--study", "./"], "cannot be read: Is a directory"),
+            (["--trials", "0"], "--trials: expected an integer of at least 1, found 0"),
+            (["--trials", "-1"], "--trials: expected an integer of at least 1, found -1"),
+            (["--trials", "x"], "argument --trials: invalid int value: 'x'"),
+            (["--trials", "1.5"], "argument --trials: invalid int value: '1.5'"),
+            (["--trials"], "argument --trials: expected one argument"),
+            (["--seed", "-1"], "--seed: expected an integer of at least 0, found -1"),
+            (["--seed", "9" * 30], "--seed: "),
+            (["--algorithm", "VI"], "argument --algorithm: invalid choice: 'VI'"),
+            (["--backend", "ross"], "argument --backend: invalid choice: 'ross'"),
+            (["--tri", "3"], "unrecognized arguments: --tri 3"),
+            (["benchmark"], "unrecognized arguments: benchmark"),
+            (["--attach", "--backend", "inprocess"], "--attach needs --backend ros"),
+        ],
+    )
+    def test_options(self, refusal, arguments, complaint):
+        assert complaint in refusal(*arguments)
+
+    @pytest.mark.parametrize(
+        ("old", "new", "complaint"),
+        [
+            ("objective:", "objectiv:", "objectiv: unknown key; did you mean 'objective'?"),
+            ("upper: 1.0", "upper: high", "constraints.peak.upper: "),
+            ("[0.0, 1.0]", "[1.0, 0.0]", "parameters.gain.bounds"),
+            ("axis_objects:Axis", "axis_objects:Nothing", "nodes.axis.object: cannot load"),
+            ("axis_objects:Axis", "no_such_module:Axis", "No module named 'no_such_module'"),
+        ],
+    )
+    def test_studies(self, refusal, study_file, old, new, complaint):
+        text = study_file.read_text()
+        assert old in text
+        study_file.write_text(text.replace(old, new))
+        assert complaint in refusal("--backend", "inprocess", "--study", str(study_file))
+
+    def test_a_study_error_names_file_and_line(self, refusal, study_file):
+        lines = study_file.read_text().splitlines()
+        number = next(k for k, line in enumerate(lines, 1) if line.startswith("objective:"))
+        lines[number - 1] = "objectiv:"
+        study_file.write_text("\n".join(lines))
+        line = refusal("--study", str(study_file))
+        assert line.startswith(f"error: {study_file}:{number}: objectiv: unknown key")
+
+    @pytest.mark.parametrize("output", ["file", "file/sub", "/proc/runs"])
+    def test_output_cannot_be_written(self, refusal, study_file, tmp_path, output):
+        (tmp_path / "file").touch()
+        line = refusal("--study", str(study_file), "--backend", "inprocess", "--output", output)
+        assert line.startswith(f"error: {output}: cannot write runs there: ")
+
+    def test_latest_is_in_the_way(self, refusal, study_file, tmp_path):
+        (tmp_path / "runs" / "latest").mkdir(parents=True)
+        line = refusal("--study", str(study_file), "--backend", "inprocess", code=1)
+        assert "latest: cannot point to the run" in line
+
+
+@pytest.mark.parametrize(
+    ("given", "own", "ros"),
+    [
+        ([], [], []),
+        (["--trials", "3"], ["--trials", "3"], []),
+        (
+            ["--trials", "3", "--ros-args", "-r", "__ns:=/a"],
+            ["--trials", "3"],
+            ["--ros-args", "-r", "__ns:=/a"],
+        ),
+        (
+            ["--ros-args", "-r", "__ns:=/a", "--", "--trials", "3"],
+            ["--trials", "3"],
+            ["--ros-args", "-r", "__ns:=/a", "--"],
+        ),
+        (["--ros-args", "--", "--ros-args"], [], ["--ros-args", "--", "--ros-args"]),
+        (["--", "x"], ["--", "x"], []),
+    ],
+)
+def test_ros_arguments_are_told_from_own_ones(given, own, ros):
+    assert split_ros_arguments(given) == (own, ros)
+
+
+def test_a_evaluation_that_raises_is_a_failed_evaluation(tune, tmp_path):
+    """Also one that raises what only looks like an interruption of ours."""
+    (tmp_path / "axis_objects.py").write_text(
+        OBJECTS.replace("Axis.evaluations += 1", "raise RuntimeError('interrupted')")
+    )
+    code, _, err = finish(tune("--trials", "1"))
+    assert code == 3, err
+    (trial,) = recorded(latest(tmp_path))
+    assert trial.reason == "RuntimeError: interrupted"
+    assert trial.evaluations[0].outcome.state is EvaluationState.FAILED

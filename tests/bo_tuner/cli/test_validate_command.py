@@ -1,0 +1,345 @@
+"""The command: verdict and exit code, its files, and one line for each mistake.
+
+The evaluations are those of a small object in this process.
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.certificate.record import parameters_sha256
+from bo_tuner.cli import validate as validate_command
+from bo_tuner.interruption import Interruption
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.trials import EvaluationState, Outcome
+
+DEADLINE = 60.0
+OBJECTS = """\
+import os, time
+from pathlib import Path
+
+
+class Axis:
+    evaluations = 0
+
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def run_cut(self):
+        Axis.evaluations += 1
+        Path(os.environ.get("CUTS", os.devnull)).write_text(str(Axis.evaluations))
+        time.sleep(float(os.environ.get("PACE", "0")))
+        if self.seed % 1000 < int(os.environ.get("FAILING", "0")):
+            return {"status": "failed", "reason": "stalled [/x] for good"}
+        noise = (self.seed % 997) / 997
+        peak = float(os.environ.get("PEAK", "0.2")) + 0.1 * self.load * noise
+        return {"status": "ok", "error": 25 * (self.gain - 0.3) ** 2 + self.load, "peak": peak}
+"""
+CHANCE = {
+    "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
+    "error": {"kind": "chance", "metric": "error", "upper": 9.0, "probability": 0.96},
+}
+
+
+class Runs:
+    """Runs in a folder, tuned once and copied for each test."""
+
+    def __init__(self, folder, study):
+        self.folder = folder
+        (folder / "validated_axis.py").write_text(OBJECTS)
+        (folder / "axis.yaml").write_text(study_to_yaml(study))
+
+    def start(self, *arguments, environment=None):
+        return subprocess.Popen(
+            [sys.executable, "-m", "bo_tuner", *map(str, arguments)],
+            cwd=self.folder,
+            env=os.environ
+            | {"PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]), "COLUMNS": "80"}
+            | (environment or {}),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, *arguments, environment=None):
+        process = self.start(*arguments, environment=environment)
+        out, err = process.communicate(timeout=DEADLINE)
+        assert "Traceback" not in out + err, err
+        return process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, make_study):
+    node = {"node": "axis"}
+    nodes = {"axis": node | {"result": "~/r", "object": "validated_axis:Axis"}}
+    study = make_study(nodes=nodes, constraints=CHANCE)
+    found = Runs(tmp_path_factory.mktemp("runs"), study)
+    code, _, err = found.run("tune", "--backend", "inprocess", "--study", "axis.yaml")
+    assert code == 0, err
+    return found
+
+
+@pytest.fixture
+def folder(runs, tmp_path):
+    """A copy of the run."""
+    return Path(shutil.copytree((runs.folder / "runs" / "latest").resolve(), tmp_path / "run"))
+
+
+@pytest.fixture
+def here(runs, monkeypatch, capsys):
+    """Function that runs the command in this process; returns code, out and err."""
+    monkeypatch.syspath_prepend(runs.folder)
+    handlers = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
+
+    def run(*arguments):
+        try:
+            code = validate_command.run([str(item) for item in arguments], Interruption())
+        except SystemExit as exit_:
+            code = exit_.code
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    yield run
+    for signum, handler in handlers.items():
+        signal.signal(signum, handler)
+
+
+@pytest.fixture
+def refusal(here):
+    """Function that runs the command and returns its one line of complaint."""
+
+    def run(*arguments, code=2):
+        found, out, err = here(*arguments)
+        assert found == code, err
+        assert out == ""
+        (line,) = err.splitlines()
+        assert line.startswith("error: ")
+        return line
+
+    return run
+
+
+def certificate(folder, name="certificate.json"):
+    return json.loads((folder / name).read_text())
+
+
+class TestVerdict:
+    def test_pass(self, runs, folder):
+        before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+        code, out, err = runs.run("validate", folder, "--draws", "80")
+        assert code == 0, err
+        assert out.splitlines()[-1] == "PASS"
+        assert f"certificate: {folder}/certificate.json" in out
+        # One line for each phase, since this is no terminal.
+        assert [line.split(":")[0] for line in err.splitlines()] == [
+            "draws", "worst case of default", "worst case of tuned", "report", "bundle",
+        ]  # fmt: skip
+        found = certificate(folder)
+        assert (found["verdict"], found["reasons"]) == ("PASS", [])
+        assert (found["draws"], found["confidence"]) == (80, 0.95)
+        summary = json.loads((folder / "summary.json").read_text())
+        assert found["trial"] == summary["trial"]
+        assert found["parameters"] == summary["tuned"]["parameters"]
+        assert found["parameters_sha256"] == parameters_sha256(found["parameters"])
+        best = (folder / "best.yaml").read_bytes()
+        assert found["best_yaml_sha256"] == hashlib.sha256(best).hexdigest()
+        study = hashlib.sha256((folder / "study.yaml").read_bytes()).hexdigest()
+        assert found["study_sha256"] == found["provenance"]["study_sha256"] == study
+        evaluations = (folder / "certificate_cuts.csv").read_bytes()
+        assert found["cuts_sha256"] == hashlib.sha256(evaluations).hexdigest()
+        rows = evaluations.decode().splitlines()[1:]
+        assert len(rows) == found["default"]["evaluations"] + found["tuned"]["evaluations"]
+        assert sum(row.startswith("tuned,validation") for row in rows) == 80
+        # All else of the run is as it was; a reader of the journal leaves files of its own.
+        names = {path.name for path in folder.iterdir() if path.is_file()}
+        new = {name for name in names - set(before) if not name.startswith("journal")}
+        assert new == {"certificate.json", "certificate_cuts.csv"}
+        assert all(
+            (folder / name).read_bytes() == content
+            for name, content in before.items()
+            if name not in (".lock", "report.html")
+        )
+
+    def test_the_numbers(self, here, folder):
+        """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
+        assert here(folder, "--draws", "80")[0] == 0
+        found = certificate(folder)
+        for side, gain in (("default", 0.5), ("tuned", found["parameters"]["gain"])):
+            mean = found[side]["objective"]
+            expected = 25 * (gain - 0.3) ** 2 + 1.5
+            assert abs(mean["value"] - expected) < 4 * (1 / 12 / 80) ** 0.5
+            peak, error = found[side]["constraints"]
+            assert (peak["kind"], peak["limit"], peak["violations"]) == ("worst_case", 1.0, 0)
+            assert peak["violation_bound"] == pytest.approx(1 - 0.05 ** (1 / 80))
+            assert peak["worst"][0]["context"]["load"] == pytest.approx(2.0, abs=0.25)
+            assert error["allowed"] == pytest.approx(0.04)
+        (objective, worst) = found["training_gaps"]
+        assert objective["validated"] == found["tuned"]["objective"]["value"]
+        assert objective["gap"] == pytest.approx(objective["validated"] - objective["shown"])
+        assert worst["unit"] == ""
+        assert found["context_tolerance"]["variables"][0]["name"] == "load"
+        assert found["neighbourhood"]["optimum"]["parameters"]["gain"] == gain
+
+    def test_the_same_again(self, here, folder):
+        found = []
+        for _ in range(2):
+            assert here(folder, "--draws", "80")[0] == 0
+            content = certificate(folder)
+            del content["finished"], content["provenance"]
+            found.append((content, (folder / "certificate_cuts.csv").read_bytes()))
+        assert found[0] == found[1]
+
+    def test_fail(self, here, folder, monkeypatch):
+        monkeypatch.setenv("PEAK", "2")
+        code, out, err = here(folder, "--draws", "80")
+        assert code == 3, err
+        assert out.splitlines()[-1] == "FAIL"
+        found = certificate(folder)
+        assert found["verdict"] == "FAIL"
+        assert found["reasons"] == ["peak: 80 of 80 draws violate the limit or fail, none may"]
+        assert "peak: NOT shown: 80 of 80 draws violate the limit or fail, none may" in out
+
+    def test_failed_evaluations(self, here, folder, monkeypatch):
+        monkeypatch.setenv("FAILING", "100")
+        code, out, err = here(folder, "--draws", "80")
+        assert code == 3, err
+        found = certificate(folder)
+        assert 0 < found["tuned"]["failures"] < found["tuned"]["evaluations"]
+        assert "first: axis: stalled [/x] for good (context load " in found["reasons"][0]
+        assert "FAIL" in out
+
+    def test_every_evaluation_fails(self, here, folder, monkeypatch):
+        monkeypatch.setenv("FAILING", "1000")
+        code, _, err = here(folder, "--draws", "80")
+        assert code == 3, err
+        assert certificate(folder)["tuned"]["objective"]["value"] is None
+
+    def test_another_trial(self, here, folder):
+        best = json.loads((folder / "summary.json").read_text())["trial"]
+        other = (best + 1) % 5
+        code, out, err = here(folder, "--draws", "80", "--trial", other)
+        assert code == 0, err
+        assert not (folder / "certificate.json").exists()
+        found = certificate(folder, f"certificate_trial_{other}.json")
+        assert found["trial"] == other
+        assert found["best_yaml_sha256"] is None
+        assert f"certificate_trial_{other}.json" in out
+
+    def test_draws_and_confidence(self, here, folder):
+        assert here(folder, "--draws", "459", "--confidence", "0.99")[0] == 0
+        found = certificate(folder)
+        assert (found["draws"], found["confidence"]) == (459, 0.99)
+        bound = found["tuned"]["constraints"][0]["violation_bound"]
+        assert bound == pytest.approx(1 - 0.01 ** (1 / 459))
+
+
+class TestInterruption:
+    @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+    def test_the_old_certificate_stays(self, runs, folder, signum, code):
+        old = {}
+        for name in ("certificate.json", "certificate_cuts.csv"):
+            (folder / name).write_text(f"old {name}")
+            old[name] = (folder / name).read_text()
+        counter = folder / "cuts"
+        process = runs.start("validate", folder, environment={"CUTS": str(counter), "PACE": "0.02"})
+        end = time.monotonic() + DEADLINE
+        while not (counter.exists() and int(counter.read_text() or 0) >= 5):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        process.send_signal(signum)
+        out, err = process.communicate(timeout=DEADLINE)
+        assert process.returncode == code, err
+        assert "Traceback" not in out + err
+        assert err.splitlines()[-1].startswith("interrupted by SIG")
+        assert {name: (folder / name).read_text() for name in old} == old
+
+
+class TestFaults:
+    def test_nodes_lost_for_good(self, here, folder, monkeypatch):
+        lost = Outcome(EvaluationState.LOST, {}, "axis is gone")
+        monkeypatch.setattr(InProcessBackend, "run_cut", lambda *_: lost)
+        (folder / "certificate.json").write_text("old")
+        code, out, err = here(folder)
+        assert code == 1
+        assert err.splitlines()[-1] == (
+            "error: 3 runs in a row were lost with their nodes: axis is gone"
+        )
+        assert out == ""
+        assert (folder / "certificate.json").read_text() == "old"
+
+    def test_a_certificate_that_cannot_be_written(self, here, folder):
+        (folder / "certificate.json").mkdir()
+        code, _, err = here(folder, "--draws", "80")
+        assert code == 1
+        assert "certificate.json: cannot be written: Is a directory" in err.splitlines()[-1]
+        assert not list(folder.glob(".*.new"))
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("arguments", "complaint"),
+        [
+            (["--draws", "73"], "--draws: expected at least 74 to show error, even if none viol"),
+            (["--draws", "-1"], "--draws: expected at least 74"),
+            (["--draws", "many"], "argument --draws: invalid int value: 'many'"),
+            (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 339"),
+            (["--confidence", "95"], "argument --confidence: 95: expected a number between 0 and"),
+            (["--confidence", "nan"], "argument --confidence: nan: expected a number between"),
+            (["--confidence", "high"], "argument --confidence: high: expected a number between"),
+            (["--trial", "5"], "no trial 5; expected 0 to 4"),
+            (["--trial", "-1"], "no trial -1; expected 0 to 4"),
+            (["--trial", "best"], "argument --trial: invalid int value: 'best'"),
+            (["--attach"], "--attach needs --backend ros"),
+            (["--backend", "ross"], "argument --backend: invalid choice: 'ross'"),
+            (["--seed", "3"], "unrecognized arguments: --seed 3"),
+        ],
+    )
+    def test_options(self, refusal, folder, arguments, complaint):
+        assert complaint in refusal(folder, *arguments)
+
+    def test_no_run(self, refusal, tmp_path):
+        assert "the following arguments are required: RUN" in refusal()
+        assert "nowhere: no such run folder" in refusal(tmp_path / "nowhere")
+        assert "it has no study.yaml" in refusal(tmp_path)
+
+    def test_a_run_without_a_result(self, refusal, folder):
+        (folder / "summary.json").unlink()
+        line = refusal(folder)
+        assert "has no result: it has not ended, or every trial failed; go on by" in line
+
+    def test_a_parameter_file_of_other_values(self, refusal, folder):
+        """A certificate must not be of what the file does not hold."""
+        text = (folder / "best.yaml").read_text()
+        changed = re.sub(r"gain: .*", "gain: 0.9", text)
+        assert changed != text
+        (folder / "best.yaml").write_text(changed)
+        assert "best.yaml: does not hold the values of trial " in refusal(folder)
+        (folder / "best.yaml").write_text("{")
+        assert "best.yaml: " in refusal(folder)
+        (folder / "best.yaml").unlink()
+        assert "best.yaml: cannot be read: No such file" in refusal(folder)
+
+    def test_a_run_that_is_going_on(self, refusal, folder):
+        held = RunFolder(folder)
+        try:
+            line = refusal(folder)
+        finally:
+            held.close()
+        assert f"another process works in this run (process {os.getpid()})" in line
+
+    def test_help_fits_80_columns(self):
+        text = validate_command.make_parser().format_help()
+        assert max(map(len, text.splitlines())) <= 80
+        for code in ("0", "1", "2", "3", "130"):
+            assert re.search(rf"^  {code}\s+\w", text, re.MULTILINE)

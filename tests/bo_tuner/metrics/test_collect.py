@@ -1,0 +1,77 @@
+"""From what nodes say to metrics: nothing but a finite number ever becomes one."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bo_tuner.metrics.collect import outcome
+from bo_tuner.trials import EvaluationState
+
+OK = {"status": "ok", "reason": ""}
+
+
+def judge(make_study, **said):
+    return outcome(make_study(), said)
+
+
+@pytest.mark.parametrize("value", [0.25, "0.25", "2.5e-1", " 0.25 "])
+def test_numbers_and_their_text(make_study, value):
+    found = judge(make_study, axis=OK | {"error": value, "peak": 3})
+    assert found.state is EvaluationState.COMPLETE
+    assert found.metrics == {"error": 0.25, "peak": 3.0}
+    assert found.reason == ""
+
+
+@pytest.mark.parametrize(
+    "value", ["nan", "inf", "-inf", float("nan"), float("inf"), "", "fast", None, [1.0], "0x10"]
+)
+def test_anything_else_fails_the_evaluation_and_names_the_metric(make_study, value):
+    found = judge(make_study, axis=OK | {"error": 0.25, "peak": value})
+    assert found.state is EvaluationState.FAILED
+    assert found.metrics == {}
+    assert found.reason.startswith("axis: metric peak is ")
+
+
+def test_a_missing_metric(make_study):
+    found = judge(make_study, axis=OK | {"error": 0.25})
+    assert found.state is EvaluationState.FAILED
+    assert found.reason == "axis: metric peak is missing"
+
+
+@given(value=st.text(max_size=12) | st.floats().map(repr))
+def test_what_is_complete_is_finite(make_study, value):
+    found = judge(make_study, axis=OK | {"error": value, "peak": 1.0})
+    assert (found.state is EvaluationState.COMPLETE) == (found.metrics != {})
+    assert all(math.isfinite(number) for number in found.metrics.values())
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        ({"status": "failed", "reason": "diverged"}, "axis: diverged"),
+        ({"status": "failed", "reason": ""}, "axis: no reason given"),
+        ({"status": "failed"}, "axis: no reason given"),
+        ({}, "axis: no reason given"),
+    ],
+)
+def test_a_failed_node_fails_the_evaluation_whatever_its_figures(make_study, said, reason):
+    found = judge(make_study, axis=said | {"error": 0.25, "peak": 1.0})
+    assert found.state is EvaluationState.FAILED
+    assert found.reason == reason
+    assert found.metrics == {}
+
+
+def test_all_that_was_said_is_kept(make_study):
+    found = judge(make_study, axis=OK | {"error": 0.25, "peak": 1, "note": "x"}, other={"a": 2.0})
+    assert found.details["axis.note"] == "x"
+    assert found.details["axis.error"] == "0.25"
+    assert found.reason == "other: no reason given"
+
+
+def test_a_metric_under_another_key(make_study):
+    node = {"node": "axis"}
+    study = make_study(metrics={"error": node | {"key": "error_p99"}, "peak": node})
+    found = outcome(study, {"axis": OK | {"error_p99": 2.0, "peak": 1.0, "error": 5.0}})
+    assert found.metrics == {"error": 2.0, "peak": 1.0}

@@ -1,0 +1,132 @@
+"""The models of stage one: what each is fitted to, and what the constraint of each means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from bo_tuner.models.surrogates import ModelOptions, Surrogates
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+
+NODE = {"node": "axis"}
+DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+GRID = np.linspace(0.0, 1.0, 9)
+
+
+@pytest.fixture
+def study(make_study):
+    return make_study(
+        parameters={"x": DOUBLE},
+        constraints={
+            "slow": {"kind": "chance", "metric": "error", "upper": 1.5, "probability": 0.9},
+            "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
+        },
+    )
+
+
+def fit(study, trials, **options):
+    return Surrogates.fit(
+        study, trials, rng=np.random.default_rng(0), options=ModelOptions(**options)
+    )
+
+
+def sloped(make_trial, noise=0.0):
+    return [
+        make_trial(k, {"x": float(x)}, [1.0 + x, 1.0 + x + 0.01], worst=2.0 * x, noise=noise)
+        for k, x in enumerate(GRID)
+    ]
+
+
+def test_models_predict_their_responses(study, make_trial):
+    models = fit(study, sloped(make_trial))
+    x = np.array([[0.3], [0.8]])
+    assert models.objective.predict(x)[0] == pytest.approx([1.305, 1.805], abs=0.02)
+    assert models.constraints[1].predict(x)[0] == pytest.approx([0.6, 1.6], abs=0.02)
+    assert models.outliers == frozenset()
+
+
+@pytest.mark.parametrize(
+    ("given", "probability"),
+    [({}, 0.85), ({"probability": 0.5}, 0.5), ({"probability": 0.99}, 0.99)],
+)
+def test_the_noise_of_a_evaluation_keeps_a_distance_from_the_worst_case(
+    make_study, make_trial, given, probability
+):
+    worst = {"kind": "worst_case", "metric": "peak", "upper": 1.0} | given
+    study = make_study(parameters={"x": DOUBLE}, constraints={"peak": worst})
+    noise = 0.1
+    without = fit(study, sloped(make_trial)).constraints[0]
+    with_noise = fit(study, sloped(make_trial, noise)).constraints[0]
+    x = np.array([[0.5]])
+    distance = with_noise.predict(x)[0] - without.predict(x)[0]
+    assert distance == pytest.approx(norm.ppf(probability) * noise, abs=0.01)
+
+
+def test_feasibility_is_the_product_of_the_constraints(study, make_trial):
+    models = fit(study, sloped(make_trial))
+    x = np.array([[0.1], [0.45], [0.9]])
+    product = sum(c.log_probability(x) for c in models.constraints)
+    assert models.log_feasibility(x) == pytest.approx(product)
+    probability = np.exp(models.log_feasibility(x))
+    assert probability[0] > 0.95
+    assert probability[2] < 0.05
+
+
+def test_an_outlier_leaves_all_models(study, make_trial):
+    trials = [*sloped(make_trial), make_trial(9, {"x": 0.55}, [40.0, 41.0], worst=0.0)]
+    models = fit(study, trials)
+    assert models.outliers == {9}
+    x = np.array([[0.55]])
+    assert models.objective.predict(x)[0] == pytest.approx([1.555], abs=0.05)
+    assert models.constraints[1].predict(x)[0] == pytest.approx([1.1], abs=0.05)
+    p_out = models.classifiers[1].probability(np.array([[0.56], [0.05]]))
+    assert p_out[0] > 0.5 > p_out[1]
+    assert fit(study, trials, reject_outliers=False).objective.predict(x)[0][0] > 5.0
+
+
+def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
+    trials = sloped(make_trial)
+    models = fit(study, [*trials, make_trial(9, {"x": 0.97})])
+    assert len(models.objective.data.x) == len(trials)
+    p_fail = models.classifiers[0].probability(np.array([[0.96], [0.1]]))
+    assert p_fail[0] > 0.5 > p_fail[1]
+
+
+def test_nothing_but_failures(study, make_trial):
+    models = fit(study, [make_trial(k, {"x": float(x)}) for k, x in enumerate(GRID)])
+    assert models.objective is None
+    assert models.log_feasibility(np.array([[0.5]])) == pytest.approx([0.0])
+
+
+def test_the_joint_model_uses_every_evaluation(study, make_trial):
+    """The metric is 2 x load, known from search evaluations alone; the worst load is 2."""
+    trials = []
+    for trial in sloped(make_trial):
+        x = trial.parameters["x"]
+        evaluations = tuple(
+            Evaluation(
+                trial.number, k, Stage.SEARCH, {"load": load}, k,
+                Outcome(EvaluationState.COMPLETE, {"error": 1.0 + x, "peak": x * load}),
+            )
+            for k, load in enumerate((1.0, 1.4, 1.7, 2.0))
+        )  # fmt: skip
+        drawn = tuple(
+            replace(
+                evaluation,
+                outcome=Outcome(EvaluationState.COMPLETE, {"error": 1 + x, "peak": 1.5 * x}),
+            )
+            for evaluation in trial.evaluations
+        )
+        trials.append(replace(trial, evaluations=drawn + evaluations))
+    constraint = fit(study, trials, joint=True).constraints[1]
+    mean, _ = constraint.predict(np.array([[0.25], [0.75]]))
+    assert mean == pytest.approx([0.5, 1.5], abs=0.05)
+
+
+def test_warm_start_gives_the_same_models(study, make_trial):
+    trials = sloped(make_trial)
+    first = fit(study, trials)
+    again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.hyperparameters)
+    x = np.array([[0.33]])
+    assert again.objective.predict(x)[0] == pytest.approx(first.objective.predict(x)[0], abs=1e-3)

@@ -1,0 +1,184 @@
+"""JSON lines: strict, whole, and no reason for a run to end."""
+
+import dataclasses
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bo_tuner.cli.tune import make_parser
+from bo_tuner.monitoring.json_lines import JsonLines
+from bo_tuner.monitoring.status import TUNING, RunStatus
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.trials import WorstCase
+
+DEADLINE = 60.0
+AXIS = """\
+import os, time
+
+
+class Axis:
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def run_cut(self):
+        time.sleep(float(os.environ.get("PACE", "0")))
+        return {"status": "ok", "error": (self.gain - 0.3) ** 2 + self.load, "peak": 0.2}
+"""
+
+
+def strict(line):
+    """Parse JSON that holds no NaN or Infinity, which are not part of it."""
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} in {line}")
+
+    return json.loads(line, parse_constant=refuse)
+
+
+@pytest.fixture
+def tune(tmp_path, make_study):
+    (tmp_path / "axis_objects.py").write_text(AXIS)
+    (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study()))
+
+    def start(*arguments, **environment):
+        return subprocess.Popen(
+            [sys.executable, "-m", "bo_tuner", "tune", *arguments],
+            cwd=tmp_path,
+            env=os.environ
+            | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+            | environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+
+    return start
+
+
+NEW = ("--study", "axis.yaml", "--backend", "inprocess")
+
+
+def finish(process):
+    out, err = process.communicate(timeout=DEADLINE)
+    assert "Traceback" not in err, err
+    return process.returncode, [strict(line) for line in out.splitlines()], err
+
+
+class TestRun:
+    def test_events_tell_the_record(self, tune, tmp_path):
+        code, events, err = finish(tune(*NEW, "--json-lines"))
+        assert (code, err) == (0, "")
+        assert [event["event"] for event in events[:2]] == ["run", "phase"]
+        # Report and bundle are told as messages.
+        ends = ["result", "message", "message", "end"]
+        assert [event["event"] for event in events[-4:]] == ends
+        assert events[-1]["exit_code"] == 0
+        times = [event["time"] for event in events]
+        assert times == sorted(times)
+        folder = tmp_path / events[0]["folder"]
+        content = read_journal(folder / "journal.sqlite")
+        told = [event for event in events if event["event"] == "evaluation"]
+        assert [
+            (
+                evaluation["parameters"],
+                evaluation["context"],
+                evaluation["seed"],
+                evaluation["metrics"],
+            )
+            for evaluation in told
+        ] == [
+            (
+                dict(c.parameters),
+                dict(c.evaluation.context),
+                c.evaluation.seed,
+                dict(c.evaluation.outcome.metrics),
+            )
+            for c in content.evaluations
+        ]
+        told = [event for event in events if event["event"] == "trial"]
+        assert [trial["parameters"] for trial in told] == [
+            dict(trial.parameters) for trial in content.trials
+        ]
+        for event, trial in zip(told, content.trials, strict=True):
+            errors = trial.observations("error")
+            assert event["mean_metrics"]["error"] == sum(errors) / len(errors)
+            assert event["recalled"] is False
+        summary = json.loads((folder / "summary.json").read_text())
+        assert events[-4].items() >= summary.items()
+
+    def test_quiet_shows_the_result_alone(self, tune):
+        process = tune(*NEW, "--quiet")
+        out, err = process.communicate(timeout=DEADLINE)
+        assert (process.returncode, err) == (0, "")
+        assert out.startswith("function: default against tuned")
+
+    def test_an_interruption_is_told_and_the_rest_recalled(self, tune, tmp_path):
+        process = tune(*NEW, "--json-lines", PACE="0.05")
+        lines = iter(process.stdout.readline, "")
+        first = [strict(next(lines)) for _ in range(2)]
+        for line in lines:
+            first.append(strict(line))
+            if first[-1]["event"] == "trial":
+                break
+        process.send_signal(signal.SIGTERM)
+        code, events, err = finish(process)
+        assert code == 143
+        assert events[-1] == {"event": "end", "time": events[-1]["time"], "exit_code": 143}
+        assert events[-2]["event"] == "message"
+        assert events[-2]["text"] in err
+        trials = len(read_journal(tmp_path / first[0]["folder"] / "journal.sqlite").trials)
+        code, events, _ = finish(tune("--resume", "runs/latest", "--json-lines"))
+        assert code == 0
+        told = [event for event in events if event["event"] == "trial"]
+        assert [event["recalled"] for event in told] == [True] * trials + [False] * (5 - trials)
+        assert [event["trial"] for event in told] == list(range(5))
+
+    def test_a_reader_that_goes_away_does_not_end_the_run(self, tune, tmp_path):
+        process = tune(*NEW, "--json-lines", PACE="0.02")
+        assert strict(process.stdout.readline())["event"] == "run"
+        process.stdout.close()
+        with process.stderr as stderr:
+            err = stderr.read()
+        assert process.wait(DEADLINE) == 0, err
+        (line,) = err.splitlines()
+        assert line == "no more JSON lines: Broken pipe; the run goes on"
+        assert (tmp_path / "runs/latest/summary.json").exists()
+
+
+def test_not_together_with_quiet(capsys):
+    with pytest.raises(SystemExit) as ended:
+        make_parser().parse_args(["--json-lines", "--quiet"])
+    assert ended.value.code == 2
+    assert "--quiet: not allowed with argument --json-lines" in capsys.readouterr().err
+
+
+def test_what_is_not_a_number_becomes_null(make_study, make_trial):
+    study, out = make_study(), io.StringIO()
+    status = RunStatus(study, METHODS["IV"])
+    lines = JsonLines(study, status, out)
+    trial = make_trial(0, {"gain": float("inf")}, [1.0])
+    trial = dataclasses.replace(
+        trial, worst_case=WorstCase(float("nan"), {"load": float("-inf")}, 0.5), warnings=("ü\n",)
+    )
+    before = time.time()
+    lines.begin(TUNING, 5)
+    lines.trial(trial, None)
+    lines.advise(StopAdvice(1, 4, float("nan"), 0.5))
+    lines.pause(True)
+    phase, told, advice, pause = [strict(line) for line in out.getvalue().splitlines()]
+    assert before <= phase["time"] <= time.time()
+    assert told["parameters"] == {"gain": None}
+    assert told["worst_case"]["value"] is told["worst_case"]["context"]["load"] is None
+    assert told["incumbent"] is told["overhead"] is None
+    assert told["warnings"] == ["ü\n"]
+    assert (advice["expected_gain"], advice["noise"]) == (None, 0.5)
+    assert pause["paused"] is True

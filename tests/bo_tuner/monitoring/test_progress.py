@@ -1,0 +1,193 @@
+"""What a run shows: a bar on a terminal, plain lines in a file, the same words in both."""
+
+import dataclasses
+import io
+import re
+
+import pytest
+from rich.console import Console
+
+from bo_tuner.monitoring.progress import RunProgress, advice_in_words, describe, duration
+from bo_tuner.monitoring.status import TUNING, RunStatus
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stopping import StopAdvice
+
+ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
+
+
+def console(terminal=False, width=80):
+    return Console(
+        file=io.StringIO(),
+        force_terminal=terminal,
+        width=width,
+        markup=False,
+        emoji=False,
+        highlight=False,
+    )
+
+
+def text(of):
+    return of.file.getvalue()
+
+
+def candidate(trial, feasibility=0.9):
+    return Candidate(
+        trial=trial, objective=0.25, feasibility=feasibility, violation=0.1, penalty=0.0, score=0.0
+    )
+
+
+def follow(console, study, trials, best):
+    status = RunStatus(study, METHODS["IV"])
+    with RunProgress(console, study, status) as progress:
+        for observer in (status, progress):
+            observer.begin(TUNING, 5)
+        for trial in trials:
+            for observer in (status, progress):
+                for evaluation in trial.evaluations:
+                    observer.evaluation(evaluation, trial.parameters)
+                observer.trial(trial, best)
+
+
+class TestLines:
+    def test_a_file_gets_one_line_for_each_trial(self, make_study, make_trial):
+        out = console()
+        trials = [make_trial(k, {"gain": 0.5}, [1.0, 2.0]) for k in range(3)]
+        follow(out, make_study(), trials, candidate(trials[0]))
+        lines = text(out).splitlines()
+        assert len(lines) == 3
+        assert lines[2] == (
+            "trial   2  gain 0.5  error 1.5  worst peak 0.5 (within 1)  [2 evaluations]"
+        )
+        assert not ESCAPE.search(text(out))
+
+    def test_a_failure_has_all_that_repeats_it(self, make_study, make_trial):
+        line = describe(make_trial(7, {"gain": 0.5}), make_study())
+        assert line == "gain 0.5  FAILED: axis: stalled (context load 1.500; seed 0)"
+
+    def test_a_violation_is_named(self, make_study, make_trial):
+        line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
+        assert "worst peak 1.25 (above 1)" in line
+
+    def test_brackets_of_a_reason_are_no_markup(self, make_study, make_trial):
+        reason = "[/tmp/axis] says [bold]no[/] :warning:"
+        trial = dataclasses.replace(make_trial(0, {"gain": 0.5}), reason=reason, warnings=("[/]",))
+        for terminal in (False, True):
+            out = console(terminal, 200)
+            follow(out, make_study(), [trial], None)
+            assert reason in ESCAPE.sub("", text(out))
+            assert "warning: [/]" in ESCAPE.sub("", text(out))
+
+    def test_long_lines_are_not_broken_in_a_file(self, make_study, make_trial):
+        out = console(width=40)
+        follow(out, make_study(), [make_trial(0, {"gain": 0.5}, [1.0])], None)
+        assert len(text(out).splitlines()) == 1
+
+
+class TestTerminal:
+    @pytest.mark.parametrize("width", [40, 80, 200])
+    def test_shows_count_and_incumbent(self, make_study, make_trial, width):
+        out = console(True, width)
+        trial = make_trial(3, {"gain": 0.5}, [1.0])
+        follow(out, make_study(), [trial], candidate(trial))
+        shown = ESCAPE.sub("", text(out))
+        assert "1/5" in shown
+        if width >= 80:
+            assert "incumbent: trial 3, error 0.25, P(feasible) 0.90" in shown
+
+    def test_shows_time_left_and_the_optimizer_s_share(self, make_study, make_trial):
+        """Trials of 60 s in two runs and 20 s for the proposal: 20 / 80, and 2 of 5 are left."""
+        out = console(True, 80)
+        trials = [make_trial(k, {"gain": 0.5}, [1.0, 1.0]) for k in range(3)]
+        trials = [
+            dataclasses.replace(
+                trial,
+                seconds=20.0,
+                evaluations=tuple(
+                    dataclasses.replace(evaluation, seconds=30.0)
+                    for evaluation in trial.evaluations
+                ),
+            )
+            for trial in trials
+        ]
+        follow(out, make_study(), trials, candidate(trials[0]))
+        # 2 trials of 80 s, a check of 20 runs and a validation of 2 x 5 runs, 30 s each.
+        seconds = 2 * 80 + (20 + 10) * 30
+        assert f"3/5 {duration(seconds)} left  optimizer 25%" in ESCAPE.sub("", text(out))
+
+    def test_trials_on_record_are_counted_and_not_told_again(self, make_study, make_trial):
+        out = console(True, 80)
+        trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(3)]
+        with RunProgress(out, make_study()) as progress:
+            progress.begin(TUNING, 5)
+            progress.recall(trials, candidate(trials[1]))
+        shown = ESCAPE.sub("", text(out))
+        assert "3/5" in shown
+        assert "incumbent: trial 1" in shown
+        assert "gain 0.5" not in shown
+
+    def test_the_validation_has_a_bar_of_its_own(self, make_study):
+        out = console(True)
+        with RunProgress(out, make_study()) as progress:
+            progress.begin("tuning", 5)
+            progress.begin("validation", 3)
+            progress.advance()
+        last = ESCAPE.sub("", text(out)).split("\r")[-1]
+        assert "validation" in last
+        assert "1/3" in last
+        assert "tuning" not in last
+
+    @pytest.mark.parametrize("width", [20, 40, 80])
+    def test_the_bar_fits_its_line(self, make_study, make_trial, width):
+        """A bar that wraps would leave a trail of old ones on the screen."""
+        out = console(True, width)
+        trial = make_trial(3, {"gain": 0.5}, [1.0])
+        follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
+        shown = ESCAPE.sub("", text(out)).splitlines()
+        bars = [line for line in shown if re.search(r"1/5|no feasible", line)]
+        assert len(bars) >= 2
+        assert all(len(part) <= width for line in bars for part in line.split("\r"))
+
+    def test_no_incumbent_yet(self, make_study, make_trial):
+        trial = make_trial(0, {"gain": 0.5})
+        out = console(True, 200)
+        follow(out, make_study(), [trial], None)
+        assert "no complete trial yet" in ESCAPE.sub("", text(out))
+
+    def test_no_feasible_incumbent(self, make_study, make_trial):
+        trial = make_trial(4, {"gain": 0.5}, [1.0])
+        out = console(True, 200)
+        follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
+        assert "no feasible point yet (least violating: trial 4)" in ESCAPE.sub("", text(out))
+
+    def test_a_fault_puts_the_terminal_back(self, make_study):
+        out = console(True)
+
+        def fail():
+            with RunProgress(out, make_study()) as progress:
+                progress.begin("tuning", 5)
+                raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            fail()
+        shown = text(out)
+        # The cursor, hidden for the bar, is shown again.
+        assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")
+
+
+class TestWords:
+    @pytest.mark.parametrize(
+        ("seconds", "words"),
+        [(0.4, "0:00:00"), (59.6, "0:01:00"), (100, "0:01:40"), (7265, "2:01:05")],
+    )
+    def test_duration(self, seconds, words):
+        assert duration(seconds) == words
+
+    def test_the_advice_has_its_numbers_with_units(self, make_study):
+        study = make_study(
+            metrics={"error": {"node": "axis", "unit": "m"}, "peak": {"node": "axis"}}
+        )
+        advice = StopAdvice(trials=20, remaining=10, expected_gain=0.00123, noise=0.0234)
+        words = advice_in_words(advice, study)
+        assert "the 10 trials left are expected to gain at most 0.0012 m in error" in words
+        assert "0.023 m" in words

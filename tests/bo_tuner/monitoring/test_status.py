@@ -1,0 +1,171 @@
+"""What all that watch a run read: shares of time, time left, counts."""
+
+import dataclasses
+
+import pytest
+
+from bo_tuner.models.hyperpriors import Hyperparameters
+from bo_tuner.monitoring.diagnostics import Level, progress, safety, surrogate, trial_result
+from bo_tuner.monitoring.status import CHECKING, TUNING, VALIDATION, RunStatus, Snapshot
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.trials import EvaluationState
+
+
+def timed(trial, proposal, evaluation):
+    evaluations = tuple(dataclasses.replace(c, seconds=evaluation) for c in trial.evaluations)
+    return dataclasses.replace(trial, seconds=proposal, evaluations=evaluations)
+
+
+def tell(status, trial, incumbent=None):
+    for evaluation in trial.evaluations:
+        status.evaluation(evaluation, trial.parameters)
+    status.trial(trial, incumbent)
+
+
+def candidate(trial, feasibility=0.9):
+    return Candidate(trial, 0.25, feasibility, violation=0.1, penalty=0.0, score=0.0)
+
+
+@pytest.fixture
+def status(make_study):
+    """Of a study with 5 trials, 2 x 5 evaluations of validation, and a check of 20 evaluations."""
+    return RunStatus(make_study(), METHODS["IV"])
+
+
+class TestTimes:
+    def test_nothing_is_known_at_first(self, status):
+        status.begin(TUNING, 5)
+        assert status.now == Snapshot(phase=TUNING, total=5)
+
+    def test_share_of_the_optimizer_and_time_left(self, status, make_trial):
+        status.begin(TUNING, 5)
+        for k, proposal in enumerate((0.0, 4.0)):
+            tell(status, timed(make_trial(k, {"gain": 0.5}, [1.0, 1.0]), proposal, evaluation=1.0))
+        assert status.now.done == status.now.trials == 2
+        # 4 s of proposals, 4 s of evaluations; 3 trials of 4 s on average, and 30 evaluations of 1
+        # s.
+        assert status.now.overhead == 0.5
+        assert status.now.time_left == 3 * 4.0 + 30 * 1.0
+        status.begin(CHECKING, 6)
+        assert status.now.time_left == 30.0
+        for evaluation in make_trial(0, {"gain": 0.5}, [1.0] * 24).evaluations:
+            status.evaluation(dataclasses.replace(evaluation, seconds=1.0), {"gain": 0.5})
+        # More checks than foreseen: now the validation is what is left for certain.
+        assert status.now.time_left == 10.0
+        status.begin(VALIDATION, 5)
+        for evaluation in make_trial(0, {"gain": 0.5}, [1.0] * 4).evaluations:
+            status.evaluation(dataclasses.replace(evaluation, seconds=1.0), {"gain": 0.5})
+        status.advance()
+        assert status.now.done == 1
+        assert status.now.time_left == 6.0
+
+    def test_only_recent_trials_tell_of_the_next_ones(self, make_study, make_trial):
+        status = RunStatus(make_study(), METHODS["I"])
+        status.begin(TUNING, 31)
+        for k in range(30):
+            trial = timed(
+                make_trial(k, {"gain": 0.5}, [1.0]), 100.0 if k < 20 else 1.0, evaluation=2.0
+            )
+            tell(status, trial)
+        # Algorithm I checks no candidates.
+        assert status.now.time_left == pytest.approx(3.0 + 10 * 2.0)
+
+    def test_trials_on_record_count_as_if_just_run(self, make_study, make_trial):
+        trials = [
+            timed(make_trial(k, {"gain": 0.5}, [1.0, 1.0]), 3.0, evaluation=1.0) for k in range(3)
+        ]
+        one, other = (RunStatus(make_study(), METHODS["IV"]) for _ in range(2))
+        for status in (one, other):
+            status.begin(TUNING, 5)
+        for trial in trials:
+            tell(one, trial, candidate(trials[0]))
+        other.recall(trials, candidate(trials[0]))
+        assert one.now == other.now
+
+
+def test_counts_of_what_went_wrong(status, make_trial, failed):
+    status.begin(TUNING, 5)
+    tell(status, make_trial(0, {"gain": 0.5}, [1.0]))
+    tell(status, make_trial(1, {"gain": 0.5}, [1.0], worst=2.0))
+    lost = make_trial(2, {"gain": 0.5})
+    evaluation = dataclasses.replace(
+        lost.evaluations[0], outcome=failed("gone", EvaluationState.LOST)
+    )
+    tell(status, dataclasses.replace(lost, evaluations=(evaluation,), origin="space-filling"))
+    now = status.now
+    assert (now.failed, now.violating, now.lost, now.fallbacks) == (1, 1, 1, 1)
+
+
+class TestDiagnostics:
+    def test_names_and_levels(self, make_study, make_trial):
+        study = make_study()
+        within = make_trial(0, {"gain": 0.5}, [1.0])
+        violating = make_trial(1, {"gain": 0.5}, [1.0], worst=2.0)
+        stalled = make_trial(2, {"gain": 0.5})
+        for trial, level, words in [
+            (within, Level.OK, "within limits"),
+            (violating, Level.WARN, "violates peak"),
+            (stalled, Level.ERROR, "axis: stalled"),
+        ]:
+            result = trial_result(study, trial, None, "runs/a")
+            assert (result.name, result.level) == ("tuner: trial_result", level)
+            assert words in result.message
+            found = safety(study, Snapshot(last=trial))
+            assert (found.name, found.level) == ("tuner: safety", level)
+            assert words in found.message
+
+    def test_values_of_a_trial_read_back_to_the_last_bit(self, make_study, make_trial):
+        study = make_study()
+        trial = make_trial(3, {"gain": 1 / 3}, [0.1, 0.3], worst=2 / 3)
+        values = trial_result(study, trial, candidate(trial), "runs/a").values
+        assert float(values["parameters.gain"]) == 1 / 3
+        assert float(values["metrics.error"]) == (0.1 + 0.3) / 2
+        assert float(values["worst_case"]) == 2 / 3
+        assert float(values["worst_context.load"]) == 1.5
+        assert float(values["probability_feasible"]) == 0.9
+        assert values["trial"] == values["incumbent"] == "3"
+        assert values["evaluations"] == "2"
+        assert values["bag"] == "runs/a/bags/trial_0003"
+
+    def test_progress(self, make_study, make_trial):
+        study = make_study()
+        trial = make_trial(0, {"gain": 0.5}, [1.0])
+        now = Snapshot(
+            phase=TUNING,
+            done=1,
+            total=5,
+            trials=1,
+            incumbent=candidate(trial, feasibility=0.2),
+            overhead=0.25,
+            time_left=12.0,
+            paused=True,
+            advice=StopAdvice(1, 4, 0.01, 0.1),
+        )
+        found = progress(study, now)
+        assert found.name == "tuner: progress"
+        assert found.message == (
+            "tuning: 1 of 5; advice: stop, what is left to gain is below the noise; "
+            "no feasible point yet; paused"
+        )
+        assert found.values["overhead"] == "0.25"
+        assert found.values["time_left"] == "12.0"
+        assert found.values["paused"] == found.values["stop_advised"] == "True"
+        assert progress(study, Snapshot()).message == "starting"
+
+    def test_surrogate(self, make_study, make_trial):
+        study = make_study()
+        assert surrogate(study, Snapshot()).message == "no model yet"
+        phi = Hyperparameters(length_scales=[0.25], signal=2.0, noise=0.125)
+        trial = dataclasses.replace(
+            make_trial(0, {"gain": 0.5}, [1.0]),
+            hyperparameters={"objective": tuple(phi.to_log().tolist())},
+            origin="acquisition",
+        )
+        found = surrogate(study, Snapshot(last=trial))
+        assert found.message == "trial 0: acquisition"
+        assert float(found.values["objective.length_scale.gain"]) == pytest.approx(0.25)
+        assert float(found.values["objective.noise"]) == pytest.approx(0.125)
+        warned = dataclasses.replace(trial, warnings=("objective: noise at its bound",))
+        assert surrogate(study, Snapshot(last=warned)).level is Level.WARN

@@ -1,0 +1,163 @@
+"""What is recommended, on trials of which the truth is known."""
+
+import numpy as np
+import pytest
+
+from bo_tuner.optimizers.ranking import rank
+
+NODE = {"node": "axis"}
+DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+NOISE = 0.05
+
+
+@pytest.fixture
+def study(make_study):
+    return make_study(parameters={"x": DOUBLE})
+
+
+def noisy(value, seed, count=5):
+    return (value + NOISE * np.random.default_rng(seed).normal(size=count)).tolist()
+
+
+def along(make_trial, points, cost, worst=lambda x: 0.5, seed=100):
+    """Trials at `points` with the true cost, noise, and the true worst case."""
+    return [
+        make_trial(k, {"x": float(x)}, noisy(cost(x), seed + k), worst(x))
+        for k, x in enumerate(points)
+    ]
+
+
+def bowl(x):
+    return 1.0 + 4.0 * (x - 0.4) ** 2
+
+
+GRID = np.linspace(0.0, 1.0, 11)
+
+
+class TestObjective:
+    def test_the_best_of_a_smooth_function(self, study, make_trial):
+        first, *_ = rank(study, along(make_trial, GRID, bowl))
+        assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
+        assert first.objective == pytest.approx(1.0, abs=NOISE)
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_the_luckiest_sample_does_not_win(self, study, make_trial, seed):
+        """One trial, far from the optimum, was cut once only and looks best by luck."""
+        trials = along(make_trial, GRID, bowl, seed=100 * seed)
+        lucky = make_trial(11, {"x": 0.75}, [0.93])
+        assert all(np.mean(trial.observations("error")) > 0.93 for trial in trials)
+        first, *_ = rank(study, [*trials, lucky])
+        assert first.trial.number != 11
+        assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.21)
+
+    def test_on_the_log_scale(self, make_study, make_trial):
+        study = make_study(parameters={"x": DOUBLE}, objective={"metric": "error", "scale": "log"})
+        trials = [
+            make_trial(k, {"x": float(x)}, np.exp(noisy(20 * (x - 0.4) ** 2, k)).tolist())
+            for k, x in enumerate(GRID)
+        ]
+        first, *_ = rank(study, trials)
+        assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
+        assert first.objective == pytest.approx(1.0, rel=0.1)
+
+    def test_maximising(self, make_study, make_trial):
+        study = make_study(
+            parameters={"x": DOUBLE}, objective={"metric": "error", "direction": "maximize"}
+        )
+        first, *_ = rank(study, along(make_trial, GRID, lambda x: -bowl(x)))
+        assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
+        assert first.objective == pytest.approx(-1.0, abs=NOISE)
+
+    def test_a_narrow_optimum_loses(self, study, make_trial):
+        """A gorge at 0.2 is a little deeper than the calm valley at 0.7, but nobody can hit it."""
+        points = [0.0, 0.1, 0.14, 0.17, 0.2, 0.23, 0.26, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7, 0.8, 0.9]
+
+        def gorge(x):
+            walls = 1.0 + 1.5 * np.exp(-(((x - 0.2) / 0.1) ** 2)) + 2.0 * (x - 0.7) ** 2
+            return walls - 2.2 * np.exp(-(((x - 0.2) / 0.02) ** 2))
+
+        trials = along(make_trial, points, gorge)
+        deepest = min(trials, key=lambda trial: np.mean(trial.observations("error")))
+        assert deepest.parameters["x"] == 0.2
+        first, *_ = rank(study, trials)
+        assert first.trial.parameters["x"] > 0.5
+
+
+class TestFeasibility:
+    def worst(self, x):
+        """The limit 1 is met up to x = 0.25."""
+        return 0.5 + 2.0 * x
+
+    def test_an_infeasible_one_never_wins_over_a_feasible(self, study, make_trial):
+        ranked = rank(study, along(make_trial, GRID, bowl, self.worst))
+        feasible = [candidate.believed_feasible for candidate in ranked]
+        assert feasible == sorted(feasible, reverse=True)
+        assert any(feasible)
+        assert ranked[0].trial.parameters["x"] <= 0.25
+        # The best of what is feasible, not just any of it.
+        assert ranked[0].trial.parameters["x"] >= 0.1
+
+    def test_nothing_feasible_gives_the_least_violating(self, study, make_trial):
+        ranked = rank(study, along(make_trial, GRID, bowl, lambda x: 1.5 + (x - 0.8) ** 2))
+        assert not any(candidate.believed_feasible for candidate in ranked)
+        assert ranked[0].trial.parameters["x"] == pytest.approx(0.8, abs=0.1)
+        assert ranked[0].violation == pytest.approx(0.5, abs=0.05)
+        violations = [candidate.violation for candidate in ranked]
+        assert violations == sorted(violations)
+
+    def test_all_feasible_without_constraints(self, make_study, make_trial):
+        study = make_study(parameters={"x": DOUBLE}, constraints={})
+        assert all(c.believed_feasible for c in rank(study, along(make_trial, GRID, bowl)))
+
+    def test_noise_of_a_evaluation_counts_against_the_limit(self, study, make_trial):
+        """The expected worst case meets its limit by a hair, half of the evaluations would not."""
+        trials = [
+            make_trial(k, {"x": float(x)}, noisy(bowl(x), k), worst=0.99, noise=0.2)
+            for k, x in enumerate(GRID)
+        ]
+        assert not any(candidate.believed_feasible for candidate in rank(study, trials))
+
+    def test_a_chance_constraint(self, make_study, make_trial):
+        """The errors themselves stay below the limit by 0.96 where the cost is below 1.1."""
+        constraint = {"kind": "chance", "metric": "error", "upper": 1.2, "probability": 0.96}
+        study = make_study(parameters={"x": DOUBLE}, constraints={"error": constraint})
+        for candidate in rank(study, along(make_trial, GRID, bowl)):
+            # z = 1.75 standard deviations of 0.05 stay free below the limit.
+            margin = 1.2 - 1.75 * NOISE - bowl(candidate.trial.parameters["x"])
+            if abs(margin) > 0.05:
+                assert candidate.believed_feasible == (margin > 0)
+
+
+class TestFaults:
+    def test_nothing_to_recommend(self, study, make_trial):
+        assert rank(study, []) == []
+        assert rank(study, [make_trial(k, {"x": k / 10}) for k in range(5)]) == []
+
+    def test_failed_trials_are_not_ranked(self, study, make_trial):
+        trials = along(make_trial, GRID, bowl)
+        trials += [make_trial(11 + k, {"x": 0.4 + k / 50}) for k in range(3)]
+        assert all(candidate.trial.number < 11 for candidate in rank(study, trials))
+
+    def test_one_trial(self, study, make_trial):
+        (only,) = rank(study, along(make_trial, [0.3], bowl))
+        assert only.trial.number == 0
+        assert np.isfinite([only.objective, only.violation, only.penalty, only.score]).all()
+
+    def test_an_outlier_is_never_recommended(self, study, make_trial):
+        """Where the loop goes wild the model of the objective was not told of it."""
+        trials = along(make_trial, GRID, bowl)
+        wild = make_trial(11, {"x": 0.42}, [300.0] * 5)
+        ranked = rank(study, [*trials, wild])
+        assert all(candidate.trial.number != 11 for candidate in ranked)
+        assert ranked[0].trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
+
+    @pytest.mark.parametrize("value", [0.0, 1e-300, 1e6])
+    def test_constant_values(self, study, make_trial, value):
+        trials = [make_trial(k, {"x": float(x)}, [value] * 3, 0.5) for k, x in enumerate(GRID)]
+        ranked = rank(study, trials)
+        assert len(ranked) == len(GRID)
+        assert all(candidate.believed_feasible for candidate in ranked)
+
+    def test_the_same_trials_give_the_same_rank(self, study, make_trial):
+        trials = along(make_trial, GRID, bowl)
+        assert rank(study, trials) == rank(study, trials)

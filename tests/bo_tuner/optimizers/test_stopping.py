@@ -1,0 +1,238 @@
+"""The advice to stop: its numbers against a dense search, and when it comes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.stopping import StopAdvisor, outlook
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.loop import Tuning
+
+METHOD = METHODS["IV"]
+DEADLINE = 60.0
+BUDGET = {
+    "trials": 40,
+    "initial_trials": 8,
+    "drawn_contexts": 5,
+    "search_evaluations": 0,
+    "validation_draws": 5,
+}
+
+
+@pytest.fixture
+def run(make_study, function_backend):
+    """Function that tunes an objective of parameters in [0, 1]; yields the trials so far.
+
+    The load, uniform in [1, 2], adds noise of the given standard deviation.
+    """
+
+    def start(objective, noise, parameters=1, **budget):
+        numeric = {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+        study = make_study(
+            parameters={f"gain_{k}": numeric for k in range(parameters)}, budget=BUDGET | budget
+        )
+
+        def function(load, seed, **gains):
+            error = objective(np.array(list(gains.values())))
+            return {"error": error + noise * (load - 1.5) * 12**0.5, "peak": 0.2}
+
+        tuning = Tuning(study, function_backend(study, function), METHOD)
+        return study, (tuning.trials for _ in tuning)
+
+    return start
+
+
+def advice_of(study, steps):
+    advisor = StopAdvisor(study, METHOD)
+    for trials in steps:
+        if advisor.consider(trials) is not None:
+            return advisor.advice
+    return None
+
+
+def distance(gains):
+    return float(20 * np.sum((gains - np.linspace(0.3, 0.7, len(gains))) ** 2))
+
+
+class TestAdvice:
+    def test_where_all_are_equal_there_is_nothing_to_gain(self, run):
+        study, steps = run(lambda gains: 5.0, noise=0.3)
+        advice = advice_of(study, steps)
+        assert advice is not None
+        assert advice.trials + advice.remaining == 40
+        # The standard error of five evaluations; drawn by quantiles they vary a little less.
+        assert advice.noise == pytest.approx(0.3 / 5**0.5, rel=0.15)
+        assert advice.expected_gain < advice.noise
+
+    def test_a_known_optimum_was_found_to_the_noise(self, run):
+        study, steps = run(distance, noise=0.3)
+        advisor = StopAdvisor(study, METHOD)
+        for trials in steps:
+            if advisor.consider(trials):
+                break
+        advice = advisor.advice
+        assert advice is not None
+        best = min(distance(np.array([t.parameters["gain_0"]])) for t in trials)
+        assert best < advice.noise
+
+    def test_there_is_none_as_long_as_much_is_left_to_gain(self, run):
+        """Five parameters without noise: it takes more than 25 trials to come near the optimum."""
+        study, steps = run(distance, noise=1e-3, parameters=5, trials=26)
+        advisor = StopAdvisor(study, METHOD)
+        for trials in steps:
+            advisor.consider(trials)
+        left = min(distance(np.array(list(t.parameters.values()))) for t in trials)
+        assert left > 1e-2
+        assert advisor.advice is None
+
+    def test_none_for_random_search_and_none_after_the_last_trial(self, run):
+        study, steps = run(lambda gains: 5.0, noise=0.3, trials=10)
+        assert advice_of(study, steps) is None
+        study, steps = run(lambda gains: 5.0, noise=0.3, trials=25)
+        trials = list(list(steps)[-1])
+        random = StopAdvisor(study, METHODS["II"])
+        assert not any(random.consider(trials[:n]) for n in range(1, 25))
+
+    def test_none_while_nothing_is_feasible(self, make_study, make_trial):
+        study = make_study(budget=BUDGET)
+        rng = np.random.default_rng(1)
+        trials = [
+            make_trial(k, {"gain": g}, rng.normal(1.0, 0.1, 5).tolist(), worst=5.0)
+            for k, g in enumerate(rng.random(12))
+        ]
+        assert outlook(study, trials, METHOD.models) is None
+        assert outlook(study, [make_trial(0, {"gain": 0.5})], METHOD.models) is None
+
+
+def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_trial):
+    """The models are given; improvement, its maximum and the noise are reckoned here anew."""
+    study = make_study(budget=BUDGET)
+    rng = np.random.default_rng(3)
+    trials = [
+        make_trial(
+            k, {"gain": g}, (np.sin(9 * g) + rng.normal(0.0, 0.02, 5)).tolist(), worst=0.5 + 0.7 * g
+        )
+        for k, g in enumerate(np.linspace(0.02, 0.98, 7))
+    ]
+    found = outlook(study, trials, METHOD.models)
+    models = Surrogates.fit(study, trials, rng=np.random.default_rng(0), options=METHOD.models)
+    grid = np.linspace(0.0, 1.0, 20001)[:, None]
+
+    def probability(x):
+        (constraint,) = models.constraints
+        mean, variance = constraint.predict(x)
+        return norm.cdf((1.0 - mean) / np.sqrt(variance))
+
+    points = models.objective.data.x
+    mean, _ = models.objective.predict(points)
+    best = mean[probability(points) >= 0.5].min()
+    mean, variance = models.objective.predict_reinterpolated(grid)
+    sd = np.sqrt(np.maximum(variance, 1e-300))
+    z = (best - mean) / sd
+    improvement = np.where(variance > 0, (best - mean) * norm.cdf(z) + sd * norm.pdf(z), 0.0)
+    gain = (improvement * probability(grid)).max()
+    assert found.incumbent == pytest.approx(best, abs=1e-3)
+    # Both fits are local searches from starts of their own.
+    assert found.gain == pytest.approx(gain, rel=0.05)
+    assert found.noise == pytest.approx((models.objective.noise_variance / 5) ** 0.5, rel=0.05)
+
+
+FLAT = """\
+import os
+from pathlib import Path
+
+
+class Axis:
+    def set_parameters(self, values):
+        self.__dict__.update(values)
+
+    def run_cut(self):
+        counter = Path(os.environ["CUTS"])
+        number = int(counter.read_text() or 0) + 1 if counter.exists() else 1
+        counter.write_text(str(number))
+        if number == int(os.environ.get("KILL", "0")):
+            os.kill(os.getpid(), 9)
+        return {"status": "ok", "error": 5.0 + self.load, "peak": 0.2}
+"""
+
+
+class Runs:
+    """Runs of the command on an object for which all parameter sets are equal."""
+
+    def __init__(self, folder, study):
+        self.folder = folder
+        (folder / "flat_axis.py").write_text(FLAT)
+        (folder / "flat.yaml").write_text(study_to_yaml(study))
+
+    def run(self, name, *arguments, kill=0):
+        process = subprocess.run(
+            [sys.executable, "-m", "bo_tuner", "tune", *arguments],
+            cwd=self.folder,
+            env=os.environ
+            | {
+                "PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]),
+                "CUTS": str(self.folder / f"{name}.evaluations"),
+                "KILL": str(kill),
+            },
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE,
+            check=False,
+        )
+        assert "Traceback" not in process.stderr, process.stderr
+        return process
+
+    def begin(self, name, kill=0):
+        arguments = ("--study", "flat.yaml", "--backend", "inprocess", "--output", name)
+        return self.run(name, *arguments, "--stop-early", kill=kill)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, make_study):
+    nodes = {"axis": {"node": "axis", "result": "~/r", "object": "flat_axis:Axis"}}
+    return Runs(tmp_path_factory.mktemp("flat"), make_study(nodes=nodes, budget=BUDGET))
+
+
+@pytest.fixture(scope="module")
+def whole(runs):
+    """A run that nothing disturbed, and its folder."""
+    process = runs.begin("whole")
+    assert process.returncode == 0, process.stderr
+    return process, runs.folder / "whole" / "latest"
+
+
+class TestStopEarly:
+    def test_ends_the_tuning_but_not_the_run(self, whole):
+        process, folder = whole
+        summary = json.loads((folder / "summary.json").read_text())
+        advice = summary["stop_advice"]
+        content = read_journal(folder / "journal.sqlite")
+        assert summary["stopped_early"] is True
+        assert len(content.trials) == advice["trials"] < 40
+        assert content.sessions[0]["stop_early"] == "yes"
+        assert "advice: stop here; " in process.stderr
+        assert summary["checked_trials"]
+        assert summary["tuned"]["draws"] == 5
+
+    @pytest.mark.parametrize("moment", [0.6, 0.9])
+    def test_a_resumed_run_decides_the_same(self, runs, whole, moment):
+        """The option is on record. First before the end of the tuning, then after it."""
+        _, folder = whole
+        evaluations = len(read_journal(folder / "journal.sqlite").evaluations)
+        name = f"killed-{moment}"
+        process = runs.begin(name, kill=round(moment * evaluations))
+        assert process.returncode == -signal.SIGKILL
+        process = runs.run(name, "--resume", f"{name}/latest")
+        assert process.returncode == 0, process.stderr
+        again = runs.folder / name / "latest"
+        for file in ("summary.json", "trials.csv", "evaluations.csv", "best.yaml"):
+            assert (again / file).read_bytes() == (folder / file).read_bytes()

@@ -1,0 +1,466 @@
+"""Bags without ROS: what is in them, which are kept, and what is left of one that was cut off."""
+
+import json
+import signal
+import struct
+import subprocess
+import sys
+import textwrap
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from bo_tuner.recording import recorder as recorder_module
+from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
+from bo_tuner.recording.recorder import Recorder
+from bo_tuner.recording.recovery import partial_bags, recover
+from bo_tuner.recording.retention import Policy, RecordOptions, custom_data, verdict
+from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+JOINTS = make_topic("/joint_states", "sensor_msgs/msg/JointState")
+EVENTS = make_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
+NUMBERS = make_topic("/number", "std_msgs/msg/Float64")
+START = 1_700_000_000 * NANOSECONDS
+STUDY = load_study("benchmark")
+PARAMETERS = STUDY.search_space().defaults
+CONTEXT = {"stiffness_factor": 1.0, "damping_factor": 0.9}
+
+
+def time_message(time):
+    seconds, nanoseconds = divmod(time, NANOSECONDS)
+    return STORE.types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
+
+
+def joints(time, velocity=0.0):
+    header = STORE.types["std_msgs/msg/Header"](time_message(time), "")
+    message = STORE.types[JOINTS.type](
+        header, ["x"], np.array([]), np.array([velocity]), np.array([])
+    )
+    return JOINTS, bytes(STORE.serialize_cdr(message, JOINTS.type))
+
+
+def event(name="node"):
+    message = STORE.types[EVENTS.type](time_message(5), name, [], [], [])
+    return EVENTS, bytes(STORE.serialize_cdr(message, EVENTS.type))
+
+
+def number(value):
+    return NUMBERS, bytes(STORE.serialize_cdr(STORE.types[NUMBERS.type](value), NUMBERS.type))
+
+
+def evaluation_of(trial, index=0, **changes):
+    metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1e-4}
+    outcome = Outcome(EvaluationState.COMPLETE, metrics)
+    evaluation = Evaluation(trial, index, Stage.DRAWN, CONTEXT, 7 + index, outcome)
+    return replace(evaluation, **changes)
+
+
+def trial_of(number, worst=0.05, state=TrialState.COMPLETE, evaluations=1):
+    return Trial(
+        number,
+        PARAMETERS,
+        "initial",
+        state,
+        "" if state is TrialState.COMPLETE else "stalled",
+        tuple(evaluation_of(number, k) for k in range(evaluations)),
+        WorstCase(worst, CONTEXT, worst) if state is TrialState.COMPLETE else None,
+    )
+
+
+def record(recorder, trial, best=False, samples=50):
+    """Hand a trial to a recorder as a run does."""
+    for evaluation in trial.evaluations:
+        start = START + (100 * trial.number + evaluation.index) * 10 * NANOSECONDS
+        recorder.take(*event())
+        for k in range(samples):
+            recorder.take(*joints(start + k * 20_000_000, 0.1 * k))
+        recorder.evaluation(evaluation, trial.parameters)
+    recorder.trial(trial, best)
+
+
+def read_with_rosbags(bag):
+    with Reader(bag) as reader:
+        return [
+            (connection.topic, time, STORE.deserialize_cdr(data, connection.msgtype))
+            for connection, time, data in reader.messages()
+        ]
+
+
+def read_with_mcap(bag):
+    with (bag / f"{bag.name}.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [
+            (channel.topic, message.log_time, decoded)
+            for _, channel, message, decoded in reader.iter_decoded_messages()
+        ]
+
+
+@pytest.fixture
+def recorder(tmp_path, monkeypatch):
+    """Function that makes a recorder of `tmp_path`; all are closed in the end."""
+    monkeypatch.setattr(recorder_module, "QUIET", 0.0)
+    made = []
+
+    def make(policy=Policy.NOTABLE, **options):
+        memory = options.pop("memory", recorder_module.MEMORY)
+        made.append(Recorder(tmp_path, STUDY, RecordOptions(policy, **options), memory))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each._writer.shutdown()
+
+
+class TestTime:
+    def test_is_that_of_the_header(self):
+        assert stamp(joints(START + 17)) == START + 17
+
+    @pytest.mark.parametrize("message", [number(1.0), event(), joints(0), (JOINTS, b"\0\1\0\0")])
+    def test_none_without_a_header_that_is_set(self, message):
+        assert stamp(message) is None
+
+    def test_a_message_without_a_stamp_stays_behind_the_one_before_it(self):
+        messages = [number(0.0), joints(START), number(1.0), joints(START + 9), number(2.0)]
+        times = [time for time, _ in timed(messages)]
+        assert times == [START, START, START, START + 9, START + 9]
+        assert [message for _, message in timed(messages)] == messages
+        assert timed([event()], START)[0][0] == START
+
+    def test_messages_are_put_in_order(self):
+        messages = [joints(START + 2), joints(START + 1)]
+        assert [time for time, _ in timed(messages)] == [START + 1, START + 2]
+
+
+class TestBag:
+    @pytest.mark.parametrize("read", [read_with_rosbags, read_with_mcap])
+    def test_two_independent_readers_get_what_was_written(self, recorder, tmp_path, read):
+        trial = trial_of(7, evaluations=3)
+        it = recorder()
+        record(it, trial, best=True)
+        it.close()
+        found = read(tmp_path / "trial_0007")
+        assert [topic for topic, _, _ in found].count("/parameter_events") == 3
+        states = [(time, message) for topic, time, message in found if topic == "/joint_states"]
+        assert len(states) == 150
+        assert [m.velocity[0] for _, m in states] == [0.1 * k for k in range(50)] * 3
+        for time, message in states:
+            assert message.header.stamp.sec * NANOSECONDS + message.header.stamp.nanosec == time
+        times = [time for _, time, _ in found]
+        assert times == sorted(times)
+
+    def test_metadata(self, recorder, tmp_path):
+        it = recorder()
+        record(it, trial_of(7, evaluations=2), best=True)
+        it.close()
+        text = (tmp_path / "trial_0007" / "metadata.yaml").read_text()
+        assert "version: 9\n" in text
+        assert "storage_identifier: mcap\n" in text
+        data = custom_data(tmp_path / "trial_0007")
+        assert json.loads(data["parameters"]) == PARAMETERS
+        evaluations = json.loads(data["evaluations"])
+        assert [evaluation["seed"] for evaluation in evaluations] == [7, 8]
+        assert [evaluation["context"] for evaluation in evaluations] == [CONTEXT] * 2
+        assert [evaluation["start"] for evaluation in evaluations] == [
+            START + (700 + k) * 10**10 for k in range(2)
+        ]
+        assert evaluations[0]["end"] == evaluations[1]["start"] - 10**10 + 49 * 20_000_000
+        expected = {
+            "study": "benchmark",
+            "trial": "7",
+            "state": "complete",
+            "verdict": "within limits",
+            "kept_as": "best so far",
+            "complete": "true",
+            "dropped_messages": "0",
+            "lost_messages": "0",
+        }
+        assert {key: data[key] for key in expected} == expected
+
+    def test_what_was_missed_is_told(self, recorder, tmp_path):
+        it = recorder(Policy.ALL, memory=len(joints(START)[1]) * 20)
+        it.lose(3)
+        # Nothing is written before the first evaluation ends.
+        record(it, replace(trial_of(0)), samples=50)
+        summary = it.close()
+        data = custom_data(tmp_path / "trial_0000")
+        kept = len(read_with_rosbags(tmp_path / "trial_0000"))
+        assert int(data["dropped_messages"]) == summary["dropped_messages"] == 51 - kept > 0
+        assert data["lost_messages"] == "3"
+        assert summary["lost_messages"] == 3
+
+    def test_a_trial_that_goes_on_keeps_what_it_had(self, recorder, tmp_path):
+        for samples in (10, 20):
+            it = recorder(Policy.ALL)
+            record(it, trial_of(3), samples=samples)
+            bags = it.close()["bags"]
+        assert bags == ["trial_0003", "trial_0003_part2"]
+        assert [len(read_with_rosbags(tmp_path / name)) for name in bags] == [11, 21]
+
+    def test_checks_and_validation_have_bags_of_their_own(self, recorder, tmp_path):
+        it = recorder(Policy.NOTABLE)
+        record(it, trial_of(3), best=True)
+        stages = [(Stage.CHECK_DRAWN, 3), (Stage.CHECK_WORST, 3), (Stage.CHECK_DRAWN, 1)]
+        for index, (stage, number) in enumerate(stages):
+            it.take(*joints(START + 10**12 + index * 10**9))
+            it.evaluation(evaluation_of(number, index, stage=stage), PARAMETERS)
+        it.phase_ended()
+        for index, parameters in enumerate((PARAMETERS, PARAMETERS | {"lambda_mpc": 0.5})):
+            it.take(*joints(START + 10**13 + index * 10**9))
+            it.evaluation(evaluation_of(index, 0, stage=Stage.VALIDATION), parameters)
+        it.phase_ended()
+        names = ["trial_0003", "check_0003", "check_0001", "validation"]
+        assert it.close()["bags"] == names
+        assert [len(read_with_mcap(tmp_path / name)) for name in names[1:]] == [2, 1, 2]
+        data = [custom_data(tmp_path / name) for name in names]
+        assert all(each["complete"] == "true" for each in data)
+        assert [evaluation["stage"] for evaluation in json.loads(data[1]["evaluations"])] == [
+            s for s, _ in stages[:2]
+        ]
+        judged = [e["parameters"]["lambda_mpc"] for e in json.loads(data[3]["evaluations"])]
+        assert judged == [PARAMETERS["lambda_mpc"], 0.5]
+
+    def test_types_of_other_packages_are_not_known(self):
+        with pytest.raises(KeyError):
+            make_topic("/spindle", "spindle_msgs/msg/Load")
+
+
+class TestVerdict:
+    def test_follows_the_constraints(self):
+        assert verdict(STUDY, trial_of(0)) == "within limits"
+        assert verdict(STUDY, trial_of(0, worst=0.5)) == "violates overshoot"
+        assert verdict(STUDY, trial_of(0, state=TrialState.FAILED)) == "failed"
+        metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1.0}
+        slow = evaluation_of(0, outcome=Outcome(EvaluationState.COMPLETE, metrics))
+        assert verdict(STUDY, replace(trial_of(0), evaluations=(slow,))) == "violates real_time"
+
+
+class TestRetention:
+    def run(self, it):
+        """Run trials of which 0 and 3 are best when they end, 2 and then 4 the worst, 5 fails."""
+        for number, worst in enumerate([0.05, 0.04, 0.06, 0.03, 0.08]):
+            record(it, trial_of(number, worst), best=number in (0, 3))
+        record(it, trial_of(5, state=TrialState.FAILED))
+        return it.close()["bags"]
+
+    def test_notable(self, recorder, tmp_path):
+        names = ["trial_0000", "trial_0003", "trial_0004", "trial_0005"]
+        assert self.run(recorder()) == names
+        assert sorted(path.name for path in tmp_path.iterdir()) == names
+        kept_as = [custom_data(tmp_path / name)["kept_as"] for name in names]
+        assert kept_as == ["best so far", "best so far", "worst", "failed"]
+
+    def test_all(self, recorder, tmp_path):
+        assert len(self.run(recorder(Policy.ALL))) == 6
+        assert len(list(tmp_path.iterdir())) == 6
+
+    def test_a_later_session_knows_the_worst_of_an_earlier_one(self, recorder):
+        self.run(recorder())
+        it = recorder()
+        record(it, trial_of(6, 0.07))
+        record(it, trial_of(7, 0.09))
+        assert it.close()["bags"] == ["trial_0000", "trial_0003", "trial_0005", "trial_0007"]
+
+    def test_limit_of_size(self, recorder, tmp_path):
+        record(probe := recorder(Policy.ALL), trial_of(0), best=True)
+        probe.close()
+        size = sum(path.stat().st_size for path in (tmp_path / "trial_0000").iterdir())
+        it = recorder(Policy.ALL, limit=int(3.5 * size))
+        for number in range(6):
+            record(it, trial_of(number), best=number == 1)
+        summary = it.close()
+        assert summary["bags"] == ["trial_0001", "trial_0004", "trial_0005"]
+        (line,) = summary["warnings"]
+        assert "limit" in line
+        assert "trial_0000" in line
+
+    def test_none_records_nothing(self, tmp_path):
+        def listen(recorder):
+            raise AssertionError
+
+        with RunRecording(tmp_path, STUDY, RecordOptions(Policy.NONE), listen, print) as recording:
+            recording.evaluation(evaluation_of(0), PARAMETERS)
+            recording.trial(trial_of(0), True)
+        assert recording.summary == {"policy": "none"}
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestCutOff:
+    def write(self, folder, evaluations=3):
+        """Leave an unfinished bag behind: a partial bag of some evaluations."""
+        bag = TrialBag(folder / "trial_0002")
+        for k in range(evaluations):
+            start = START + k * NANOSECONDS
+            messages = [joints(start + i, float(i)) for i in range(40)]
+            bag.write(timed(messages), {"trial": "2", "state": "interrupted"})
+        return bag
+
+    def test_a_killed_writer_loses_no_whole_evaluation(self, tmp_path):
+        program = f"""
+            import os, signal, sys
+            sys.path.insert(0, {str(Path(__file__).parent)!r})
+            from pathlib import Path
+            from test_recorder import TestCutOff
+            bag = TestCutOff().write(Path({str(tmp_path)!r}))
+            bag._writer.write(*next(iter([(c, 1, b"abc") for c in bag._connections.values()])))
+            os.kill(os.getpid(), signal.SIGKILL)
+        """
+        ended = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], check=False)
+        assert ended.returncode == -signal.SIGKILL
+        (partial,) = partial_bags(tmp_path)
+        bag = recover(partial)
+        assert bag == tmp_path / "trial_0002"
+        assert len(read_with_rosbags(bag)) == len(read_with_mcap(bag)) == 120
+        data = custom_data(bag)
+        assert data["complete"] == "false"
+        assert data["state"] == "interrupted"
+        assert list(tmp_path.iterdir()) == [bag]
+
+    @pytest.mark.parametrize("cut_by", [1, 500, 3000, 6000])
+    def test_a_file_cut_anywhere_gives_its_whole_chunks(self, tmp_path, cut_by):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        data = file.read_bytes()
+        file.write_bytes(data[:-cut_by])
+        found = read_with_rosbags(recover(partial))
+        assert len(found) in (40, 80, 120)
+        assert [m.velocity[0] for _, _, m in found] == [float(k % 40) for k in range(len(found))]
+
+    def test_damage_ends_the_recovery(self, tmp_path):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        data = bytearray(file.read_bytes())
+        chunks, position = [], 8
+        while position < len(data):
+            kind, length = struct.unpack_from("<BQ", data, position)
+            chunks += [position] if kind == 0x06 else []
+            position += 9 + length
+        # The second one now claims to be longer than the file.
+        data[chunks[1] + 1 : chunks[1] + 9] = b"\xff" * 8
+        file.write_bytes(data)
+        assert len(read_with_rosbags(recover(partial))) == 40
+
+    @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"garbage" * 50, None])
+    def test_nothing_to_recover(self, tmp_path, content):
+        self.write(tmp_path).abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        if content is None:
+            file.unlink()
+        else:
+            file.write_bytes(content)
+        assert recover(partial) is None
+        assert list(tmp_path.iterdir()) == []
+
+    def test_the_next_session_recovers_and_says_so(self, recorder, tmp_path):
+        self.write(tmp_path).abandon()
+        it = recorder()
+        summary = it.close()
+        assert summary["incomplete"] == ["trial_0002"]
+        assert summary["bags"] == ["trial_0002"]
+        assert "trial_0002" in summary["warnings"][0]
+
+    def test_a_whole_bag_of_the_same_trial_is_not_replaced(self, recorder, tmp_path):
+        record(it := recorder(), trial_of(2), best=True)
+        it.close()
+        self.write(tmp_path).abandon()
+        recorder().close()
+        assert custom_data(tmp_path / "trial_0002")["complete"] == "true"
+
+    def test_an_interrupted_run_leaves_its_last_trial(self, recorder, tmp_path):
+        it = recorder()
+        it.take(*joints(START))
+        it.evaluation(evaluation_of(4), PARAMETERS)
+        assert it.close()["incomplete"] == ["trial_0004"]
+        data = custom_data(tmp_path / "trial_0004")
+        assert data["state"] == "interrupted"
+        assert len(read_with_rosbags(tmp_path / "trial_0004")) == 1
+
+
+class TestTrouble:
+    def test_a_full_disk_ends_the_recording_only(self, recorder, tmp_path, monkeypatch):
+        it = recorder(Policy.ALL)
+        record(it, trial_of(0))
+
+        def full(*arguments):
+            raise OSError(28, "No space left on device")
+
+        it._writer.submit(lambda: None).result()
+        monkeypatch.setattr(TrialBag, "write", full)
+        record(it, trial_of(1))
+        record(it, trial_of(2))
+        summary = it.close()
+        (line,) = summary["warnings"]
+        assert "No space left on device; the run goes on" in line
+        assert summary["bags"] == ["trial_0000"]
+        # What was begun makes room for the journal.
+        assert [path.name for path in tmp_path.iterdir()] == ["trial_0000"]
+
+    def test_a_folder_that_cannot_be_made(self, tmp_path):
+        (tmp_path / "bags").write_text("a file")
+        it = Recorder(tmp_path / "bags", STUDY, RecordOptions())
+        record(it, trial_of(0))
+        (line,) = it.close()["warnings"]
+        assert "File exists" in line
+
+    def test_a_slow_disk_delays_no_message(self, recorder, monkeypatch):
+        """With the writer stuck, messages and evaluations are still taken, up to the memory."""
+        stuck = threading.Event()
+        original = TrialBag.write
+
+        def write(bag, *arguments):
+            stuck.wait()
+            original(bag, *arguments)
+
+        monkeypatch.setattr(TrialBag, "write", write)
+        it = recorder(Policy.ALL, memory=20_000)
+        for number in range(20):
+            record(it, trial_of(number))
+        stuck.set()
+        summary = it.close()
+        assert summary["dropped_messages"] > 0
+        assert summary["bags"][0] == "trial_0000"
+
+    def test_news_is_told_once_and_logged(self, tmp_path):
+        (tmp_path / "log").mkdir()
+        (tmp_path / "bags").write_text("a file")
+        told = []
+
+        class Listener:
+            def refresh(self):
+                return False
+
+            def take(self):
+                pass
+
+            def close(self):
+                pass
+
+        def listen(recorder):
+            return Listener()
+
+        with RunRecording(tmp_path, STUDY, RecordOptions(), listen, told.append) as recording:
+            recording.evaluation(evaluation_of(0), PARAMETERS)
+            recording.trial(trial_of(0), True)
+        assert len(told) == 1
+        assert (tmp_path / "log" / "recording.log").read_text() == f"{told[0]}\n"
+        assert recording.summary["warnings"] == told

@@ -1,0 +1,249 @@
+"""The journal: what goes in comes out, survives a kill, and is refused with one line otherwise."""
+
+import csv
+import dataclasses
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import bo_tuner.storage.journal
+from bo_tuner.errors import JournalError
+from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
+from bo_tuner.storage.journal_reader import export_csv, read_journal
+from bo_tuner.trials import (
+    TUNING,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+texts = st.text(max_size=20).filter(str.isprintable)
+names = st.sampled_from(["gain", "state", "reason", "trial", "größe"])
+
+
+def evaluation(trial=0, index=0, stage=Stage.DRAWN, state=EvaluationState.COMPLETE, **values):
+    outcome = Outcome(state, {"error": 0.1 + 0.2} if state == "complete" else {}, "", {})
+    return dataclasses.replace(
+        Evaluation(trial, index, stage, {"load": 1.5}, 7, outcome),
+        **values,
+    )
+
+
+def trial(number=0, evaluations=(), **values):
+    plain = Trial(
+        number, {"gain": 0.1 + 0.2}, "initial", TrialState.COMPLETE, evaluations=tuple(evaluations)
+    )
+    return dataclasses.replace(plain, **values)
+
+
+def record(journal, *trials):
+    for item in trials:
+        for each in item.evaluations:
+            journal.record_evaluation(each, item.parameters)
+        journal.record_trial(item)
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+class TestRoundTrip:
+    @given(
+        parameters=st.dictionaries(names, finite | st.integers(-(2**63), 2**63 - 1)),
+        context=st.dictionaries(names, finite),
+        metrics=st.dictionaries(names, finite),
+        details=st.dictionaries(texts, texts),
+        reason=texts,
+        worst=st.none() | st.builds(WorstCase, finite, st.dictionaries(names, finite), finite),
+        warnings=st.lists(texts, max_size=2).map(tuple),
+    )
+    def test_bit_for_bit(
+        self, tmp_path_factory, parameters, context, metrics, details, reason, worst, warnings
+    ):
+        whole = evaluation(
+            context=context, outcome=Outcome(EvaluationState.COMPLETE, metrics, "", details)
+        )
+        broken = evaluation(index=1, outcome=Outcome(EvaluationState.FAILED, {}, reason, details))
+        recorded = trial(
+            evaluations=[whole, broken],
+            parameters=parameters,
+            state=TrialState.FAILED,
+            reason=reason,
+            worst_case=worst,
+            warnings=warnings,
+        )
+        path = tmp_path_factory.mktemp("journal") / "journal.sqlite"
+        with Journal(path, {}) as journal:
+            record(journal, recorded)
+        assert read_journal(path).trials == (recorded,)
+
+    def test_all_fields_of_a_worst_case(self, tmp_path):
+        values = [
+            {"load": 1.25} if field.name == "context" else 0.5 + k
+            for k, field in enumerate(dataclasses.fields(WorstCase))
+        ]
+        recorded = trial(worst_case=WorstCase(*values))
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, recorded)
+            assert read_journal(tmp_path / "j").trials == (recorded,)
+
+    def test_checks_and_validation_belong_to_no_trial(self, tmp_path):
+        recorded = trial(
+            evaluations=[evaluation(index=k, stage=stage) for k, stage in enumerate(TUNING)]
+        )
+        others = [stage for stage in Stage if stage not in TUNING]
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, recorded)
+            for stage in others:
+                journal.record_evaluation(evaluation(stage=stage), {"gain": 1.0})
+            assert read_journal(tmp_path / "j").trials == (recorded,)
+
+    def test_order_is_that_of_the_numbers(self, tmp_path):
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, trial(1, [evaluation(1)]), trial(0, [evaluation(0)]))
+            assert [item.number for item in read_journal(tmp_path / "j").trials] == [0, 1]
+
+    def test_each_session_leaves_its_provenance(self, tmp_path):
+        sessions = ({"seed": "1", "host": "a"}, {"seed": "2"})
+        for provenance in sessions:
+            with Journal(tmp_path / "j", provenance):
+                pass
+        assert read_journal(tmp_path / "j").sessions == sessions
+
+
+class TestDurability:
+    def test_a_kill_loses_nothing_that_was_recorded(self, tmp_path):
+        code = """if True:
+            import os, signal, sys
+            from pathlib import Path
+            from bo_tuner.storage.journal import Journal
+            from bo_tuner.trials import *
+            journal = Journal(Path(sys.argv[1]), {"seed": "1"})
+            outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.5})
+            for k in range(50):
+                drawn = Evaluation(0, k, Stage.DRAWN, {}, k, outcome)
+                journal.record_evaluation(drawn, {"gain": 1.0})
+            trial = Trial(0, {"gain": 1.0}, "", TrialState.COMPLETE, evaluations=(None,) * 50)
+            journal.record_trial(trial)
+            journal.record_evaluation(Evaluation(1, 0, Stage.DRAWN, {}, 0, outcome), {"gain": 2.0})
+            os.kill(os.getpid(), signal.SIGKILL)
+        """
+        path = tmp_path / "journal.sqlite"
+        process = subprocess.run([sys.executable, "-c", code, path], env=os.environ, check=False)
+        assert process.returncode == -signal.SIGKILL
+        (found,) = read_journal(path).trials
+        assert [each.seed for each in found.evaluations] == list(range(50))
+        export_csv(path, tmp_path)
+        # The evaluation of the trial that was not finished is kept, too.
+        assert [row["trial"] for row in rows(tmp_path / "evaluations.csv")] == ["0"] * 50 + ["1"]
+
+    def test_a_journal_is_begun_whole_or_not_at_all(self, tmp_path, monkeypatch):
+        path = tmp_path / "journal.sqlite"
+        monkeypatch.setattr(bo_tuner.storage.journal, "checksum", lambda row: None)
+        with pytest.raises(JournalError, match="NOT NULL"):
+            Journal(path, {})
+        database = sqlite3.connect(path)
+        try:
+            assert database.execute("PRAGMA user_version").fetchone() == (0,)
+            assert database.execute("SELECT * FROM sqlite_master").fetchall() == []
+        finally:
+            database.close()
+        with pytest.raises(JournalError, match="version 0"):
+            Journal(path, {})
+
+
+class TestRefusals:
+    def refusal(self, path):
+        with pytest.raises(JournalError) as caught:
+            Journal(path, {})
+        assert isinstance(caught.value, OSError)
+        text = str(caught.value)
+        assert text.startswith(f"{path}: ")
+        assert "\n" not in text
+        return text
+
+    def test_no_database(self, tmp_path):
+        path = tmp_path / "journal.sqlite"
+        path.write_text("Not a database, but long enough to look at. " * 50)
+        assert "not a database" in self.refusal(path)
+
+    def test_other_version(self, tmp_path):
+        path = tmp_path / "journal.sqlite"
+        database = sqlite3.connect(path)
+        database.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
+        database.close()
+        assert f"version {SCHEMA_VERSION + 1}" in self.refusal(path)
+
+    @pytest.mark.parametrize("path", ["missing/journal.sqlite", "."])
+    def test_no_file_can_be_there(self, tmp_path, path):
+        assert "unable to open" in self.refusal(tmp_path / path)
+
+    def test_a_trial_is_recorded_once(self, tmp_path):
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, trial())
+            with pytest.raises(JournalError, match="number"):
+                record(journal, trial())
+
+
+class TestTables:
+    def test_names_of_one_section_do_not_hide_those_of_another(self, tmp_path):
+        outcome = Outcome(
+            EvaluationState.COMPLETE, {"state": 1.0, "gain": 2.0}, "", {"axis.gain": "3"}
+        )
+        recorded = trial(
+            evaluations=[evaluation(context={"state": 4.0, "seed": 5.0}, outcome=outcome)],
+            parameters={"gain": 6.0, "reason": 7.0},
+            worst_case=WorstCase(8.0, {"state": 4.0}, 9.0),
+        )
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, recorded)
+        export_csv(tmp_path / "j", tmp_path)
+        (of_evaluation,) = rows(tmp_path / "evaluations.csv")
+        expected = {
+            "state": "complete",
+            "seed": "7",
+            "metrics.state": "1.0",
+            "metrics.gain": "2.0",
+            "details.axis.gain": "3",
+            "context.state": "4.0",
+            "context.seed": "5.0",
+            "parameters.gain": "6.0",
+            "parameters.reason": "7.0",
+        }
+        assert expected.items() <= of_evaluation.items()
+        (of_trial,) = rows(tmp_path / "trials.csv")
+        assert of_trial["worst_case.value"] == "8.0"
+        assert of_trial["parameters.gain"] == "6.0"
+
+    def test_doubles_read_back_bit_for_bit(self, tmp_path):
+        value = 0.1 + 0.2
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, trial(evaluations=[evaluation()]))
+        export_csv(tmp_path / "j", tmp_path)
+        assert float(rows(tmp_path / "evaluations.csv")[0]["metrics.error"]) == value
+
+    def test_an_empty_journal_gives_headers(self, tmp_path):
+        with Journal(tmp_path / "j", {}):
+            pass
+        export_csv(tmp_path / "j", tmp_path)
+        assert (tmp_path / "trials.csv").read_text().startswith("number,")
+        assert (tmp_path / "evaluations.csv").read_text().startswith("trial,")
+
+    def test_a_table_that_cannot_be_written(self, tmp_path):
+        (tmp_path / "trials.csv").mkdir()
+        with Journal(tmp_path / "j", {}):
+            pass
+        with pytest.raises(JournalError, match=r"trials\.csv"):
+            export_csv(tmp_path / "j", tmp_path)

@@ -1,0 +1,151 @@
+"""The run folder: never shared, complete, and readable by others."""
+
+import datetime
+import json
+import os
+import re
+
+import pytest
+import yaml
+
+from bo_tuner.errors import OutputError
+from bo_tuner.storage import run_folder as run_folder
+from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study.study_file import load_study
+
+NOW = datetime.datetime(2026, 3, 1, 12, 30, 5)
+
+
+@pytest.fixture
+def same_second(monkeypatch):
+    class Frozen(datetime.datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return NOW
+
+    monkeypatch.setattr(run_folder, "datetime", Frozen)
+
+
+class TestFolder:
+    def test_runs_of_one_second_have_folders_of_their_own(self, tmp_path, make_study, same_second):
+        output = tmp_path / "a" / "runs"
+        found = [RunFolder.create(output, make_study()).path for _ in range(3)]
+        assert [path.name for path in found] == [
+            "function-20260301-123005",
+            "function-20260301-123005-2",
+            "function-20260301-123005-3",
+        ]
+        assert all(path.is_dir() for path in found)
+
+    def test_holds_the_study_as_run(self, tmp_path):
+        study = load_study("benchmark").replace(trials=3, seed=99)
+        folder = RunFolder.create(tmp_path, study)
+        assert load_study(folder.path / "study.yaml") == study
+
+    def test_latest_follows_the_link(self, tmp_path, make_study):
+        for _ in range(2):
+            folder = RunFolder.create(tmp_path, make_study())
+            folder.link_latest()
+            link = tmp_path / "latest"
+            assert link.resolve() == folder.path.resolve()
+            # Relative, so that the whole may be moved.
+            assert str(link.readlink()) == folder.path.name
+        names = {path.name for path in tmp_path.iterdir()}
+        assert {name for name in names if not name.startswith("function-")} == {"latest"}
+
+    def test_latest_is_not_moved_by_a_run_that_does_not_start(self, tmp_path, make_study):
+        first = RunFolder.create(tmp_path, make_study())
+        first.link_latest()
+        RunFolder.create(tmp_path, make_study())
+        assert (tmp_path / "latest").resolve() == first.path.resolve()
+
+    def test_latest_in_the_way(self, tmp_path, make_study):
+        (tmp_path / "latest").mkdir()
+        with pytest.raises(OutputError, match="latest: cannot point to the run"):
+            RunFolder.create(tmp_path, make_study()).link_latest()
+        assert not list(tmp_path.glob(".latest*"))
+
+    @pytest.mark.parametrize("below", ["", "sub/folder"])
+    def test_output_is_a_file(self, tmp_path, make_study, below):
+        file = tmp_path / "file"
+        file.touch()
+        with pytest.raises(OutputError, match="cannot write runs there") as caught:
+            RunFolder.create(file / below, make_study())
+        assert isinstance(caught.value, OSError)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+    def test_output_is_read_only(self, tmp_path, make_study):
+        tmp_path.chmod(0o500)
+        with pytest.raises(OutputError, match="Permission denied"):
+            RunFolder.create(tmp_path / "runs", make_study())
+
+
+class TestParameterFile:
+    def write(self, tmp_path, study, parameters):
+        path = RunFolder.create(tmp_path, study).write_parameters(study, parameters)
+        return path.read_text(), yaml.safe_load(path.read_text())
+
+    @pytest.mark.parametrize("value", [3, -3.0, 1e-7, 1e22, 0.1 + 0.2])
+    def test_a_double_keeps_its_point_and_bits(self, tmp_path, make_study, value):
+        text, content = self.write(tmp_path, make_study(), {"gain": value})
+        assert re.search(r"gain: -?\d+\.\d", text)
+        read = content["/**/axis"]["ros__parameters"]["gain"]
+        assert isinstance(read, float)
+        assert read == value
+
+    def test_an_integer_has_none(self, tmp_path):
+        study = load_study("benchmark")
+        defaults = study.search_space().defaults
+        _, content = self.write(tmp_path, study, defaults | {"control_horizon": 7.0})
+        values = content["/**/mpc_controller"]["ros__parameters"]
+        assert values == defaults | {"control_horizon": 7}
+        assert isinstance(values["control_horizon"], int)
+
+    def test_constants_of_the_study_belong_to_it(self, tmp_path, make_study):
+        node = {"node": "group/axis", "result": "~/r", "parameters": {"mode": "fast", "q": [1.5]}}
+        _, content = self.write(
+            tmp_path, make_study(nodes={"axis": node, "other": node}), {"gain": 0.5}
+        )
+        assert content == {
+            "/**/group/axis": {"ros__parameters": {"mode": "fast", "q": [1.5], "gain": 0.5}}
+        }
+
+    def test_cannot_be_written(self, tmp_path, make_study):
+        folder = RunFolder.create(tmp_path, make_study())
+        (folder.path / "best.yaml").mkdir()
+        with pytest.raises(OutputError, match=r"best\.yaml: cannot be written: Is a directory"):
+            folder.write_parameters(make_study(), {"gain": 0.5})
+
+
+def strict_json(text):
+    def refuse(constant):
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+class TestSummary:
+    def test_what_is_no_number_is_null(self, tmp_path, make_study):
+        folder = RunFolder.create(tmp_path, make_study())
+        path = folder.write_summary(
+            {"a": float("nan"), "b": ({"c": float("inf")}, 1.5), "d": True, "e": "nan", "f": 3}
+        )
+        assert strict_json(path.read_text()) == {
+            "a": None,
+            "b": [{"c": None}, 1.5],
+            "d": True,
+            "e": "nan",
+            "f": 3,
+        }
+
+
+def test_provenance_tells_what_makes_a_run_repeatable():
+    record = provenance(load_study("benchmark").replace(seed=12), "inprocess", "III")
+    assert record["study"] == "benchmark"
+    assert record["seed"] == "12"
+    assert record["backend"] == "inprocess"
+    assert record["algorithm"] == "III"
+    assert record["numpy"].count(".") == 2
+    assert record["python"].startswith("3.")
+    assert all(isinstance(value, str) for value in record.values())

@@ -1,0 +1,276 @@
+"""The sequence of trials and evaluations, on functions in place of machines."""
+
+import itertools
+import math
+
+import pytest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.errors import RunError
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.study.study_file import load_study
+from bo_tuner.trials import EvaluationState, Stage, TrialState
+from bo_tuner.tuning.loop import Tuning
+
+IV = METHODS["IV"]
+
+
+def smooth(gain, load, seed, **_):
+    """A parabola; peak stays below its limit of 1."""
+    return {"error": (gain - 0.3) ** 2 + 0.1 * load + 0.01 * math.sin(seed), "peak": 0.5 * load}
+
+
+def run(study, backend, method=IV, **options):
+    return list(Tuning(study, backend, method, **options))
+
+
+@pytest.fixture(scope="module")
+def whole(make_study, function_backend):
+    """A run with its study and backend."""
+    study = make_study()
+    backend = function_backend(study, smooth)
+    return study, backend, run(study, backend)
+
+
+class TestEvaluations:
+    def test_drawn_contexts_then_search(self, whole):
+        study, _, trials = whole
+        assert [trial.number for trial in trials] == list(range(study.budget.trials))
+        for trial in trials:
+            stages = [evaluation.stage for evaluation in trial.evaluations]
+            assert stages == [Stage.DRAWN] * 2 + [Stage.SEARCH] * 2
+            assert [evaluation.index for evaluation in trial.evaluations] == list(range(4))
+            assert trial.state is TrialState.COMPLETE
+            assert trial.worst_case is not None
+
+    def test_the_node_is_told_what_is_recorded(self, whole):
+        _, backend, trials = whole
+        told = [
+            {**trial.parameters, **evaluation.context, "seed": evaluation.seed}
+            for trial in trials
+            for evaluation in trial.evaluations
+        ]
+        assert told == backend.calls
+
+    def test_seeds_and_contexts(self, whole):
+        evaluations = [evaluation for trial in whole[2] for evaluation in trial.evaluations]
+        seeds = [evaluation.seed for evaluation in evaluations]
+        assert len(set(seeds)) == len(seeds)
+        assert all(0 <= seed < 2**31 for seed in seeds)
+        assert all(1.0 <= evaluation.context["load"] <= 2.0 for evaluation in evaluations)
+        drawn = [
+            evaluation.context["load"]
+            for evaluation in evaluations
+            if evaluation.stage is Stage.DRAWN
+        ]
+        assert len(set(drawn)) == len(drawn)
+
+    def test_draws_of_a_trial_do_not_depend_on_the_others(self, whole, function_backend, failed):
+        """A trial that fails early takes no random numbers from those after it."""
+        study, _, trials = whole
+        count = itertools.count()
+
+        def first_fails(**values):
+            return failed("no") if next(count) == 0 else smooth(**values)
+
+        disturbed = run(study, function_backend(study, first_fails))
+        assert disturbed[0].state is TrialState.FAILED
+        for pair in zip(trials[1:], disturbed[1:], strict=True):
+            a, b = ([(c.context, c.seed) for c in trial.evaluations[:2]] for trial in pair)
+            assert a == b
+
+    def test_no_worst_case_no_search(self, make_study, function_backend):
+        study = make_study(constraints={})
+        trials = run(study, function_backend(study, smooth))
+        assert {evaluation.stage for trial in trials for evaluation in trial.evaluations} == {
+            Stage.DRAWN
+        }
+        assert {trial.worst_case for trial in trials} == {None}
+
+    def test_the_search_ends_at_a_violation(self, make_study, function_backend):
+        study = make_study()
+        # Every drawn evaluation is far above the limit already.
+        backend = function_backend(study, lambda **v: smooth(**v) | {"peak": 5.0 * v["load"]})
+        trial = next(iter(Tuning(study, backend, IV)))
+        assert trial.state is TrialState.COMPLETE
+        assert [evaluation.stage for evaluation in trial.evaluations] == [Stage.DRAWN] * 2
+        assert trial.worst_case.value > 1.0
+
+    def test_the_nominal_method_takes_one_evaluation(self, make_study, function_backend):
+        study = make_study()
+        for trial in run(study, function_backend(study, smooth), METHODS["I"]):
+            (evaluation,) = trial.evaluations
+            assert evaluation.stage is Stage.NOMINAL
+            assert evaluation.context == {"load": 1.5}
+            assert trial.worst_case.value == evaluation.outcome.metrics["peak"]
+
+    def test_no_contexts(self, make_study, function_backend):
+        study = make_study(contexts={})
+        trials = run(study, function_backend(study, lambda gain, seed: smooth(gain, 1.0, seed)))
+        for trial in trials:
+            assert all(evaluation.context == {} for evaluation in trial.evaluations)
+            assert trial.worst_case.value == 0.5
+
+    def test_observers_see_each_evaluation_at_once(self, make_study, function_backend):
+        study = make_study()
+        backend = function_backend(study, smooth)
+        seen = []
+
+        def observe(evaluation, parameters):
+            seen.append((evaluation, parameters))
+            assert len(backend.calls) == len(seen)
+
+        trial = next(iter(Tuning(study, backend, IV, observe=observe)))
+        assert seen == [(evaluation, trial.parameters) for evaluation in trial.evaluations]
+
+
+class TestFailures:
+    @pytest.mark.parametrize("at", [0, 1, 2, 3])
+    def test_a_failed_evaluation_ends_its_trial_only(
+        self, make_study, function_backend, failed, at
+    ):
+        study = make_study()
+        count = itertools.count()
+
+        def fails_once(**values):
+            return failed("axis: stalled") if next(count) == at else smooth(**values)
+
+        tuning = iter(Tuning(study, function_backend(study, fails_once), IV))
+        first, second = next(tuning), next(tuning)
+        assert first.state is TrialState.FAILED
+        assert first.reason == "axis: stalled"
+        assert len(first.evaluations) == at + 1
+        assert first.worst_case is None
+        assert second.state is TrialState.COMPLETE
+
+    def test_a_run_of_failures_is_complete(self, make_study, function_backend, failed):
+        study = make_study()
+        trials = run(study, function_backend(study, lambda **_: failed("no")))
+        assert len(trials) == study.budget.trials
+        assert {trial.state for trial in trials} == {TrialState.FAILED}
+
+    def test_a_metric_that_is_not_finite(self, make_study, function_backend):
+        study = make_study()
+        backend = function_backend(study, lambda **v: smooth(**v) | {"peak": math.nan})
+        for trial in run(study, backend):
+            assert trial.state is TrialState.FAILED
+            assert trial.reason == "axis: metric peak is nan"
+            assert trial.observations("error") == []
+
+    @pytest.mark.parametrize("value", [0.0, -1.0])
+    def test_no_logarithm_of_the_objective(self, make_study, function_backend, value):
+        study = make_study(objective={"metric": "error", "scale": "log"})
+        trial, *_ = run(study, function_backend(study, lambda **v: smooth(**v) | {"error": value}))
+        assert trial.state is TrialState.FAILED
+        assert trial.reason == f"metric error is {value}; its log scale needs a positive value"
+        assert trial.evaluations[0].outcome.metrics == {}
+
+    def test_three_lost_in_a_row_end_the_run(self, make_study, function_backend, failed):
+        study = make_study()
+        seen = []
+        lost = failed("axis was ended by SIGKILL", EvaluationState.LOST)
+        with pytest.raises(RunError, match=r"3 trials in a row .* axis was ended by SIGKILL"):
+            seen.extend(
+                iter_into(Tuning(study, function_backend(study, lambda **_: lost), IV), seen)
+            )
+        # The third is handed out for the record before the run ends.
+        assert [trial.number for trial in seen] == [0, 1, 2]
+        assert all(trial.state is TrialState.FAILED for trial in seen)
+
+    def test_others_in_between_do_not(self, make_study, function_backend, failed):
+        study = make_study().replace(trials=8, initial_trials=8)
+        fates = iter(["lost", "lost", "failed", "lost", "lost", *["whole"] * 4, "lost", "lost"])
+
+        def fate(**values):
+            now = next(fates)
+            return smooth(**values) if now == "whole" else failed(now, EvaluationState(now))
+
+        trials = run(study, function_backend(study, fate))
+        assert [trial.reason for trial in trials] == [
+            "lost", "lost", "failed", "lost", "lost", "", "lost", "lost",
+        ]  # fmt: skip
+
+
+def iter_into(tuning, seen):
+    for trial in tuning:
+        seen.append(trial)
+    return []
+
+
+class TestRepetition:
+    @pytest.mark.parametrize("algorithm", METHODS)
+    def test_one_seed_one_run(self, make_study, function_backend, algorithm):
+        study = make_study().replace(trials=4)
+        first, second = (
+            run(study, function_backend(study, smooth), METHODS[algorithm]) for _ in range(2)
+        )
+        assert first == second
+
+    def test_another_seed_another_run(self, make_study, function_backend):
+        first, second = (
+            next(iter(Tuning(study, function_backend(study, smooth), IV)))
+            for study in (make_study(seed=1), make_study(seed=2))
+        )
+        assert first.parameters != second.parameters
+        assert first.evaluations[0].context != second.evaluations[0].context
+        assert first.evaluations[0].seed != second.evaluations[0].seed
+
+    def test_a_resumed_run_goes_on_as_if_nothing_had_been(
+        self, make_study, function_backend, tmp_path
+    ):
+        study = make_study(
+            parameters={
+                "gain": {"node": "axis", "type": "double", "bounds": [0, 1], "default": 0.5},
+                "window": {"node": "axis", "type": "integer", "bounds": [1, 9], "default": 3},
+            }
+        ).replace(trials=10)
+
+        def function(window, **values):
+            figures = smooth(**values)
+            return figures | {"error": figures["error"] + 0.01 * (window - 5) ** 2}
+
+        with Journal(tmp_path / "journal.sqlite", {}) as journal:
+            tuning = Tuning(
+                study, function_backend(study, function), IV, observe=journal.record_evaluation
+            )
+            trials = []
+            for trial in tuning:
+                journal.record_trial(trial)
+                trials.append(trial)
+        recorded = read_journal(tmp_path / "journal.sqlite").trials
+        for known in (1, 3, 6, 9):
+            rest = run(study, function_backend(study, function), trials=recorded[:known])
+            assert rest == trials[known:]
+
+    def test_lost_trials_count_over_a_resumption(self, make_study, function_backend, failed):
+        study = make_study()
+        lost = function_backend(study, lambda **_: failed("gone", EvaluationState.LOST))
+        tuning = iter(Tuning(study, lost, IV))
+        two = [next(tuning), next(tuning)]
+        with pytest.raises(RunError):
+            run(study, lost, trials=two)
+
+    def test_a_finished_run_has_nothing_left(self, whole, function_backend):
+        study, _, trials = whole
+        assert run(study, function_backend(study, smooth), trials=trials) == []
+
+
+class TestMilling:
+    """The shipped study in this process: the record repeats to the last bit."""
+
+    @staticmethod
+    def trials(seed):
+        study = load_study("benchmark").replace(
+            seed=seed, trials=3, initial_trials=2, drawn_contexts=2, search_evaluations=1
+        )
+        backend = InProcessBackend(study)
+        backend.open()
+        return run(study, backend)
+
+    def test_one_seed_one_record(self):
+        first = self.trials(3)
+        assert first == self.trials(3)
+        assert {trial.state for trial in first} == {TrialState.COMPLETE}
+        assert first[0].parameters != self.trials(4)[0].parameters

@@ -1,0 +1,127 @@
+"""Checks before a recommendation, on a backend of which the truth is known."""
+
+import numpy as np
+import pytest
+
+from bo_tuner.trials import EvaluationState, Stage
+from bo_tuner.tuning.recommendation import DRAWN_CUTS, WORST_CUTS, recommend
+
+NODE = {"node": "axis"}
+DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+GRID = np.linspace(0.0, 1.0, 11)
+NOISE = 0.02
+
+
+@pytest.fixture
+def study(make_study):
+    """Error falls and peak, at load 2, rises with x; the limit 1 is met up to x = 0.5."""
+    return make_study(parameters={"x": DOUBLE})
+
+
+def axis(x, load=1.5, seed=0):
+    noise = NOISE * np.random.default_rng(seed).normal()
+    return {"error": 2.0 - x, "peak": x * load + noise}
+
+
+def flattering(make_trial):
+    """Trials in which, by luck, every worst case looked a fifth lower than it is."""
+    return [
+        make_trial(k, {"x": float(x)}, [2.0 - x] * 2, worst=0.8 * 2.0 * x, noise=NOISE)
+        for k, x in enumerate(GRID)
+    ]
+
+
+def worst_at_two(trials):
+    from dataclasses import replace
+
+    return [replace(t, worst_case=replace(t.worst_case, context={"load": 2.0})) for t in trials]
+
+
+def test_flattered_candidates_are_refuted(study, make_trial, function_backend):
+    trials = worst_at_two(flattering(make_trial))
+    backend = function_backend(study, axis)
+    evaluations = []
+    answer = recommend(
+        study,
+        backend,
+        trials,
+        observe=lambda evaluation, parameters: evaluations.append(evaluation),
+    )
+    x = answer.candidate.trial.parameters["x"]
+    assert answer.feasible
+    assert 2.0 * x <= 1.0
+    assert len(answer.checked) >= 2
+    assert len(evaluations) == len(backend.calls) == len(answer.checked) * (DRAWN_CUTS + WORST_CUTS)
+    assert {evaluation.stage for evaluation in evaluations} == {
+        Stage.CHECK_DRAWN,
+        Stage.CHECK_WORST,
+    }
+    assert len({evaluation.seed for evaluation in evaluations}) == len(evaluations)
+
+
+def test_what_is_seen_joins_the_record(study, make_trial, function_backend):
+    trials = worst_at_two(flattering(make_trial))
+    answer = recommend(study, function_backend(study, axis), trials)
+    trial = answer.candidate.trial
+    x = trial.parameters["x"]
+    assert len(trial.observations("error")) == 2 + DRAWN_CUTS
+    assert trial.worst_case.value == pytest.approx(2.0 * x, abs=4 * NOISE / WORST_CUTS**0.5)
+
+
+def test_without_checks_the_first_in_rank_is_taken(study, make_trial, function_backend):
+    backend = function_backend(study, axis)
+    answer = recommend(study, backend, flattering(make_trial), most_checked=0)
+    assert backend.calls == []
+    assert answer.feasible
+    assert answer.checked == ()
+    assert answer.candidate.trial.parameters["x"] == pytest.approx(0.6)
+
+
+def test_nothing_holds(study, make_trial, function_backend):
+    """The axis has changed since: every evaluation violates the limit."""
+    trials = worst_at_two(flattering(make_trial))
+    changed = function_backend(study, lambda x, **_: {"error": 2.0 - x, "peak": 1.5})
+    answer = recommend(study, changed, trials, most_checked=3)
+    assert not answer.feasible
+    assert len(answer.checked) == 3
+
+
+def test_without_time_for_more_checks_the_next_in_rank_is_taken_unconfirmed(
+    study, make_trial, function_backend
+):
+    """Not the one farthest within the limits, which tracks the worst."""
+    trials = worst_at_two(flattering(make_trial))
+    answer = recommend(study, function_backend(study, axis), trials, most_checked=1)
+    assert not answer.feasible
+    # x = 0.6 was refuted.
+    assert answer.candidate.trial.parameters["x"] == pytest.approx(0.5)
+    assert [trials[number].parameters["x"] for number in answer.checked] == pytest.approx([0.6])
+
+
+def test_if_all_are_refuted_the_objective_still_counts(study, make_trial, function_backend, failed):
+    """Crashes say nothing of the limits, so that all stay where the models put them."""
+    trials = flattering(make_trial)[:4]
+    backend = function_backend(study, lambda **_: failed("axis: stalled"))
+    answer = recommend(study, backend, trials)
+    assert not answer.feasible
+    assert len(answer.checked) == len(trials)
+    assert answer.candidate.trial.parameters["x"] == pytest.approx(0.3)
+
+
+def test_a_failed_evaluation_refutes(study, make_trial, function_backend, failed):
+    backend = function_backend(study, lambda **_: failed("axis: stalled"))
+    seen = []
+    answer = recommend(
+        study,
+        backend,
+        flattering(make_trial),
+        most_checked=2,
+        observe=lambda evaluation, parameters: seen.append(evaluation.outcome.state),
+    )
+    assert not answer.feasible
+    assert seen == [EvaluationState.FAILED] * 2
+
+
+def test_all_trials_failed(study, make_trial, function_backend):
+    trials = [make_trial(k, {"x": float(x)}) for k, x in enumerate(GRID)]
+    assert recommend(study, function_backend(study, axis), trials) is None

@@ -1,0 +1,172 @@
+"""Validation: the same fresh draws for all, and constraints counted as the study says."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from bo_tuner.errors import RunError
+from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.trials import EvaluationState, Stage
+from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.validation import validate
+
+
+def figures(error=lambda k: 1.0, peak=lambda k: 0.5):
+    count = itertools.count()
+
+    def function(**_):
+        k = next(count)
+        return {"error": error(k), "peak": peak(k)}
+
+    return function
+
+
+def judge(make_study, function_backend, function, draws=25, **sections):
+    study = make_study(**sections).replace(validation_draws=draws)
+    (result,) = validate(study, function_backend(study, function), [{"gain": 0.5}])
+    return result
+
+
+def chance(probability):
+    constraint = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": probability}
+    return {"constraints": {"peak": constraint}}
+
+
+class TestDraws:
+    def test_all_parametrizations_get_the_same(self, make_study, function_backend):
+        study = make_study()
+        backend = function_backend(study, figures())
+        observed = []
+        steps = []
+        default, tuned = validate(
+            study,
+            backend,
+            [{"gain": 0.25}, {"gain": 0.75}],
+            observe=lambda evaluation, parameters: observed.append((evaluation, parameters)),
+            advance=lambda: steps.append(len(observed)),
+        )
+        told = {gain: [c for c in backend.calls if c["gain"] == gain] for gain in (0.25, 0.75)}
+        drawn = [[(c["load"], c["seed"]) for c in calls] for calls in told.values()]
+        assert drawn[0] == drawn[1]
+        assert len(set(drawn[0])) == study.budget.validation_draws == default.draws == tuned.draws
+        assert {evaluation.stage for evaluation, _ in observed} == {Stage.VALIDATION}
+        assert [parameters["gain"] for _, parameters in observed] == [0.25, 0.75] * 5
+        assert steps == [2, 4, 6, 8, 10]
+
+    def test_they_are_fresh(self, make_study, function_backend):
+        """No context and no noise of the training comes again."""
+        study = make_study()
+        training = function_backend(study, figures())
+        list(Tuning(study, training, METHODS["IV"]))
+        backend = function_backend(study, figures())
+        validate(study, backend, [{"gain": 0.25}])
+        for key in ("load", "seed"):
+            assert not {c[key] for c in training.calls} & {c[key] for c in backend.calls}
+
+    def test_they_follow_the_distribution(self, make_study, function_backend):
+        study = make_study().replace(validation_draws=400)
+        backend = function_backend(study, figures())
+        validate(study, backend, [{"gain": 0.25}])
+        loads = [call["load"] for call in backend.calls]
+        # Uniform on [1, 2]: the mean is 1.5 with a standard error of 1 / sqrt(12 * 400).
+        assert abs(np.mean(loads) - 1.5) < 4 / math.sqrt(12 * 400)
+
+
+class TestObjective:
+    def test_mean_and_deviation(self, make_study, function_backend):
+        values = np.random.default_rng(1).normal(size=25)
+        found = judge(make_study, function_backend, figures(error=lambda k: values[k]))
+        assert found.objective == pytest.approx(values.mean())
+        assert found.deviation == pytest.approx(values.std(ddof=1))
+
+    def test_one_draw_has_no_deviation(self, make_study, function_backend):
+        found = judge(make_study, function_backend, figures(error=float), draws=1)
+        assert found.objective == 0.0
+        assert math.isnan(found.deviation)
+
+
+class TestChance:
+    @pytest.mark.parametrize(
+        ("probability", "draws", "above", "holds"),
+        [
+            (0.96, 25, 1, True),
+            (0.96, 25, 2, False),
+            (0.9, 10, 1, True),  # 1 - 0.9 is a little less than 0.1 in floating point
+            (0.9, 10, 2, False),
+            (0.9, 9, 1, False),
+            (0.7, 10, 3, True),
+            (0.99, 25, 1, False),
+            (0.99, 25, 0, True),
+        ],
+    )
+    def test_share(self, make_study, function_backend, probability, draws, above, holds):
+        peak = figures(peak=lambda k: 1.5 if k < above else 0.5)
+        found = judge(make_study, function_backend, peak, draws, **chance(probability))
+        (check,) = found.constraints
+        assert check.violations == above
+        assert check.holds is holds
+        assert found.feasible is holds
+        assert check.worst == (1.5 if above else 0.5)
+
+    def test_the_limit_itself_is_within(self, make_study, function_backend):
+        found = judge(make_study, function_backend, figures(peak=lambda k: 1.0), **chance(0.999))
+        assert found.feasible
+
+
+class TestWorstCase:
+    @pytest.mark.parametrize("above", [0, 1])
+    def test_one_draw_is_enough(self, make_study, function_backend, above):
+        peak = figures(peak=lambda k: 1.0 + 1e-12 if k < above else 1.0)
+        found = judge(make_study, function_backend, peak)
+        assert found.feasible is (above == 0)
+        assert found.constraints[0].violations == above
+
+    def test_no_constraints(self, make_study, function_backend):
+        found = judge(make_study, function_backend, figures(), constraints={})
+        assert found.feasible
+        assert found.constraints == ()
+
+
+class TestFailures:
+    @pytest.mark.parametrize("state", [EvaluationState.FAILED, EvaluationState.LOST])
+    def test_one_failed_evaluation_is_not_feasible(
+        self, make_study, function_backend, failed, state
+    ):
+        plain = figures(error=float)
+        count = itertools.count()
+
+        def function(**values):
+            figure = plain(**values)
+            return failed("no", state) if next(count) == 4 else figure
+
+        found = judge(make_study, function_backend, function, draws=5)
+        assert found.failures == 1
+        assert not found.feasible
+        # The rest still counts.
+        assert found.objective == np.mean([0, 1, 2, 3])
+        assert found.constraints[0].holds
+
+    def test_all_fail(self, make_study, function_backend, failed):
+        found = judge(make_study, function_backend, lambda **_: failed("no"), draws=5)
+        assert found.failures == found.draws == 5
+        assert not found.feasible
+        assert not found.constraints[0].holds
+        assert math.isnan(found.objective)
+        assert math.isnan(found.constraints[0].worst)
+
+    def test_three_lost_in_a_row_end_it(self, make_study, function_backend, failed):
+        """Nodes that never come back would keep it waiting for each of its evaluations."""
+        states = iter(["lost", "lost", "complete", "lost", "lost", "failed", *["lost"] * 9])
+        plain = figures()
+
+        def function(**values):
+            state = EvaluationState(next(states))
+            return plain(**values) if state is EvaluationState.COMPLETE else failed("gone", state)
+
+        study = make_study()
+        backend = function_backend(study, function)
+        with pytest.raises(RunError, match="3 runs in a row were lost with their nodes: gone"):
+            validate(study, backend, [{"gain": 0.5}, {"gain": 0.25}])
+        assert len(backend.calls) == 9

@@ -1,0 +1,125 @@
+"""Studies of plain functions, and a backend that evaluates them."""
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+from bo_tuner.metrics.collect import outcome
+from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
+
+NODE = {"node": "axis"}
+
+
+def make_study(**sections):
+    """A study of one node `axis`: parameter gain, context load, metrics error and peak."""
+    mapping = {
+        "name": "function",
+        "nodes": {"axis": NODE | {"result": "~/cut_result", "object": "axis_objects:Axis"}},
+        "parameters": {"gain": NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}},
+        "contexts": {"load": NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}},
+        "seed_parameter": NODE | {"parameter": "seed"},
+        "trigger": NODE | {"service": "~/run"},
+        "metrics": {"error": NODE, "peak": NODE},
+        "objective": {"metric": "error"},
+        "constraints": {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}},
+        "budget": {
+            "trials": 5,
+            "initial_trials": 3,
+            "drawn_contexts": 2,
+            "search_evaluations": 2,
+            "validation_draws": 5,
+        },
+    } | sections
+    return study_from_mapping({key: value for key, value in mapping.items() if value is not None})
+
+
+class FunctionBackend:
+    """Evaluates a function of all that the node is told; counts calls.
+
+    The function returns the node's figures, or a CutOutcome.
+    """
+
+    name = "function"
+
+    def __init__(self, study, function):
+        self._study = study
+        self._function = function
+        self.calls = []
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def run_cut(self, assignments):
+        (values,) = assignments.values()
+        self.calls.append(dict(values))
+        said = self._function(**values)
+        if isinstance(said, Outcome):
+            return said
+        return outcome(self._study, {"axis": {"status": "ok", "reason": ""} | said})
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread():
+    """As the command does: threads only slow down small matrices."""
+    with threadpool_limits(1):
+        yield
+
+
+def failed(reason, state=EvaluationState.FAILED):
+    return Outcome(state, {}, reason)
+
+
+def make_trial(number, parameters, errors=(), worst=0.5, noise=0.0):
+    """A trial with one drawn evaluation for each of `errors`; failed without any."""
+    evaluations = [
+        Evaluation(
+            number, k, Stage.DRAWN, {"load": 1.5}, k,
+            Outcome(EvaluationState.COMPLETE, {"error": error, "peak": worst}),
+        )
+        for k, error in enumerate(errors)
+    ]  # fmt: skip
+    if not evaluations:
+        evaluations = [
+            Evaluation(number, 0, Stage.DRAWN, {"load": 1.5}, 0, failed("axis: stalled"))
+        ]
+        return Trial(number, parameters, "", TrialState.FAILED, "axis: stalled", tuple(evaluations))
+    worst_case = WorstCase(worst, {"load": 1.5}, worst, noise)
+    return Trial(
+        number,
+        parameters,
+        "",
+        TrialState.COMPLETE,
+        evaluations=tuple(evaluations),
+        worst_case=worst_case,
+    )
+
+
+@pytest.fixture(scope="session", name="make_trial")
+def _make_trial():
+    return make_trial
+
+
+@pytest.fixture(scope="session", name="make_study")
+def _make_study():
+    return make_study
+
+
+@pytest.fixture(scope="session", name="function_backend")
+def _function_backend():
+    return FunctionBackend
+
+
+@pytest.fixture(scope="session", name="failed")
+def _failed():
+    return failed
