@@ -34,13 +34,13 @@ from bo_tuner.backends.ros import RosBackend
 from bo_tuner.study_file import load_study
 from bo_tuner.trials import Cut, CutState, Stage
 from bo_tuner.tuning import run_cut
+from feed_axis_common.model import delay_augmented, feed_axis
+from feed_axis_common.ros.messages import LOOP_QOS, from_stamp, joint_velocity, set_joint_velocity
+from feed_axis_common.ros.process import make_executor
 from mpc_controller.controller import MpcController
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.mpc import SOLVER_SETTINGS, Mpc
 from mpc_controller.qp import condense
-from mpc_controller.ros.messages import LOOP_QOS, from_stamp, joint_velocity, set_joint_velocity
-from mpc_controller.ros.process import make_executor
 
 SAMPLES = 270
 CONTEXT = {"stiffness_factor": 1.0, "damping_factor": 1.0}

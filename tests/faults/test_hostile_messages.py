@@ -14,10 +14,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from feed_axis_common.parameters import specifications
+from feed_axis_common.ros.messages import cut_identifier
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
-from mpc_controller.parameters import specifications
-from mpc_controller.ros.messages import cut_identifier
 from mpc_controller.settings import ControllerSettings
 
 pytestmark = pytest.mark.ros

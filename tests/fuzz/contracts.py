@@ -24,10 +24,10 @@ from bo_tuner.run.record import read_run
 from bo_tuner.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
 from bo_tuner.trials import CutState
 from bo_tuner.tuning import Tuning
+from feed_axis_common.parameters import specifications
 from milling_plant.cut import MillingPlant
 from milling_plant.settings import PlantSettings
 from mpc_controller.controller import MpcController
-from mpc_controller.parameters import specifications
 from mpc_controller.settings import ControllerSettings
 
 MAPPING = study_to_mapping(load_study("full"))

@@ -4,6 +4,7 @@ import daqp
 import numpy as np
 import pytest
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from milling_plant.closed_loop_batch import (
     AXIS_CONSTANTS,
     NEWTON_STEPS,
@@ -13,7 +14,6 @@ from milling_plant.closed_loop_batch import (
 )
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.qp import condense
 
 # The controller solves by OSQP to 1e-6 of its scaled program; the differences add up in the loop.

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller import controller as controller_module
 from mpc_controller import mpc as mpc_module
 from mpc_controller.controller import HOLD_LAST_INPUT, MpcController
-from mpc_controller.errors import ControllerError, SettingsError
+from mpc_controller.errors import ControllerError
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.mpc import Solution
 
 REFERENCE = np.repeat([0.5, 0.8, 0.6], 15)

@@ -481,7 +481,7 @@ class Drive:
         from std_msgs.msg import Header
         from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-        from mpc_controller.ros.messages import to_stamp
+        from feed_axis_common.ros.messages import to_stamp
 
         rows = [[float(v)] for v in velocities] if rows is None else rows
         self._reference.publish(
@@ -502,7 +502,7 @@ class Drive:
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Header
 
-        from mpc_controller.ros.messages import to_stamp
+        from feed_axis_common.ros.messages import to_stamp
 
         self._state.publish(
             JointState(
@@ -514,7 +514,7 @@ class Drive:
 
     def command_for(self, time_ns):
         """Wait for the first command with a stamp and return its velocity."""
-        from mpc_controller.ros.messages import from_stamp
+        from feed_axis_common.ros.messages import from_stamp
 
         def answers():
             return [m for m in self.commands if from_stamp(m.header.stamp) == time_ns]

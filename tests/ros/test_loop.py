@@ -8,9 +8,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
+from feed_axis_common.ros.messages import cut_identifier, from_stamp
 from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
-from mpc_controller.ros.messages import cut_identifier, from_stamp
 
 pytestmark = pytest.mark.ros
 

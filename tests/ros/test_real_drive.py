@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from feed_axis_common.ros.messages import cut_identifier
 from mpc_controller.controller import MpcController
-from mpc_controller.ros.messages import cut_identifier
 
 pytestmark = pytest.mark.ros
 

@@ -12,10 +12,10 @@ from typing import Protocol
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from feed_axis_common.model import Array
+from feed_axis_common.parameters import build
 from milling_plant.feed_axis import FeedAxis
 from milling_plant.settings import PlantSettings, default_settings
-from mpc_controller.model import Array
-from mpc_controller.parameters import build
 
 
 def reference_velocity(settings: PlantSettings) -> Array:

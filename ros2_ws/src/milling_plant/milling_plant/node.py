@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 from time import monotonic_ns
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
-from mpc_controller.ros.messages import (
+from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
     cut_identifier,
@@ -27,10 +27,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from feed_axis_common.ros.parameters import NodeParameters
+from feed_axis_common.ros.process import run
 from milling_plant.cut import Cut
 from milling_plant.settings import PlantSettings, default_settings
-from mpc_controller.ros.parameters import NodeParameters
-from mpc_controller.ros.process import run
 
 
 class PlantNode(Node):

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import build, config_directory, load_defaults, parameter
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
 
 
 @dataclass(frozen=True)

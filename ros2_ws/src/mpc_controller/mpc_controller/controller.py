@@ -11,11 +11,11 @@ from time import perf_counter
 
 import numpy as np
 
+from feed_axis_common.model import Array, delay_augmented, feed_axis
+from feed_axis_common.parameters import build
 from mpc_controller.errors import ControllerError
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import Array, delay_augmented, feed_axis
 from mpc_controller.mpc import Mpc, Solution
-from mpc_controller.parameters import build
 from mpc_controller.qp import condense
 from mpc_controller.return_time import (
     filter_operations,

@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
-from mpc_controller.ros.messages import (
+from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
     cut_result,
@@ -25,10 +25,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from feed_axis_common.errors import FeedAxisError
+from feed_axis_common.ros.parameters import NodeParameters
+from feed_axis_common.ros.process import run
 from mpc_controller.controller import MpcController
-from mpc_controller.errors import ControllerError
-from mpc_controller.ros.parameters import NodeParameters
-from mpc_controller.ros.process import run
 from mpc_controller.settings import ControllerSettings, default_settings
 
 LONGEST_GAP = 200
@@ -87,7 +87,7 @@ class ControllerNode(Node):
             self._controller.start(
                 read_velocity_trajectory(message, settings.joint_name, settings.sample_time)
             )
-        except ControllerError as error:
+        except FeedAxisError as error:
             self.get_logger().error(str(error))
             self._publish_result({"status": "failed", "reason": str(error)})
             return

@@ -15,8 +15,8 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import Specification, build, specifications
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import Specification, build, specifications
 
 T = TypeVar("T")
 
@@ -69,7 +69,7 @@ class NodeParameters(Generic[T]):
     node
         The node.
     table
-        Dataclass made with `mpc_controller.parameters.parameter`.
+        Dataclass made with `feed_axis_common.parameters.parameter`.
     defaults
         A value for each parameter.
     on_change

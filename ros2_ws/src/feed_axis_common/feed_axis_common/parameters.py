@@ -16,7 +16,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import yaml
 
-from mpc_controller.errors import SettingsError
+from feed_axis_common.errors import SettingsError
 
 T = TypeVar("T")
 

@@ -13,7 +13,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from mpc_controller.errors import SettingsError
+from feed_axis_common.errors import SettingsError
 
 try:
     # Experimental in Jazzy but 1.5 to 7 times faster; only its spin_once is dependable.

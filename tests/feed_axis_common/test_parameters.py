@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mpc_controller.errors import ControllerError, SettingsError
-from mpc_controller.parameters import build, load_defaults, parameter, specifications
+from feed_axis_common.errors import FeedAxisError, SettingsError
+from feed_axis_common.parameters import build, load_defaults, parameter, specifications
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def test_unknown_and_missing_parameters_are_named():
 
 def test_errors_are_builtin_errors_too():
     assert issubclass(SettingsError, ValueError)
-    assert issubclass(SettingsError, ControllerError)
+    assert issubclass(SettingsError, FeedAxisError)
 
 
 @given(st.floats())

@@ -16,8 +16,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mpc_controller.errors import ControllerError
-from mpc_controller.model import Array
+from feed_axis_common.errors import MessageError
+from feed_axis_common.model import Array
 
 LOOP_QOS = QoSProfile(
     depth=10,
@@ -99,24 +99,24 @@ def read_velocity_trajectory(
 
     Raises
     ------
-    ControllerError
+    MessageError
         If the joint is not in the message, a point lacks its velocity or has one that is not
         finite, or the points are not one sample time apart.
     """
     if joint not in message.joint_names:
-        raise ControllerError(
+        raise MessageError(
             f"reference: joint {joint} is not among {', '.join(message.joint_names) or 'none'}"
         )
     index = message.joint_names.index(joint)
     velocities = []
     for k, point in enumerate(message.points):
         if len(point.velocities) != len(message.joint_names):
-            raise ControllerError(f"reference: point {k} has no velocity for joint {joint}")
+            raise MessageError(f"reference: point {k} has no velocity for joint {joint}")
         velocity = float(point.velocities[index])
         if not isfinite(velocity):
-            raise ControllerError(f"reference: velocity of point {k} is {velocity}")
+            raise MessageError(f"reference: velocity of point {k} is {velocity}")
         if abs(from_stamp(point.time_from_start) - k * sample_time * NANOSECONDS) > 1000:
-            raise ControllerError(
+            raise MessageError(
                 f"reference: point {k} is not {k} sample times of {sample_time} s from the start"
             )
         velocities.append(velocity)
