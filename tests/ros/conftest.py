@@ -75,8 +75,7 @@ class NodeProcess:
     def __init__(self, package, arguments, log):
         self.log = log
         self.expected_code = 0
-        code = f"from {package}.node import main; main()"
-        command = [sys.executable, "-c", code]
+        command = [sys.executable, "-m", package]
         if arguments:
             command += ["--ros-args", *arguments]
         with log.open("w") as output:

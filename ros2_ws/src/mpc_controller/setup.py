@@ -39,6 +39,6 @@ setup(
         "filterpy>=1.4.5,<3",
     ],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["mpc_controller = mpc_controller.node:main"]},
+    entry_points={"console_scripts": ["mpc_controller = mpc_controller.__main__:main"]},
     zip_safe=False,
 )

@@ -1,6 +1,5 @@
 """The plant's ROS 2 node: cuts in lock-step with a controller, faster than real time."""
 
-import sys
 from dataclasses import asdict, replace
 from time import monotonic_ns
 
@@ -28,7 +27,6 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from feed_axis_common.ros.parameters import NodeParameters
-from feed_axis_common.ros.process import run
 from milling_plant.cut import Cut
 from milling_plant.settings import PlantSettings, default_settings
 
@@ -184,8 +182,3 @@ class PlantNode(Node):
 
 def _watchdog_period(settings: PlantSettings) -> float:
     return min(settings.resend_period, settings.command_timeout)
-
-
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(PlantNode))

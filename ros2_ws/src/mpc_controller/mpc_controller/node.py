@@ -3,7 +3,6 @@
 It knows topics only, so that a drive with the same topics can stand in for the simulated axis.
 """
 
-import sys
 from dataclasses import asdict
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
@@ -27,7 +26,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from feed_axis_common.errors import FeedAxisError
 from feed_axis_common.ros.parameters import NodeParameters
-from feed_axis_common.ros.process import run
 from mpc_controller.controller import MpcController
 from mpc_controller.settings import ControllerSettings, default_settings
 
@@ -154,8 +152,3 @@ class ControllerNode(Node):
                 result,
             )
         )
-
-
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(ControllerNode))

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from feed_axis_common.errors import SettingsError
+from feed_axis_common.signals import STOP_SIGNALS
 
 try:
     # Experimental in Jazzy but 1.5 to 7 times faster; only its spin_once is dependable.
@@ -46,7 +47,7 @@ def run(make_node: Callable[[], Node]) -> int:
         nonlocal stop
         stop = True
 
-    for signum in (signal.SIGINT, signal.SIGTERM):
+    for signum in STOP_SIGNALS:
         signal.signal(signum, request_stop)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -68,7 +69,7 @@ def run(make_node: Callable[[], Node]) -> int:
                 # What one message breaks, our doing or rclpy's, must not end the node for all.
                 node.get_logger().error(f"a message was dropped: {error!r}")
     finally:
-        for signum in (signal.SIGINT, signal.SIGTERM):
+        for signum in STOP_SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
         # The middleware has been seen to hang in its own end, rarely; the process shall not.
         deadline = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
