@@ -7,13 +7,12 @@ from time import monotonic_ns
 from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
+    VelocityPublisher,
     cut_identifier,
     cut_result,
     from_stamp,
     is_time,
-    joint_velocity,
     read_joint_velocity,
-    set_joint_velocity,
     to_stamp,
     velocity_trajectory,
 )
@@ -50,10 +49,9 @@ class PlantNode(Node):
         self._next_start = 1  # a reference stamped zero would start with any measurement
         self._ignored = 0
         self._resent = 0
-        self._message: JointState | None = None
         self._trajectory: JointTrajectory | None = None
         self._trajectory_of: PlantSettings | None = None
-        self._measurement = self.create_publisher(JointState, "joint_states", LOOP_QOS)
+        self._measurement = VelocityPublisher(self, "joint_states")
         self._reference = self.create_publisher(
             JointTrajectory, "mpc_controller/joint_trajectory", LOOP_QOS
         )
@@ -102,7 +100,6 @@ class PlantNode(Node):
         self._start = start
         self._ignored = 0
         self._resent = 0
-        self._message = None
         self._publish_reference(self._cut)
         self._publish_measurement(self._cut)
         self._progress = monotonic_ns()
@@ -124,12 +121,9 @@ class PlantNode(Node):
         return self._start + round(sample * self._settings.sample_time * NANOSECONDS)
 
     def _publish_measurement(self, cut: Cut) -> None:
-        time = self._time(cut.sample)
-        if self._message is None:
-            self._message = joint_velocity(self._settings.joint_name, time, cut.measurement)
-        else:
-            set_joint_velocity(self._message, time, cut.measurement)
-        self._measurement.publish(self._message)
+        self._measurement.publish(
+            self._settings.joint_name, self._time(cut.sample), cut.measurement
+        )
 
     def _on_command(self, message: JointState) -> None:
         cut = self._cut

@@ -9,13 +9,12 @@ from dataclasses import asdict
 from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
+    VelocityPublisher,
     cut_result,
     from_stamp,
     is_time,
-    joint_velocity,
     read_joint_velocity,
     read_velocity_trajectory,
-    set_joint_velocity,
 )
 
 # isort: split
@@ -45,26 +44,18 @@ class ControllerNode(Node):
     def __init__(self) -> None:
         super().__init__("mpc_controller", automatically_declare_parameters_from_overrides=True)
         self._controller = MpcController()
-        self._parameter_table = NodeParameters(
-            self, ControllerSettings, asdict(default_settings()), self._on_settings
-        )
-        self._on_settings(self._parameter_table.settings)
+        self._parameter_table = NodeParameters(self, ControllerSettings, asdict(default_settings()))
         self._start: int | None = None
         self._running = False
         self._early: JointState | None = None
-        self._last_command: JointState | None = None
-        self._last_estimate: JointState | None = None
         self._ignored = 0
-        self._command = self.create_publisher(JointState, "~/command", LOOP_QOS)
-        self._estimate = self.create_publisher(JointState, "~/estimated_state", LOOP_QOS)
+        self._command = VelocityPublisher(self, "~/command")
+        self._estimate = VelocityPublisher(self, "~/estimated_state")
         self._result = self.create_publisher(DiagnosticArray, "~/cut_result", LOOP_QOS)
         self.create_subscription(
             JointTrajectory, "~/joint_trajectory", self._on_trajectory, LOOP_QOS
         )
         self.create_subscription(JointState, "joint_states", self._on_measurement, LOOP_QOS)
-
-    def _on_settings(self, settings: ControllerSettings) -> None:
-        self._controller.settings = settings
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         start = from_stamp(message.header.stamp)
@@ -75,12 +66,11 @@ class ControllerNode(Node):
             return
         settings = self._parameter_table.settings
         self._settings = settings
+        self._controller.settings = settings
         self._start = start or None
         self._latest = start
         self._running = False
         self._ignored = 0
-        self._last_command = None
-        self._last_estimate = None
         try:
             self._controller.start(
                 read_velocity_trajectory(message, settings.joint_name, settings.sample_time)
@@ -118,8 +108,8 @@ class ControllerNode(Node):
             self._early = message
             return
         if k < controller.samples_done:
-            if k == controller.samples_done - 1 and self._last_command is not None:
-                self._command.publish(self._last_command)
+            if k == controller.samples_done - 1:
+                self._command.repeat()
             else:
                 self._early = message
             return
@@ -128,17 +118,9 @@ class ControllerNode(Node):
         step = controller.step(velocity)
         time = from_stamp(message.header.stamp)
         self._latest = time
-        if self._last_command is None:
-            self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
-        else:
-            set_joint_velocity(self._last_command, time, step.command)
-        self._command.publish(self._last_command)
-        if self._estimate.get_subscription_count() > 0:
-            if self._last_estimate is None:
-                self._last_estimate = joint_velocity(self._settings.joint_name, time, step.estimate)
-            else:
-                set_joint_velocity(self._last_estimate, time, step.estimate)
-            self._estimate.publish(self._last_estimate)
+        self._command.publish(settings.joint_name, time, step.command)
+        if self._estimate.subscription_count > 0:
+            self._estimate.publish(settings.joint_name, time, step.estimate)
         if controller.samples_done == controller.reference_length:
             self._publish_result(controller.cut_result() | {"ignored_messages": self._ignored})
 

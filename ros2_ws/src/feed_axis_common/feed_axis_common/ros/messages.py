@@ -5,12 +5,13 @@ is stamped k sample times later, and a command carries the stamp of the measurem
 answers. A cut's identifier is its start, written as seconds and nanoseconds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import isfinite
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -50,19 +51,32 @@ def cut_identifier(start: int) -> str:
     return f"{start // NANOSECONDS}.{start % NANOSECONDS:09d}"
 
 
-def joint_velocity(joint: str, time: int, velocity: float) -> JointState:
-    """Message with the velocity [m/s] of one joint at `time` [ns]."""
-    return JointState(header=Header(stamp=to_stamp(time)), name=[joint], velocity=[float(velocity)])
+class VelocityPublisher:
+    """Publishes the velocity of a joint.
 
-
-def set_joint_velocity(message: JointState, time: int, velocity: float) -> None:
-    """Change time [ns] and velocity [m/s] of a message that `joint_velocity` made.
-
-    In the loop this saves a message for each sample, whose making costs as much as sending it.
+    It has one message and changes it, as making one for each sample costs as much as sending it.
     """
-    stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(time, NANOSECONDS)
-    message.velocity[0] = float(velocity)
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._publisher = node.create_publisher(JointState, topic, LOOP_QOS)
+        self._message = JointState(name=[""], velocity=[0.0])
+
+    @property
+    def subscription_count(self) -> int:
+        """Number of subscriptions that are connected."""
+        return int(self._publisher.get_subscription_count())
+
+    def publish(self, joint: str, time: int, velocity: float) -> None:
+        """Send the velocity [m/s] of `joint` at `time` [ns]."""
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(time, NANOSECONDS)
+        self._message.name[0] = joint
+        self._message.velocity[0] = float(velocity)
+        self.repeat()
+
+    def repeat(self) -> None:
+        """Send the last velocity again."""
+        self._publisher.publish(self._message)
 
 
 def read_joint_velocity(message: JointState, joint: str) -> float | None:
@@ -154,8 +168,3 @@ def cut_result(
         ],
     )
     return DiagnosticArray(header=Header(stamp=to_stamp(stamp)), status=[status])
-
-
-def texts(values: Sequence[KeyValue]) -> dict[str, str]:
-    """Read key-value pairs as a mapping."""
-    return {item.key: item.value for item in values}

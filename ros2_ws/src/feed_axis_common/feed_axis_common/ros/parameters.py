@@ -72,8 +72,6 @@ class NodeParameters(Generic[T]):
         Dataclass made with `feed_axis_common.parameters.parameter`.
     defaults
         A value for each parameter.
-    on_change
-        Called with the new settings after a change was accepted.
 
     Raises
     ------
@@ -86,12 +84,10 @@ class NodeParameters(Generic[T]):
         node: Node,
         table: type[T],
         defaults: Mapping[str, object],
-        on_change: Callable[[T], None] = lambda settings: None,
     ) -> None:
         self._node = node
         self._table = table
         self._specs = {spec.name: spec for spec in specifications(table)}
-        self._on_change = on_change
         given = {
             name: _plain(node.get_parameter(name))
             for name in node.list_parameters([], 0).names
@@ -130,7 +126,6 @@ class NodeParameters(Generic[T]):
 
     def _apply(self, changes: list[Parameter]) -> None:
         self.settings = self._candidate(changes)
-        self._on_change(self.settings)
 
     def _candidate(self, changes: list[Parameter]) -> T:
         current: dict[str, object] = asdict(self.settings)  # type: ignore[call-overload]
