@@ -116,7 +116,9 @@ class TestParameters:
         answer = client.call(service, f"{node}/{name}", request)
         results = [answer.result] if service is SetParametersAtomically else answer.results
         assert [result.successful for result in results] == [False] * len(results)
-        assert {result.reason for result in results} == {f"dead_time: there is no type {kind}"}
+        assert {result.reason for result in results} == {
+            f"dead_time: unknown parameter type {kind}"
+        }
         assert client.get_parameters(node, ["gain"]) == [1.0]
 
     @over_the_wire
@@ -239,6 +241,6 @@ class TestClock:
             answer = peer.trigger("milling_plant/run_cut")
             if answer.success:
                 loop.result("milling_plant", answer.message)
-            return answer.message == "the cut would end after 2038, which no stamp can tell"
+            return answer.message == "the cut would end after 2038, the end of ROS time stamps"
 
         peer.spin_until(refused, "the refusal")

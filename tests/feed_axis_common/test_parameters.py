@@ -63,7 +63,7 @@ def test_a_whole_number_is_taken_for_a_float():
         ("levels", [0.5, 1.5], "1.5 is above the upper limit 1 m"),
         ("mode", "left", "'left' is not one of up, down"),
         ("mode", 1, "1 is not one of up, down"),
-        ("label", 1, "1 is not a text"),
+        ("label", 1, "1 is not a string"),
     ],
 )
 def test_a_bad_value_is_refused_by_name_value_and_rule(name, value, rule):

@@ -131,7 +131,7 @@ def test_a_solver_without_an_answer_holds_the_last_input_and_is_named(monkeypatc
     assert result["status"] == "failed"
     assert result["fallbacks"] == REFERENCE.size
     assert HOLD_LAST_INPUT == "hold_last_input"
-    assert result["reason"] == f"sample 0: solver says {steps[0].status}; hold_last_input"
+    assert result["reason"] == f"sample 0: solver status {steps[0].status}; hold_last_input"
 
 
 def test_a_single_failure_of_the_solver_holds_one_sample(monkeypatch):
@@ -150,7 +150,7 @@ def test_a_single_failure_of_the_solver_holds_one_sample(monkeypatch):
     assert {step.status for step in steps[5:]} == {"solved"}
     result = controller.cut_result()
     assert result["fallbacks"] == 1
-    assert result["reason"] == "sample 4: solver says broken; hold_last_input"
+    assert result["reason"] == "sample 4: solver status broken; hold_last_input"
 
 
 def test_the_filter_goes_on_with_the_commands_that_were_given(controller_settings, monkeypatch):

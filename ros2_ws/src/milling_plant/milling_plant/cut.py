@@ -1,7 +1,7 @@
-"""One cut: the axis along its reference, sample by sample, and what it scores.
+"""One cut: the axis along its reference, sample by sample, and its metrics.
 
-`Cut` waits for a command in each sample and knows not where it comes from, so that the node drives
-it over topics and `MillingPlant` within a process, with equal results bit for bit.
+`Cut` waits for a command in each sample and does not know where it comes from, so that the node
+drives it over topics and `MillingPlant` within a process, with identical results.
 """
 
 from collections.abc import Mapping

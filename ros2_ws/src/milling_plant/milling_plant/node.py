@@ -59,7 +59,7 @@ class PlantNode(Node):
         self.create_subscription(JointState, "mpc_controller/command", self._on_command, LOOP_QOS)
         self.create_service(Trigger, "~/run_cut", self._on_run_cut)
         self.create_service(Trigger, "~/abort", self._on_abort)
-        # Waiting is done by the wall: the simulated time stands still meanwhile.
+        # Wall time, as simulated time stands still while the plant waits.
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._watchdog = self.create_timer(
             _watchdog_period(self._settings), self._on_watchdog, clock=self._wall
@@ -73,11 +73,12 @@ class PlantNode(Node):
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
         if self._cut is not None:
-            response.message = f"cut {cut_identifier(self._start)} is running; wait or abort it"
+            cut = cut_identifier(self._start)
+            response.message = f"cut {cut} is still running; wait until it ends, or abort it"
         elif self._reference.get_subscription_count() == 0:
-            response.message = f"no controller listens on {self._reference.topic_name}"
+            response.message = f"no controller subscribes to {self._reference.topic_name}"
         elif not is_time(start + round(samples * settings.sample_time * NANOSECONDS)):
-            response.message = "the cut would end after 2038, which no stamp can tell"
+            response.message = "the cut would end after 2038, the end of ROS time stamps"
         else:
             self._begin(settings, start)
             response.success = True
@@ -105,7 +106,7 @@ class PlantNode(Node):
         self._progress = monotonic_ns()
 
     def _publish_reference(self, cut: Cut) -> None:
-        # A message of some hundred points is worth keeping while only context and noise change.
+        # Made again only if more than context and noise has changed: it has hundreds of points.
         s = self._settings
         shape = replace(s, stiffness_factor=1.0, damping_factor=1.0, seed=0)
         if self._trajectory is None or shape != self._trajectory_of:
@@ -117,7 +118,7 @@ class PlantNode(Node):
         self._reference.publish(self._trajectory)
 
     def _time(self, sample: int) -> int:
-        """Give the simulated time of a sample [ns]."""
+        """Return the simulated time of a sample [ns]."""
         return self._start + round(sample * self._settings.sample_time * NANOSECONDS)
 
     def _publish_measurement(self, cut: Cut) -> None:
@@ -159,8 +160,8 @@ class PlantNode(Node):
 
     def _end(self, cut: Cut) -> None:
         self._cut = None
-        # Cuts are faster than real time, but their stamps must not overlap: the controller still
-        # waits for the rest of one that failed, and a recording holds one after the other.
+        # Cuts are faster than real time, but their stamps must not overlap: after a failed one
+        # the controller still waits for the rest, and a recording holds all cuts in one sequence.
         self._next_start = self._time(cut.reference.size)
         counts = {"ignored_messages": self._ignored, "resent_measurements": self._resent}
         self._result.publish(

@@ -29,7 +29,7 @@ from mpc_controller.controller import MpcController
 from mpc_controller.settings import ControllerSettings, default_settings
 
 LONGEST_GAP = 200
-"""Measurements in a row that count as lost; one from further ahead is none of this cut."""
+"""Most measurements in a row that can be lost; one from further ahead is not of this cut."""
 
 
 class ControllerNode(Node):
@@ -37,7 +37,7 @@ class ControllerNode(Node):
 
     A reference on ``~/joint_trajectory`` starts a cut: at its stamp, or with the next measurement
     if the stamp is zero. Each measurement of the cut on ``joint_states`` is answered once on
-    ``~/command``; when it comes again, so does the answer. ``~/cut_result`` sums up the cut.
+    ``~/command``; when it is repeated, so is the answer. ``~/cut_result`` sums up the cut.
     Parameters may change at any time and take effect with the next cut.
     """
 

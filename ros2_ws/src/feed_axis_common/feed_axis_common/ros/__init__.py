@@ -1,8 +1,8 @@
-"""What the nodes of this workspace share of ROS: process, parameters and messages.
+"""What the nodes of the feed axis share of ROS: process, parameters and messages.
 
-Python messages come with their field checks off, and a wrong type is then corrupted on the wire
-without a word. The switch is read when the first message is imported, so it is set here, ahead of
-all of them; an environment that sets it keeps its own value.
+Python messages do not check their fields by default, so that a value of a wrong type is silently
+corrupted on the wire. The switch is read when the first message is imported, so it is set here,
+ahead of all of them; a value that the environment already has is kept.
 """
 
 import os

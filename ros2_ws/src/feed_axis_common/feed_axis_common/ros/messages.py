@@ -1,4 +1,4 @@
-"""The messages of the closed loop, made and read in one place.
+"""The messages of the closed loop: their quality of service, how they are made and read.
 
 The stamp is the sequence number: a cut starts at the stamp of its reference trajectory, sample k
 is stamped k sample times later, and a command carries the stamp of the measurement that it
@@ -25,7 +25,10 @@ LOOP_QOS = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.VOLATILE,
 )
-"""Of all topics here: depth bounds loss even when reliable, and no command is ever latched."""
+"""Of all topics of the loop.
+
+Reliable topics too lose what exceeds their depth. Volatile, so that nobody gets an old command.
+"""
 
 NANOSECONDS = 1_000_000_000
 LATEST_SECOND = 2**31 - 1
@@ -80,7 +83,7 @@ class VelocityPublisher:
 
 
 def read_joint_velocity(message: JointState, joint: str) -> float | None:
-    """Velocity [m/s] of a joint, or None if the message does not speak of it, or of no time."""
+    """Velocity [m/s] of a joint, or None if the message lacks it or has no valid stamp."""
     if joint not in message.name or len(message.velocity) != len(message.name):
         return None
     if not is_time(from_stamp(message.header.stamp)):
@@ -119,7 +122,7 @@ def read_velocity_trajectory(
     """
     if joint not in message.joint_names:
         raise MessageError(
-            f"reference: joint {joint} is not among {', '.join(message.joint_names) or 'none'}"
+            f"reference: no joint {joint}, found {', '.join(message.joint_names) or 'none'}"
         )
     index = message.joint_names.index(joint)
     velocities = []
@@ -131,7 +134,8 @@ def read_velocity_trajectory(
             raise MessageError(f"reference: velocity of point {k} is {velocity}")
         if abs(from_stamp(point.time_from_start) - k * sample_time * NANOSECONDS) > 1000:
             raise MessageError(
-                f"reference: point {k} is not {k} sample times of {sample_time} s from the start"
+                f"reference: point {k} is {from_stamp(point.time_from_start) / NANOSECONDS} s from "
+                f"the start; expected {k * sample_time:g} s, one sample time per point"
             )
         velocities.append(velocity)
     return velocities
@@ -153,8 +157,8 @@ def cut_result(
     stamp
         Time of the message [ns].
     result
-        What the cut gave; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
-        message. Numbers are written so that they read back bit for bit.
+        The result; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
+        message. Numbers are written so that they can be read back exactly.
     """
     ok = result["status"] == "ok"
     status = DiagnosticStatus(
