@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --constraint requirements/constraints.txt
-PACKAGES := mpc_controller milling_plant bo_tuner tuning_benchmark
+PACKAGES := feed_axis_common mpc_controller milling_plant bo_tuner tuning_benchmark
 # With the folders, so that a deleted file counts as a change too.
 SOURCES := $(shell find $(PACKAGES:%=ros2_ws/src/%) \
 	\( -name __pycache__ -o -name '*.egg-info' -o -name build \) -prune -o -print)
@@ -32,7 +32,7 @@ EXPERIMENTS ?= paper peers choices
 .NOTPARALLEL:
 
 help:
-	@echo 'make setup      install ROS 2 and the three packages into $(VENV) (PYTHON=python3.12 picks one)'
+	@echo 'make setup      install ROS 2 and the packages into $(VENV) (PYTHON=python3.12 picks one)'
 	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
 	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
 	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'

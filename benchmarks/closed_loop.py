@@ -34,13 +34,13 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 from bo_tuner.tuning.loop import run_cut
+from feed_axis_common.model import delay_augmented, feed_axis
+from feed_axis_common.ros.messages import LOOP_QOS, VelocityPublisher, from_stamp
+from feed_axis_common.ros.process import make_executor
 from mpc_controller.controller import MpcController
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.mpc import SOLVER_SETTINGS, Mpc
 from mpc_controller.qp import condense
-from mpc_controller.ros.messages import LOOP_QOS, from_stamp, joint_velocity, set_joint_velocity
-from mpc_controller.ros.process import make_executor
 
 SAMPLES = 270
 CONTEXT = {"stiffness_factor": 1.0, "damping_factor": 1.0}
@@ -142,14 +142,14 @@ class Echo:
         self._context = rclpy.Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("ping", context=self._context)
-        self._ping = self._node.create_publisher(JointState, "ping", LOOP_QOS)
+        self._ping = VelocityPublisher(self._node, "ping")
         self._node.create_subscription(JointState, "pong", self._on_answer, LOOP_QOS)
         self._executor = make_executor_in(self._context)
         self._executor.add_node(self._node)
         self._answered = -1
         self._process = subprocess.Popen([sys.executable, __file__, "--echo"])
         deadline = time.monotonic() + REPLY_TIMEOUT
-        while not (self._ping.get_subscription_count() and self._node.count_publishers("pong")):
+        while not (self._ping.subscription_count and self._node.count_publishers("pong")):
             if time.monotonic() > deadline:
                 raise SystemExit("error: the echo process does not come up")
             self._executor.spin_once(timeout_sec=0.1)
@@ -159,10 +159,8 @@ class Echo:
 
     def round_trips(self) -> None:
         """As many round trips as a cut has samples, one after the other."""
-        message = joint_velocity("x_axis", 0, 0.5)
         for number in range(SAMPLES):
-            set_joint_velocity(message, number, 0.5)
-            self._ping.publish(message)
+            self._ping.publish("x_axis", number, 0.5)
             deadline = time.monotonic() + REPLY_TIMEOUT
             while self._answered != number:
                 self._executor.spin_once(timeout_sec=0.1)

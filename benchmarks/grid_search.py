@@ -34,7 +34,7 @@ from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Value
-from mpc_controller.errors import ControllerError
+from feed_axis_common.errors import FeedAxisError
 from tuning_benchmark.truth import SEED, Effort, Truth
 
 OPTIMA = BENCHMARKS.parent / "ros2_ws/src/tuning_benchmark/config/experiments/grid_search.json"
@@ -320,14 +320,14 @@ def _score(point: Point) -> Score:
         if not worst <= truth.limit:
             return Score(np.inf, worst)
         return Score(float(np.mean(truth.judge.drawn(values)[0])), worst)
-    except ControllerError:
+    except FeedAxisError:
         return Score(np.inf, np.inf)
 
 
 def _rough(point: Point) -> tuple[float, float]:
     try:
         rough: tuple[float, float] = _worker["truth"].judge.rough(_values(point))
-    except ControllerError:
+    except FeedAxisError:
         return np.inf, np.inf
     return rough
 
@@ -336,7 +336,7 @@ def _judge_short(point: Point) -> tuple[float, float]:
     judge, values = _worker["truth"].judge, _values(point)
     try:
         return float(np.mean(judge.drawn(values)[0])), judge.corner_overshoot(values)
-    except ControllerError:
+    except FeedAxisError:
         return np.inf, np.inf
 
 

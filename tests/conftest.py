@@ -28,7 +28,7 @@ settings.load_profile("repeatable")
 @pytest.fixture(scope="session")
 def controller_settings() -> Callable:
     """Make controller settings: the defaults with some values changed."""
-    from mpc_controller.parameters import build
+    from feed_axis_common.parameters import build
     from mpc_controller.settings import ControllerSettings, default_settings
 
     return lambda **changes: build(ControllerSettings, asdict(default_settings()) | changes)
@@ -37,7 +37,7 @@ def controller_settings() -> Callable:
 @pytest.fixture(scope="session")
 def plant_settings() -> Callable:
     """Make plant settings: the defaults with some values changed."""
+    from feed_axis_common.parameters import build
     from milling_plant.settings import PlantSettings, default_settings
-    from mpc_controller.parameters import build
 
     return lambda **changes: build(PlantSettings, asdict(default_settings()) | changes)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from feed_axis_common.parameters import specifications
 from milling_plant import settings as plant
 from mpc_controller import settings as controller
-from mpc_controller.parameters import specifications
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 

@@ -14,10 +14,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from feed_axis_common.parameters import specifications
+from feed_axis_common.ros.messages import cut_identifier
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
-from mpc_controller.parameters import specifications
-from mpc_controller.ros.messages import cut_identifier
 from mpc_controller.settings import ControllerSettings
 
 pytestmark = pytest.mark.ros
@@ -116,7 +116,9 @@ class TestParameters:
         answer = client.call(service, f"{node}/{name}", request)
         results = [answer.result] if service is SetParametersAtomically else answer.results
         assert [result.successful for result in results] == [False] * len(results)
-        assert {result.reason for result in results} == {f"dead_time: there is no type {kind}"}
+        assert {result.reason for result in results} == {
+            f"dead_time: unknown parameter type {kind}"
+        }
         assert client.get_parameters(node, ["gain"]) == [1.0]
 
     @over_the_wire
@@ -239,6 +241,6 @@ class TestClock:
             answer = peer.trigger("milling_plant/run_cut")
             if answer.success:
                 loop.result("milling_plant", answer.message)
-            return answer.message == "the cut would end after 2038, which no stamp can tell"
+            return answer.message == "the cut would end after 2038, the end of ROS time stamps"
 
         peer.spin_until(refused, "the refusal")

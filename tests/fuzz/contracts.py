@@ -10,7 +10,6 @@ import shutil
 from pathlib import Path
 
 from hypothesis import strategies as st
-from milling_plant.evaluation import MillingPlant
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.results import RunResults
@@ -25,9 +24,10 @@ from bo_tuner.study import strict_yaml
 from bo_tuner.study.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.loop import Tuning
+from feed_axis_common.parameters import specifications
+from milling_plant.cut import MillingPlant
 from milling_plant.settings import PlantSettings
 from mpc_controller.controller import MpcController
-from mpc_controller.parameters import specifications
 from mpc_controller.settings import ControllerSettings
 
 MAPPING = study_to_mapping(load_study("full"))

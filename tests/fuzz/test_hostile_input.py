@@ -8,12 +8,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 
 import bo_tuner
+import feed_axis_common
 import milling_plant
 import mpc_controller
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study_file import parse_study
 
-PACKAGES = (bo_tuner, milling_plant, mpc_controller)
+PACKAGES = (bo_tuner, feed_axis_common, milling_plant, mpc_controller)
 
 FEW = settings(
     max_examples=60,

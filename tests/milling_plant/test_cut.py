@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from feed_axis_common.errors import SettingsError
 from milling_plant.cut import Cut, MillingPlant, overshoot, reference_velocity, tracking_error
 from mpc_controller.controller import MpcController
-from mpc_controller.errors import SettingsError
 
 velocities = st.floats(-2.0, 2.0, allow_subnormal=False)
 

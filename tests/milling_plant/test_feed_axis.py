@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from second_order import delayed_response, matrices, step_response
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from milling_plant.feed_axis import FeedAxis
-from mpc_controller.model import delay_augmented, feed_axis
 
 SAMPLE_TIME = 0.02
 DELAYS = [0.0, 0.3, 1.0, 1.5, 3.0]

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import specifications
 from milling_plant.settings import PlantSettings, default_settings
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import specifications
 
 
 def test_defaults_are_the_scenario():

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller import controller as controller_module
 from mpc_controller import mpc as mpc_module
 from mpc_controller.controller import HOLD_LAST_INPUT, MpcController
-from mpc_controller.errors import ControllerError, SettingsError
+from mpc_controller.errors import ControllerError
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.mpc import Solution
 
 REFERENCE = np.repeat([0.5, 0.8, 0.6], 15)
@@ -130,7 +131,7 @@ def test_a_solver_without_an_answer_holds_the_last_input_and_is_named(monkeypatc
     assert result["status"] == "failed"
     assert result["fallbacks"] == REFERENCE.size
     assert HOLD_LAST_INPUT == "hold_last_input"
-    assert result["reason"] == f"sample 0: solver says {steps[0].status}; hold_last_input"
+    assert result["reason"] == f"sample 0: solver status {steps[0].status}; hold_last_input"
 
 
 def test_a_single_failure_of_the_solver_holds_one_sample(monkeypatch):
@@ -149,7 +150,7 @@ def test_a_single_failure_of_the_solver_holds_one_sample(monkeypatch):
     assert {step.status for step in steps[5:]} == {"solved"}
     result = controller.cut_result()
     assert result["fallbacks"] == 1
-    assert result["reason"] == "sample 4: solver says broken; hold_last_input"
+    assert result["reason"] == "sample 4: solver status broken; hold_last_input"
 
 
 def test_the_filter_goes_on_with_the_commands_that_were_given(controller_settings, monkeypatch):

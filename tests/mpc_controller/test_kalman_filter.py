@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, cholesky, solve_discrete_are
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import delay_augmented, feed_axis
 
 SAMPLE_TIME = 0.02
 

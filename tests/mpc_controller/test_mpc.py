@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from second_order import DelayLine, matrices
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller import mpc as mpc_module
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.mpc import Mpc
 from mpc_controller.qp import condense
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from second_order import DelayLine, matrices
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller.errors import ControllerError
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.qp import condense, prediction_matrices
 
 SAMPLE_TIME = 0.02

@@ -4,8 +4,8 @@ from dataclasses import asdict
 
 import pytest
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import specifications
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import specifications
 from mpc_controller.settings import ControllerSettings, default_settings
 
 

@@ -75,8 +75,7 @@ class NodeProcess:
     def __init__(self, package, arguments, log):
         self.log = log
         self.expected_code = 0
-        code = f"from {package}.node import main; main()"
-        command = [sys.executable, "-c", code]
+        command = [sys.executable, "-m", package]
         if arguments:
             command += ["--ros-args", *arguments]
         with log.open("w") as output:
@@ -481,7 +480,7 @@ class Drive:
         from std_msgs.msg import Header
         from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-        from mpc_controller.ros.messages import to_stamp
+        from feed_axis_common.ros.messages import to_stamp
 
         rows = [[float(v)] for v in velocities] if rows is None else rows
         self._reference.publish(
@@ -502,7 +501,7 @@ class Drive:
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Header
 
-        from mpc_controller.ros.messages import to_stamp
+        from feed_axis_common.ros.messages import to_stamp
 
         self._state.publish(
             JointState(
@@ -514,7 +513,7 @@ class Drive:
 
     def command_for(self, time_ns):
         """Wait for the first command with a stamp and return its velocity."""
-        from mpc_controller.ros.messages import from_stamp
+        from feed_axis_common.ros.messages import from_stamp
 
         def answers():
             return [m for m in self.commands if from_stamp(m.header.stamp) == time_ns]

@@ -8,9 +8,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
+from feed_axis_common.ros.messages import cut_identifier, from_stamp
 from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
-from mpc_controller.ros.messages import cut_identifier, from_stamp
 
 pytestmark = pytest.mark.ros
 
@@ -134,7 +134,7 @@ def test_no_second_cut_while_one_runs_and_abort(loop):
     cut = loop.start_cut()
     refused = loop.peer.trigger("milling_plant/run_cut")
     assert not refused.success
-    assert refused.message == f"cut {cut} is running; wait or abort it"
+    assert refused.message == f"cut {cut} is still running; wait until it ends, or abort it"
     answer = loop.peer.trigger("milling_plant/abort")
     assert answer.success
     assert answer.message == f"aborted cut {cut}"
@@ -230,7 +230,7 @@ def test_no_cut_without_a_controller(start_node, make_peer):
     start_node("milling_plant", "-r", "__ns:=/alone")
     answer = make_peer("/alone").trigger("milling_plant/run_cut")
     assert not answer.success
-    assert answer.message == "no controller listens on /alone/mpc_controller/joint_trajectory"
+    assert answer.message == "no controller subscribes to /alone/mpc_controller/joint_trajectory"
 
 
 FIELDS = """

@@ -14,9 +14,9 @@ from rcl_interfaces.srv import (
 )
 from rclpy.parameter import Parameter
 
+from feed_axis_common.parameters import specifications
 from milling_plant.settings import PlantSettings
 from milling_plant.settings import default_settings as plant_defaults
-from mpc_controller.parameters import specifications
 from mpc_controller.settings import ControllerSettings
 from mpc_controller.settings import default_settings as controller_defaults
 

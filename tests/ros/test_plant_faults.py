@@ -7,7 +7,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from mpc_controller.ros.messages import from_stamp, to_stamp
+from feed_axis_common.ros.messages import from_stamp, to_stamp
 
 pytestmark = pytest.mark.ros
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from feed_axis_common.ros.messages import cut_identifier
 from mpc_controller.controller import MpcController
-from mpc_controller.ros.messages import cut_identifier
 
 pytestmark = pytest.mark.ros
 
@@ -174,9 +174,10 @@ def test_a_state_without_velocities_is_ignored(drive, t0):
         (
             [0.5, 0.6, 0.7],
             {"spacing": 0.01},
-            "reference: point 1 is not 1 sample times of 0.02 s from the start",
+            "reference: point 1 is 0.01 s from the start; "
+            "expected 0.02 s, one sample time per point",
         ),
-        ([0.5], {"joints": ["z_axis"]}, "reference: joint x_axis is not among z_axis"),
+        ([0.5], {"joints": ["z_axis"]}, "reference: no joint x_axis, found z_axis"),
         (
             [0.5],
             {"joints": ["x_axis", "z_axis"]},

@@ -1,7 +1,11 @@
-"""Nodes end with code 0 on any signal, once or twice, idle or in a cut."""
+"""Nodes end with code 0 on any signal, once or twice, at their start, idle or in a cut."""
 
+import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +20,34 @@ PATTERNS = {
     "w4": (INT, TERM),
 }
 PACKAGES = ("milling_plant", "mpc_controller")
+# Each stands for a stage of the imports: settings, numerics, middleware, messages.
+IMPORTS = ("yaml", "numpy", "rclpy", "builtin_interfaces", "trajectory_msgs")
+# Stays in the import whatever is raised in it, as some libraries catch all that goes wrong there.
+# It sleeps for moments: Python would see a signal just ahead of a long sleep only after it.
+STUCK_IMPORT = """
+import time
+print("importing", flush=True)
+while True:
+    try:
+        time.sleep(0.01)
+    except BaseException:
+        pass
+"""
+STUCK_START = """
+import os
+import signal
+import sys
+from feed_axis_common.ros.process import run
+from rclpy.node import Node
+
+class Start(Node):
+    def __init__(self):
+        for signum in (signal.SIGTERM, signal.SIGINT):
+            os.kill(os.getpid(), signum)
+        super().__init__("start")
+
+sys.exit(run(Start))
+"""
 
 
 def start(start_node, keys):
@@ -39,6 +71,35 @@ def end(nodes):
     for key, node in nodes.items():
         assert node.wait() == 0, (key, node.output)
         assert "Traceback" not in node.output
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+@pytest.mark.parametrize("module", IMPORTS)
+def test_nodes_that_still_import(ros_environment, tmp_path, package, module):
+    """The executable finds, instead of `module`, one whose import does not come to its end."""
+    (tmp_path / f"{module}.py").write_text(STUCK_IMPORT)
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = Path(sys.prefix) / "lib" / package / package
+    for signals in PATTERNS.values():
+        node = subprocess.Popen(
+            [command], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        try:
+            assert node.stdout.readline() == "importing\n"
+            for signum in signals:
+                node.send_signal(signum)
+            output, _ = node.communicate(timeout=30.0)
+        finally:
+            node.kill()
+            node.wait()
+        assert (node.returncode, output) == (0, ""), signals
+
+
+def test_a_node_that_is_being_made(ros_environment):
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK_START], check=False, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_idle_nodes(start_node, peer):

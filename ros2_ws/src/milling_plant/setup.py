@@ -37,6 +37,6 @@ setup(
         "scipy>=1.11,<2",
     ],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["milling_plant = milling_plant.node:main"]},
+    entry_points={"console_scripts": ["milling_plant = milling_plant.__main__:main"]},
     zip_safe=False,
 )

@@ -37,9 +37,8 @@ setup(
         "scipy>=1.11,<2",
         "osqp>=1.0,<2",
         "filterpy>=1.4.5,<3",
-        "PyYAML>=6,<7",
     ],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["mpc_controller = mpc_controller.node:main"]},
+    entry_points={"console_scripts": ["mpc_controller = mpc_controller.__main__:main"]},
     zip_safe=False,
 )

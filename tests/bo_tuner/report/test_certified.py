@@ -30,7 +30,8 @@ def findings(violations, passed):
     }
     mean = {"value": 1.5, "standard_error": 0.02, "upper": 1.54}
     return {
-        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0, "constraints": [constraint]
+        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0,
+        "constraints": [constraint],
     }  # fmt: skip
 
 

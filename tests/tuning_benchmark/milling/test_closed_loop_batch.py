@@ -4,9 +4,9 @@ import daqp
 import numpy as np
 import pytest
 
+from feed_axis_common.model import delay_augmented, feed_axis
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
-from mpc_controller.model import delay_augmented, feed_axis
 from mpc_controller.qp import condense
 from tuning_benchmark.milling.closed_loop_batch import (
     AXIS_CONSTANTS,

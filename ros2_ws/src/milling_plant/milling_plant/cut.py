@@ -1,7 +1,7 @@
-"""One cut: the axis along its reference, sample by sample, and what it scores.
+"""One cut: the axis along its reference, sample by sample, and its metrics.
 
-`Cut` waits for a command in each sample and knows not where it comes from, so that the node drives
-it over topics and `MillingPlant` within a process, with equal results bit for bit.
+`Cut` waits for a command in each sample and does not know where it comes from, so that the node
+drives it over topics and `MillingPlant` within a process, with identical results.
 """
 
 from collections.abc import Mapping
@@ -12,10 +12,10 @@ from typing import Protocol
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from feed_axis_common.model import Array
+from feed_axis_common.parameters import build
 from milling_plant.feed_axis import FeedAxis
 from milling_plant.settings import PlantSettings, default_settings
-from mpc_controller.model import Array
-from mpc_controller.parameters import build
 
 
 def reference_velocity(settings: PlantSettings) -> Array:

@@ -4,8 +4,8 @@ from collections import deque
 
 import numpy as np
 
+from feed_axis_common.model import Array, feed_axis, split_dead_time, zero_order_hold
 from milling_plant.settings import PlantSettings
-from mpc_controller.model import Array, feed_axis, split_dead_time, zero_order_hold
 
 
 class FeedAxis:

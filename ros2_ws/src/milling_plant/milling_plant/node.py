@@ -1,20 +1,18 @@
 """The plant's ROS 2 node: cuts in lock-step with a controller, faster than real time."""
 
-import sys
 from dataclasses import asdict, replace
 from time import monotonic_ns
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
-from mpc_controller.ros.messages import (
+from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
+    VelocityPublisher,
     cut_identifier,
     cut_result,
     from_stamp,
     is_time,
-    joint_velocity,
     read_joint_velocity,
-    set_joint_velocity,
     to_stamp,
     velocity_trajectory,
 )
@@ -27,10 +25,9 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from feed_axis_common.ros.parameters import NodeParameters
 from milling_plant.cut import Cut
 from milling_plant.settings import PlantSettings, default_settings
-from mpc_controller.ros.parameters import NodeParameters
-from mpc_controller.ros.process import run
 
 
 class PlantNode(Node):
@@ -52,10 +49,9 @@ class PlantNode(Node):
         self._next_start = 1  # a reference stamped zero would start with any measurement
         self._ignored = 0
         self._resent = 0
-        self._message: JointState | None = None
         self._trajectory: JointTrajectory | None = None
         self._trajectory_of: PlantSettings | None = None
-        self._measurement = self.create_publisher(JointState, "joint_states", LOOP_QOS)
+        self._measurement = VelocityPublisher(self, "joint_states")
         self._reference = self.create_publisher(
             JointTrajectory, "mpc_controller/joint_trajectory", LOOP_QOS
         )
@@ -63,7 +59,7 @@ class PlantNode(Node):
         self.create_subscription(JointState, "mpc_controller/command", self._on_command, LOOP_QOS)
         self.create_service(Trigger, "~/run_cut", self._on_run_cut)
         self.create_service(Trigger, "~/abort", self._on_abort)
-        # Waiting is done by the wall: the simulated time stands still meanwhile.
+        # Wall time, as simulated time stands still while the plant waits.
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._watchdog = self.create_timer(
             _watchdog_period(self._settings), self._on_watchdog, clock=self._wall
@@ -77,11 +73,12 @@ class PlantNode(Node):
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
         if self._cut is not None:
-            response.message = f"cut {cut_identifier(self._start)} is running; wait or abort it"
+            cut = cut_identifier(self._start)
+            response.message = f"cut {cut} is still running; wait until it ends, or abort it"
         elif self._reference.get_subscription_count() == 0:
-            response.message = f"no controller listens on {self._reference.topic_name}"
+            response.message = f"no controller subscribes to {self._reference.topic_name}"
         elif not is_time(start + round(samples * settings.sample_time * NANOSECONDS)):
-            response.message = "the cut would end after 2038, which no stamp can tell"
+            response.message = "the cut would end after 2038, the end of ROS time stamps"
         else:
             self._begin(settings, start)
             response.success = True
@@ -104,13 +101,12 @@ class PlantNode(Node):
         self._start = start
         self._ignored = 0
         self._resent = 0
-        self._message = None
         self._publish_reference(self._cut)
         self._publish_measurement(self._cut)
         self._progress = monotonic_ns()
 
     def _publish_reference(self, cut: Cut) -> None:
-        # A message of some hundred points is worth keeping while only context and noise change.
+        # Made again only if more than context and noise has changed: it has hundreds of points.
         s = self._settings
         shape = replace(s, stiffness_factor=1.0, damping_factor=1.0, seed=0)
         if self._trajectory is None or shape != self._trajectory_of:
@@ -122,16 +118,13 @@ class PlantNode(Node):
         self._reference.publish(self._trajectory)
 
     def _time(self, sample: int) -> int:
-        """Give the simulated time of a sample [ns]."""
+        """Return the simulated time of a sample [ns]."""
         return self._start + round(sample * self._settings.sample_time * NANOSECONDS)
 
     def _publish_measurement(self, cut: Cut) -> None:
-        time = self._time(cut.sample)
-        if self._message is None:
-            self._message = joint_velocity(self._settings.joint_name, time, cut.measurement)
-        else:
-            set_joint_velocity(self._message, time, cut.measurement)
-        self._measurement.publish(self._message)
+        self._measurement.publish(
+            self._settings.joint_name, self._time(cut.sample), cut.measurement
+        )
 
     def _on_command(self, message: JointState) -> None:
         cut = self._cut
@@ -167,8 +160,8 @@ class PlantNode(Node):
 
     def _end(self, cut: Cut) -> None:
         self._cut = None
-        # Cuts are faster than real time, but their stamps must not overlap: the controller still
-        # waits for the rest of one that failed, and a recording holds one after the other.
+        # Cuts are faster than real time, but their stamps must not overlap: after a failed one
+        # the controller still waits for the rest, and a recording holds all cuts in one sequence.
         self._next_start = self._time(cut.reference.size)
         counts = {"ignored_messages": self._ignored, "resent_measurements": self._resent}
         self._result.publish(
@@ -184,8 +177,3 @@ class PlantNode(Node):
 
 def _watchdog_period(settings: PlantSettings) -> float:
     return min(settings.resend_period, settings.command_timeout)
-
-
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(PlantNode))

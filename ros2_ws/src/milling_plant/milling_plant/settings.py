@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import build, config_directory, load_defaults, parameter
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.model import check_dead_time
+from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,7 @@ class PlantSettings:
             raise SettingsError(
                 f"samples_per_level: a cut of {samples} samples; expected at most 1000000"
             )
-        if self.dead_time > 100 * self.sample_time:
-            raise SettingsError(
-                f"dead_time: {self.dead_time} is above 100 sample times of {self.sample_time} s"
-            )
+        check_dead_time(self.dead_time, self.sample_time)
 
 
 def default_settings() -> PlantSettings:

@@ -11,11 +11,11 @@ from time import perf_counter
 
 import numpy as np
 
+from feed_axis_common.model import Array, delay_augmented, feed_axis
+from feed_axis_common.parameters import build
 from mpc_controller.errors import ControllerError
 from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import Array, delay_augmented, feed_axis
 from mpc_controller.mpc import Mpc, Solution
-from mpc_controller.parameters import build
 from mpc_controller.qp import condense
 from mpc_controller.return_time import (
     filter_operations,
@@ -31,7 +31,7 @@ HOLD_LAST_INPUT = "hold_last_input"
 
 @dataclass(frozen=True)
 class Step:
-    """What one sample gave.
+    """Result of one sample.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class MpcController:
             x, self._last_input, self._preview[k + 1 : k + 1 + s.prediction_horizon]
         )
         if solution.input is None:
-            self._faults.append(f"sample {k}: solver says {solution.status}; {HOLD_LAST_INPUT}")
+            self._faults.append(f"sample {k}: solver status {solution.status}; {HOLD_LAST_INPUT}")
         else:
             self._last_input = solution.input
         self._kf.predict(self._last_input)

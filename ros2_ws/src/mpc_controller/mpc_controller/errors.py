@@ -1,9 +1,7 @@
 """Errors of the controller package."""
 
-
-class ControllerError(Exception):
-    """Base of all errors that this package raises on purpose."""
+from feed_axis_common.errors import FeedAxisError
 
 
-class SettingsError(ControllerError, ValueError):
-    """A value, or a set of values, breaks a rule of the parameter table."""
+class ControllerError(FeedAxisError):
+    """A reference or a set of parameters that the controller cannot work with."""

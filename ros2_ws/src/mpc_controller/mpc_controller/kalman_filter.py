@@ -3,7 +3,7 @@
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
-from mpc_controller.model import Array, DiscreteModel
+from feed_axis_common.model import Array, DiscreteModel
 
 
 def kalman_filter(

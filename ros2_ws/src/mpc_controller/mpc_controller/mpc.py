@@ -6,7 +6,7 @@ import numpy as np
 import osqp
 from scipy import sparse
 
-from mpc_controller.model import Array
+from feed_axis_common.model import Array
 from mpc_controller.qp import CondensedProgram
 
 # Whatever depends on the clock is off, so that equal data give equal iterates on every machine:

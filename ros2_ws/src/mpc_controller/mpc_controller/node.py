@@ -3,20 +3,18 @@
 It knows topics only, so that a drive with the same topics can stand in for the simulated axis.
 """
 
-import sys
 from dataclasses import asdict
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
-from mpc_controller.ros.messages import (
+from feed_axis_common.ros.messages import (
     LOOP_QOS,
     NANOSECONDS,
+    VelocityPublisher,
     cut_result,
     from_stamp,
     is_time,
-    joint_velocity,
     read_joint_velocity,
     read_velocity_trajectory,
-    set_joint_velocity,
 )
 
 # isort: split
@@ -25,14 +23,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from feed_axis_common.errors import FeedAxisError
+from feed_axis_common.ros.parameters import NodeParameters
 from mpc_controller.controller import MpcController
-from mpc_controller.errors import ControllerError
-from mpc_controller.ros.parameters import NodeParameters
-from mpc_controller.ros.process import run
 from mpc_controller.settings import ControllerSettings, default_settings
 
 LONGEST_GAP = 200
-"""Measurements in a row that count as lost; one from further ahead is none of this cut."""
+"""Most measurements in a row that can be lost; one from further ahead is not of this cut."""
 
 
 class ControllerNode(Node):
@@ -40,33 +37,25 @@ class ControllerNode(Node):
 
     A reference on ``~/joint_trajectory`` starts a cut: at its stamp, or with the next measurement
     if the stamp is zero. Each measurement of the cut on ``joint_states`` is answered once on
-    ``~/command``; when it comes again, so does the answer. ``~/cut_result`` sums up the cut.
+    ``~/command``; when it is repeated, so is the answer. ``~/cut_result`` sums up the cut.
     Parameters may change at any time and take effect with the next cut.
     """
 
     def __init__(self) -> None:
         super().__init__("mpc_controller", automatically_declare_parameters_from_overrides=True)
         self._controller = MpcController()
-        self._parameter_table = NodeParameters(
-            self, ControllerSettings, asdict(default_settings()), self._on_settings
-        )
-        self._on_settings(self._parameter_table.settings)
+        self._parameter_table = NodeParameters(self, ControllerSettings, asdict(default_settings()))
         self._start: int | None = None
         self._running = False
         self._early: JointState | None = None
-        self._last_command: JointState | None = None
-        self._last_estimate: JointState | None = None
         self._ignored = 0
-        self._command = self.create_publisher(JointState, "~/command", LOOP_QOS)
-        self._estimate = self.create_publisher(JointState, "~/estimated_state", LOOP_QOS)
+        self._command = VelocityPublisher(self, "~/command")
+        self._estimate = VelocityPublisher(self, "~/estimated_state")
         self._result = self.create_publisher(DiagnosticArray, "~/cut_result", LOOP_QOS)
         self.create_subscription(
             JointTrajectory, "~/joint_trajectory", self._on_trajectory, LOOP_QOS
         )
         self.create_subscription(JointState, "joint_states", self._on_measurement, LOOP_QOS)
-
-    def _on_settings(self, settings: ControllerSettings) -> None:
-        self._controller.settings = settings
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         start = from_stamp(message.header.stamp)
@@ -77,17 +66,16 @@ class ControllerNode(Node):
             return
         settings = self._parameter_table.settings
         self._settings = settings
+        self._controller.settings = settings
         self._start = start or None
         self._latest = start
         self._running = False
         self._ignored = 0
-        self._last_command = None
-        self._last_estimate = None
         try:
             self._controller.start(
                 read_velocity_trajectory(message, settings.joint_name, settings.sample_time)
             )
-        except ControllerError as error:
+        except FeedAxisError as error:
             self.get_logger().error(str(error))
             self._publish_result({"status": "failed", "reason": str(error)})
             return
@@ -120,8 +108,8 @@ class ControllerNode(Node):
             self._early = message
             return
         if k < controller.samples_done:
-            if k == controller.samples_done - 1 and self._last_command is not None:
-                self._command.publish(self._last_command)
+            if k == controller.samples_done - 1:
+                self._command.repeat()
             else:
                 self._early = message
             return
@@ -130,17 +118,9 @@ class ControllerNode(Node):
         step = controller.step(velocity)
         time = from_stamp(message.header.stamp)
         self._latest = time
-        if self._last_command is None:
-            self._last_command = joint_velocity(self._settings.joint_name, time, step.command)
-        else:
-            set_joint_velocity(self._last_command, time, step.command)
-        self._command.publish(self._last_command)
-        if self._estimate.get_subscription_count() > 0:
-            if self._last_estimate is None:
-                self._last_estimate = joint_velocity(self._settings.joint_name, time, step.estimate)
-            else:
-                set_joint_velocity(self._last_estimate, time, step.estimate)
-            self._estimate.publish(self._last_estimate)
+        self._command.publish(settings.joint_name, time, step.command)
+        if self._estimate.subscription_count > 0:
+            self._estimate.publish(settings.joint_name, time, step.estimate)
         if controller.samples_done == controller.reference_length:
             self._publish_result(controller.cut_result() | {"ignored_messages": self._ignored})
 
@@ -154,8 +134,3 @@ class ControllerNode(Node):
                 result,
             )
         )
-
-
-def main() -> None:
-    """Run the node."""
-    sys.exit(run(ControllerNode))

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from feed_axis_common.model import Array, DiscreteModel
 from mpc_controller.errors import ControllerError
-from mpc_controller.model import Array, DiscreteModel
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import build, config_directory, load_defaults, parameter
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.model import check_dead_time
+from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
 
 
 @dataclass(frozen=True)
@@ -65,10 +66,7 @@ class ControllerSettings:
             raise SettingsError(
                 f"input_upper: {self.input_upper} is not above input_lower {self.input_lower} m/s"
             )
-        if self.dead_time > 100 * self.sample_time:
-            raise SettingsError(
-                f"dead_time: {self.dead_time} is above 100 sample times of {self.sample_time} s"
-            )
+        check_dead_time(self.dead_time, self.sample_time)
 
 
 def default_settings() -> ControllerSettings:

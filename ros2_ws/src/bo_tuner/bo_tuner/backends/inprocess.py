@@ -9,7 +9,7 @@ others give theirs by ``cut_result()``.
 import importlib
 from typing import Any
 
-from bo_tuner.backends.protocol import Assignments
+from bo_tuner.backends.protocol import IN_PROCESS, Assignments
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, outcome
 from bo_tuner.study.study import Study
@@ -25,7 +25,7 @@ class InProcessBackend:
         The study.
     """
 
-    name = "inprocess"
+    name = IN_PROCESS
 
     def __init__(self, study: Study) -> None:
         self._study = study

@@ -5,6 +5,10 @@ from typing import Protocol
 
 from bo_tuner.trials import Outcome
 
+ROS, IN_PROCESS = "ros", "inprocess"
+BACKENDS = (ROS, IN_PROCESS)
+"""Names of the backends, on the command line and on record; the first is the default."""
+
 Assignments = Mapping[str, Mapping[str, int | float]]
 """Parameter values by node key of the study, then by parameter name."""
 

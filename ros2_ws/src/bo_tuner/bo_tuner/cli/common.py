@@ -10,13 +10,11 @@ from typing import NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.backends.protocol import BACKENDS
 from bo_tuner.cli.exit_codes import EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.storage.record import RunRecord
-
-BACKENDS = ("ros", "inprocess")
-"""Where evaluations run; the first is the default."""
 
 Run = Callable[[Sequence[str], Interruption], int]
 

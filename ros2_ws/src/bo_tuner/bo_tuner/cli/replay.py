@@ -8,9 +8,9 @@ from typing import TypeVar
 from rich.table import Table
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.protocol import BACKENDS, IN_PROCESS, Backend
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
@@ -19,7 +19,6 @@ from bo_tuner.recording.bag import Message
 from bo_tuner.replay.bag import Inbox, write_side_by_side
 from bo_tuner.replay.replay import (
     BEST,
-    IN_PROCESS,
     WORST,
     Comparison,
     Replay,

@@ -4,8 +4,8 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
-from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.protocol import ROS, Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.deliverables import write_deliverables
@@ -44,7 +44,7 @@ class RunOptions:
     algorithm
         Key of `METHODS`.
     backend
-        ``ros`` or ``inprocess``.
+        One of `BACKENDS`.
     attach
         Use nodes that run already.
     ros_arguments
@@ -58,7 +58,7 @@ class RunOptions:
     """
 
     algorithm: str = "IV"
-    backend: str = "ros"
+    backend: str = ROS
     attach: bool = False
     ros_arguments: Sequence[str] = ()
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
@@ -163,13 +163,12 @@ class Session:
             backend.close()
 
     def _make_backend(self) -> Backend:
-        if self._options.backend == "inprocess":
-            return InProcessBackend(self._study)
-        return RosBackend(
+        return make_backend(
+            self._options.backend,
             self._study,
             self._folder.log,
             attach=self._options.attach,
-            ros_arguments=list(self._options.ros_arguments),
+            ros_arguments=self._options.ros_arguments,
             interrupted=self._interruption.check,
         )
 

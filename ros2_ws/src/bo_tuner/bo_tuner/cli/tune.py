@@ -4,7 +4,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.backends.protocol import BACKENDS, ROS
+from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
 from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
@@ -156,9 +157,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     else:
         study, stop_early = _study(arguments), arguments.stop_early
         algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
-    if arguments.attach and backend != "ros":
+    if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
-    if arguments.record not in (None, Policy.NONE) and backend != "ros":
+    if arguments.record not in (None, Policy.NONE) and backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
     options = RunOptions(
         algorithm=algorithm,

@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import Backend
-from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.factory import make_backend
+from bo_tuner.backends.protocol import BACKENDS, ROS, Backend
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.record import (
@@ -24,7 +23,7 @@ from bo_tuner.certificate.record import (
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
-from bo_tuner.cli.common import BACKENDS, Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
@@ -127,7 +126,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     record = read_run(arguments.run)
     backend = arguments.backend or recorded_backend(record)
-    if arguments.attach and backend != "ros":
+    if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
     needed, constraint = most_draws_needed(record.study, arguments.confidence)
     if arguments.draws < max(needed, FEWEST_DRAWS):
@@ -139,15 +138,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     folder = RunFolder(record.path.resolve())
     with contextlib.closing(folder):
         folder.log.mkdir(exist_ok=True)
-        nodes: Backend = InProcessBackend(record.study)
-        if backend == "ros":
-            nodes = RosBackend(
-                record.study,
-                folder.log,
-                attach=arguments.attach,
-                ros_arguments=ros_arguments,
-                interrupted=interruption.check,
-            )
+        nodes = make_backend(
+            backend,
+            record.study,
+            folder.log,
+            attach=arguments.attach,
+            ros_arguments=ros_arguments,
+            interrupted=interruption.check,
+        )
         console = plain_console(stderr=True)
         try:
             evidence = _collect(record.study, trial, nodes, arguments.draws, interruption, console)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.protocol import IN_PROCESS, Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.optimizers.algorithms import METHODS
@@ -18,7 +18,6 @@ from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialSta
 from bo_tuner.tuning.loop import run_cut
 
 BEST, WORST = "best", "worst"
-IN_PROCESS = "inprocess"
 
 
 @dataclass(frozen=True)

@@ -19,17 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from bo_tuner.numerics.arrays import Array
-from milling_plant.cut import overshoot, reference_velocity, tracking_error
-from milling_plant.settings import PlantSettings
-from mpc_controller.kalman_filter import kalman_filter
-from mpc_controller.model import (
+from feed_axis_common.model import (
+    Array,
     DiscreteModel,
     delay_augmented,
     feed_axis,
     split_dead_time,
     zero_order_hold,
 )
+from milling_plant.cut import overshoot, reference_velocity, tracking_error
+from milling_plant.settings import PlantSettings
+from mpc_controller.kalman_filter import kalman_filter
 from mpc_controller.qp import CondensedProgram, condense
 from mpc_controller.settings import ControllerSettings
 

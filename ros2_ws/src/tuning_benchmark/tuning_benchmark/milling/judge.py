@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from feed_axis_common.errors import FeedAxisError
+from feed_axis_common.model import Array
+from feed_axis_common.parameters import build
 from milling_plant.cut import reference_velocity
 from milling_plant.settings import PlantSettings
 from milling_plant.settings import default_settings as plant_defaults
-from mpc_controller.errors import ControllerError
-from mpc_controller.model import Array
-from mpc_controller.parameters import build
 from mpc_controller.settings import ControllerSettings
 from mpc_controller.settings import default_settings as controller_defaults
 from tuning_benchmark.milling.closed_loop_batch import CutBatch
@@ -105,7 +105,7 @@ class Judge:
         try:
             C, single = self.drawn(values)
             means = self.grid_overshoot(values)
-        except ControllerError:
+        except FeedAxisError:
             nothing = np.full(len(self._drawn_noise), np.nan)
             return Judgement(np.nan, np.nan, np.nan, 0, nothing)
         worst = int(np.argmax(np.where(np.isnan(means), np.inf, means)))

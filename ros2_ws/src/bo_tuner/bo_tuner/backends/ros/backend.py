@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rclpy.context import Context
 
-from bo_tuner.backends.protocol import Assignments
+from bo_tuner.backends.protocol import ROS, Assignments
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
@@ -51,7 +51,7 @@ class RosBackend:
         The started nodes by their key in the study.
     """
 
-    name = "ros"
+    name = ROS
 
     def __init__(
         self,

@@ -1,30 +1,34 @@
-"""The messages of the closed loop, made and read in one place.
+"""The messages of the closed loop: their quality of service, how they are made and read.
 
 The stamp is the sequence number: a cut starts at the stamp of its reference trajectory, sample k
 is stamped k sample times later, and a command carries the stamp of the measurement that it
 answers. A cut's identifier is its start, written as seconds and nanoseconds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import isfinite
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mpc_controller.errors import ControllerError
-from mpc_controller.model import Array
+from feed_axis_common.errors import MessageError
+from feed_axis_common.model import Array
 
 LOOP_QOS = QoSProfile(
     depth=10,
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.VOLATILE,
 )
-"""Of all topics here: depth bounds loss even when reliable, and no command is ever latched."""
+"""Of all topics of the loop.
+
+Reliable topics too lose what exceeds their depth. Volatile, so that nobody gets an old command.
+"""
 
 NANOSECONDS = 1_000_000_000
 LATEST_SECOND = 2**31 - 1
@@ -50,23 +54,36 @@ def cut_identifier(start: int) -> str:
     return f"{start // NANOSECONDS}.{start % NANOSECONDS:09d}"
 
 
-def joint_velocity(joint: str, time: int, velocity: float) -> JointState:
-    """Message with the velocity [m/s] of one joint at `time` [ns]."""
-    return JointState(header=Header(stamp=to_stamp(time)), name=[joint], velocity=[float(velocity)])
+class VelocityPublisher:
+    """Publishes the velocity of a joint.
 
-
-def set_joint_velocity(message: JointState, time: int, velocity: float) -> None:
-    """Change time [ns] and velocity [m/s] of a message that `joint_velocity` made.
-
-    In the loop this saves a message for each sample, whose making costs as much as sending it.
+    It has one message and changes it, as making one for each sample costs as much as sending it.
     """
-    stamp = message.header.stamp
-    stamp.sec, stamp.nanosec = divmod(time, NANOSECONDS)
-    message.velocity[0] = float(velocity)
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._publisher = node.create_publisher(JointState, topic, LOOP_QOS)
+        self._message = JointState(name=[""], velocity=[0.0])
+
+    @property
+    def subscription_count(self) -> int:
+        """Number of subscriptions that are connected."""
+        return int(self._publisher.get_subscription_count())
+
+    def publish(self, joint: str, time: int, velocity: float) -> None:
+        """Send the velocity [m/s] of `joint` at `time` [ns]."""
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(time, NANOSECONDS)
+        self._message.name[0] = joint
+        self._message.velocity[0] = float(velocity)
+        self.repeat()
+
+    def repeat(self) -> None:
+        """Send the last velocity again."""
+        self._publisher.publish(self._message)
 
 
 def read_joint_velocity(message: JointState, joint: str) -> float | None:
-    """Velocity [m/s] of a joint, or None if the message does not speak of it, or of no time."""
+    """Velocity [m/s] of a joint, or None if the message lacks it or has no valid stamp."""
     if joint not in message.name or len(message.velocity) != len(message.name):
         return None
     if not is_time(from_stamp(message.header.stamp)):
@@ -99,25 +116,26 @@ def read_velocity_trajectory(
 
     Raises
     ------
-    ControllerError
+    MessageError
         If the joint is not in the message, a point lacks its velocity or has one that is not
         finite, or the points are not one sample time apart.
     """
     if joint not in message.joint_names:
-        raise ControllerError(
-            f"reference: joint {joint} is not among {', '.join(message.joint_names) or 'none'}"
+        raise MessageError(
+            f"reference: no joint {joint}, found {', '.join(message.joint_names) or 'none'}"
         )
     index = message.joint_names.index(joint)
     velocities = []
     for k, point in enumerate(message.points):
         if len(point.velocities) != len(message.joint_names):
-            raise ControllerError(f"reference: point {k} has no velocity for joint {joint}")
+            raise MessageError(f"reference: point {k} has no velocity for joint {joint}")
         velocity = float(point.velocities[index])
         if not isfinite(velocity):
-            raise ControllerError(f"reference: velocity of point {k} is {velocity}")
+            raise MessageError(f"reference: velocity of point {k} is {velocity}")
         if abs(from_stamp(point.time_from_start) - k * sample_time * NANOSECONDS) > 1000:
-            raise ControllerError(
-                f"reference: point {k} is not {k} sample times of {sample_time} s from the start"
+            raise MessageError(
+                f"reference: point {k} is {from_stamp(point.time_from_start) / NANOSECONDS} s from "
+                f"the start; expected {k * sample_time:g} s, one sample time per point"
             )
         velocities.append(velocity)
     return velocities
@@ -139,8 +157,8 @@ def cut_result(
     stamp
         Time of the message [ns].
     result
-        What the cut gave; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
-        message. Numbers are written so that they read back bit for bit.
+        The result; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
+        message. Numbers are written so that they can be read back exactly.
     """
     ok = result["status"] == "ok"
     status = DiagnosticStatus(
@@ -154,8 +172,3 @@ def cut_result(
         ],
     )
     return DiagnosticArray(header=Header(stamp=to_stamp(stamp)), status=[status])
-
-
-def texts(values: Sequence[KeyValue]) -> dict[str, str]:
-    """Read key-value pairs as a mapping."""
-    return {item.key: item.value for item in values}

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mpc_controller.errors import ControllerError, SettingsError
-from mpc_controller.parameters import build, load_defaults, parameter, specifications
+from feed_axis_common.errors import FeedAxisError, SettingsError
+from feed_axis_common.parameters import build, load_defaults, parameter, specifications
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def test_a_whole_number_is_taken_for_a_float():
         ("levels", [0.5, 1.5], "1.5 is above the upper limit 1 m"),
         ("mode", "left", "'left' is not one of up, down"),
         ("mode", 1, "1 is not one of up, down"),
-        ("label", 1, "1 is not a text"),
+        ("label", 1, "1 is not a string"),
     ],
 )
 def test_a_bad_value_is_refused_by_name_value_and_rule(name, value, rule):
@@ -81,7 +81,7 @@ def test_unknown_and_missing_parameters_are_named():
 
 def test_errors_are_builtin_errors_too():
     assert issubclass(SettingsError, ValueError)
-    assert issubclass(SettingsError, ControllerError)
+    assert issubclass(SettingsError, FeedAxisError)
 
 
 @given(st.floats())

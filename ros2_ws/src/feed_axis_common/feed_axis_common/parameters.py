@@ -1,11 +1,11 @@
 """One table per node for its parameters: type, range, unit and text in one line each.
 
 A node's parameters are the fields of a frozen dataclass. `parameter` attaches to a field what a
-user must know of it; `specifications` reads the table back (ROS descriptors and the README's
-tables come from it) and `build` turns a candidate mapping into a checked instance or refuses it
-with the value and the rule that it breaks. Rules between parameters belong into the dataclass's
-``__post_init__``. The values themselves are data: `load_defaults` reads them from a file in ROS
-parameter form.
+user must know about it; `specifications` reads the table back (ROS descriptors and the README's
+tables come from it) and `build` turns a mapping into a checked instance, or refuses it and names
+the value and the rule that it breaks. Rules between parameters belong in the dataclass's
+``__post_init__``. The values themselves are data: `load_defaults` reads them from a ROS parameter
+file.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ from typing import Any, TypeVar, get_type_hints
 
 import yaml
 
-from mpc_controller.errors import SettingsError
+from feed_axis_common.errors import SettingsError
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Specification:
-    """What the table says of one parameter.
+    """What the table says about one parameter.
 
     `kind` is ``int``, ``float``, ``str`` or ``tuple`` (of floats); `lower` and `upper` are
     inclusive and hold for each item of a tuple.
@@ -130,7 +130,7 @@ def _checked(spec: Specification, value: object) -> object:
         return tuple(_number(spec, float, item) for item in value)
     if spec.kind is str:
         if not isinstance(value, str) or (spec.choices and value not in spec.choices):
-            expected = f"one of {', '.join(spec.choices)}" if spec.choices else "a text"
+            expected = f"one of {', '.join(spec.choices)}" if spec.choices else "a string"
             raise SettingsError(f"{spec.name}: {value!r} is not {expected}")
         return value
     return _number(spec, spec.kind, value)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 from second_order import delayed_response, matrices
 
-from mpc_controller.model import (
+from feed_axis_common.model import (
     delay_augmented,
     feed_axis,
     split_dead_time,

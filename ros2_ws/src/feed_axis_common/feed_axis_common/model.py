@@ -1,4 +1,4 @@
-"""The feed axis as the controller sees it: Eq. 1 in discrete time, its dead time as extra states.
+"""The feed axis of Eq. 1 in discrete time, its dead time as extra states.
 
 Notation: A, B, C state-space matrices; x state; u input (commanded velocity [m/s]); T_s sample
 time; t_d dead time; d the number of past inputs that still act.
@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from feed_axis_common.errors import SettingsError
+
 Array = NDArray[np.float64]
 
 DEAD_TIME_TOLERANCE = 1e-9
 """A dead time this close to a multiple of the sample time, relative to it, counts as one."""
+
+MOST_PAST_INPUTS = 100
+"""Each sample time of dead time is a state."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,14 @@ def zero_order_hold(A: Array, B: Array, duration: float) -> tuple[Array, Array]:
     block[:n, n:] = B
     E = expm(block * duration)
     return E[:n, :n], E[:n, n:]
+
+
+def check_dead_time(dead_time: float, sample_time: float) -> None:
+    """Raise `SettingsError` if a dead time [s] takes more than `MOST_PAST_INPUTS` past inputs."""
+    if dead_time > MOST_PAST_INPUTS * sample_time:
+        raise SettingsError(
+            f"dead_time: {dead_time} is above {MOST_PAST_INPUTS} sample times of {sample_time} s"
+        )
 
 
 def split_dead_time(dead_time: float, sample_time: float) -> tuple[int, float]:

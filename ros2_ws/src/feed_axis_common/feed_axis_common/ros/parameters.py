@@ -15,8 +15,8 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from mpc_controller.errors import SettingsError
-from mpc_controller.parameters import Specification, build, specifications
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import Specification, build, specifications
 
 T = TypeVar("T")
 
@@ -28,8 +28,8 @@ ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
 class Refusal(ParameterNotDeclaredException):
     """Why a change is refused.
 
-    Of all exceptions rclpy's parameter services answer only this kind, with its text as the
-    reason; any other kills the node and leaves the client without an answer.
+    rclpy's parameter services answer with the text of this kind of exception alone; any other
+    ends the node and leaves the client without an answer.
     """
 
     def __init__(self, reason: str) -> None:
@@ -57,23 +57,21 @@ def descriptor(spec: Specification) -> ParameterDescriptor:
 
 
 class NodeParameters(Generic[T]):
-    """Declares a parameter table on a node and judges each change as a whole.
+    """Declares a parameter table on a node and checks each change as a whole.
 
     The node must be made with ``automatically_declare_parameters_from_overrides=True``, so that
-    values from the command line or a file are seen, and checked, even where the table does not
-    know them. A whole number for a double is taken, on the command line and by ``ros2 param set``
-    alike. `settings` always holds the last accepted set.
+    values from the command line or a file are checked even if they are not in the table. A whole
+    number is accepted for a double, on the command line and by ``ros2 param set`` alike.
+    `settings` always holds the last accepted set.
 
     Parameters
     ----------
     node
         The node.
     table
-        Dataclass made with `mpc_controller.parameters.parameter`.
+        Dataclass made with `feed_axis_common.parameters.parameter`.
     defaults
         A value for each parameter.
-    on_change
-        Called with the new settings after a change was accepted.
 
     Raises
     ------
@@ -86,12 +84,10 @@ class NodeParameters(Generic[T]):
         node: Node,
         table: type[T],
         defaults: Mapping[str, object],
-        on_change: Callable[[T], None] = lambda settings: None,
     ) -> None:
         self._node = node
         self._table = table
         self._specs = {spec.name: spec for spec in specifications(table)}
-        self._on_change = on_change
         given = {
             name: _plain(node.get_parameter(name))
             for name in node.list_parameters([], 0).names
@@ -106,18 +102,18 @@ class NodeParameters(Generic[T]):
         for service in node.services:
             if service.srv_type in (SetParameters, SetParametersAtomically):
                 service.callback = _refusing_unknown_types(service.callback)
-        # Judged ahead of rclpy, whose own reasons name neither the parameter nor its value.
-        node.add_pre_set_parameters_callback(self._judge)
+        # Checked ahead of rclpy, whose own reasons name neither the parameter nor its value.
+        node.add_pre_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _judge(self, changes: list[Parameter]) -> list[Parameter]:
+    def _check(self, changes: list[Parameter]) -> list[Parameter]:
         try:
             changes = [self._cast(p) for p in changes]
             self._candidate(changes)
         except SettingsError as error:
             raise Refusal(str(error)) from None
         except Exception as error:
-            raise Refusal(f"cannot be judged: {error!r}") from error
+            raise Refusal(f"could not be checked: {error!r}") from error
         return changes
 
     def _cast(self, p: Parameter) -> Parameter:
@@ -130,7 +126,6 @@ class NodeParameters(Generic[T]):
 
     def _apply(self, changes: list[Parameter]) -> None:
         self.settings = self._candidate(changes)
-        self._on_change(self.settings)
 
     def _candidate(self, changes: list[Parameter]) -> T:
         current: dict[str, object] = asdict(self.settings)  # type: ignore[call-overload]
@@ -144,13 +139,13 @@ class NodeParameters(Generic[T]):
 
 
 def _refusing_unknown_types(callback: Callable) -> Callable:
-    """Answer a value of a type that does not exist, by which rclpy lets the node die."""
+    """Refuse a value whose type does not exist; rclpy would end the node."""
 
     def guarded(request: Any, response: Any) -> Any:
         for p in request.parameters:
             if p.value.type not in KNOWN_TYPES:
                 refusal = SetParametersResult(
-                    successful=False, reason=f"{p.name}: there is no type {p.value.type}"
+                    successful=False, reason=f"{p.name}: unknown parameter type {p.value.type}"
                 )
                 if isinstance(response, SetParameters.Response):
                     response.results = [refusal] * len(request.parameters)

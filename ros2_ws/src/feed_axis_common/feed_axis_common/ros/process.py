@@ -1,4 +1,4 @@
-"""The life of a node's process: start, spin, and a clean end on any signal."""
+"""The life of a node's process: start, spin, and a clean end on SIGINT and SIGTERM."""
 
 import os
 import signal
@@ -13,7 +13,8 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from mpc_controller.errors import SettingsError
+from feed_axis_common.errors import SettingsError
+from feed_axis_common.signals import STOP_SIGNALS
 
 try:
     # Experimental in Jazzy but 1.5 to 7 times faster; only its spin_once is dependable.
@@ -23,9 +24,9 @@ except ImportError:
 
 EXIT_USAGE = 2
 SPIN_PERIOD = 0.1
-"""Longest time [s] until a signal is noticed."""
+"""Longest time [s] from a signal to the end of the loop."""
 EXIT_TIMEOUT = 5.0
-"""Time [s] that the middleware has to end."""
+"""Time [s] that the middleware has to shut down."""
 
 
 def make_executor() -> Executor:
@@ -37,8 +38,8 @@ def run(make_node: Callable[[], Node]) -> int:
     """Run one node until SIGINT or SIGTERM and return the exit code.
 
     rclpy's own handlers are not used: an idle ``rclpy.spin`` may hang on SIGTERM, and a second
-    signal during the exit kills the process. Parameters or arguments that cannot be used end the
-    process with one line and code 2.
+    signal during the exit kills the process. Invalid parameters or arguments give one line on
+    stderr and the code 2.
     """
     stop = False
 
@@ -46,7 +47,7 @@ def run(make_node: Callable[[], Node]) -> int:
         nonlocal stop
         stop = True
 
-    for signum in (signal.SIGINT, signal.SIGTERM):
+    for signum in STOP_SIGNALS:
         signal.signal(signum, request_stop)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -54,7 +55,7 @@ def run(make_node: Callable[[], Node]) -> int:
     except SettingsError as error:
         return _refuse(str(error))
     except (RuntimeError, ValueError, InvalidParameterValueException) as error:
-        # What rclpy makes of bad arguments, parameter files or values, at times in several lines.
+        # From rclpy, for bad arguments, parameter files or values; the text may have several lines.
         return _refuse(f"cannot start the node: {str(error).splitlines()[0]}")
     executor = make_executor()
     executor.add_node(node)
@@ -65,12 +66,12 @@ def run(make_node: Callable[[], Node]) -> int:
             except Exception as error:
                 if not rclpy.ok():
                     raise
-                # What one message breaks, our doing or rclpy's, must not end the node for all.
+                # One bad message must not end the node, whether our code or rclpy fails on it.
                 node.get_logger().error(f"a message was dropped: {error!r}")
     finally:
-        for signum in (signal.SIGINT, signal.SIGTERM):
+        for signum in STOP_SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
-        # The middleware has been seen to hang in its own end, rarely; the process shall not.
+        # On rare occasions the middleware hangs in its shutdown.
         deadline = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
         deadline.daemon = True
         deadline.start()

@@ -1,0 +1,40 @@
+"""Makes the backend that a command line or a record names."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.protocol import IN_PROCESS, Backend
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.study.study import Study
+
+
+def make_backend(
+    name: str,
+    study: Study,
+    log_directory: Path,
+    *,
+    attach: bool = False,
+    ros_arguments: Sequence[str] = (),
+    interrupted: Callable[[], None] = lambda: None,
+) -> Backend:
+    """Make a backend, not open yet.
+
+    Parameters
+    ----------
+    name
+        One of `bo_tuner.backends.protocol.BACKENDS`.
+    study
+        The study.
+    log_directory, attach, ros_arguments, interrupted
+        As in `RosBackend`; of no meaning in process.
+    """
+    if name == IN_PROCESS:
+        return InProcessBackend(study)
+    return RosBackend(
+        study,
+        log_directory,
+        attach=attach,
+        ros_arguments=list(ros_arguments),
+        interrupted=interrupted,
+    )

@@ -1,0 +1,1 @@
+"""What the nodes of the feed axis share: model, parameter tables and ROS plumbing."""

@@ -1,0 +1,19 @@
+"""The command ``milling_plant``."""
+
+import sys
+
+from feed_axis_common.signals import exit_on_stop_signal
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    exit_on_stop_signal()
+
+    from feed_axis_common.ros.process import run
+    from milling_plant.node import PlantNode
+
+    sys.exit(run(PlantNode))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,19 @@
+"""The command ``mpc_controller``."""
+
+import sys
+
+from feed_axis_common.signals import exit_on_stop_signal
+
+
+def main() -> None:
+    """Run the node until SIGINT or SIGTERM."""
+    exit_on_stop_signal()
+
+    from feed_axis_common.ros.process import run
+    from mpc_controller.node import ControllerNode
+
+    sys.exit(run(ControllerNode))
+
+
+if __name__ == "__main__":
+    main()
