@@ -33,7 +33,8 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 from feed_axis_common.model import delay_augmented, feed_axis
 from feed_axis_common.ros.messages import LOOP_QOS, VelocityPublisher, from_stamp
 from feed_axis_common.ros.process import make_executor
@@ -58,8 +59,8 @@ def seconds(work: Callable[[], Any]) -> float:
 
 def evaluation(backend: Any, seed: int = 1) -> None:
     """Run one cut of the hand-tuned parametrization; a failed one ends the benchmark."""
-    planned = Evaluation(0, 0, Stage.DRAWN, CONTEXT, seed)
-    outcome = run_cut(STUDY, backend, PARAMETERS, planned).outcome
+    planned = Evaluation(0, 0, Stage.DRAWN, PARAMETERS, CONTEXT, seed)
+    outcome = evaluate(STUDY, backend, planned, NOBODY).outcome
     if outcome.state is not EvaluationState.COMPLETE:
         raise SystemExit(f"error: a cut failed: {outcome.reason}")
 

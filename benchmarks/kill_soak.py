@@ -104,9 +104,9 @@ class Tuner:
         """Add up what lost cuts took, of those after the first `cuts`, and the next whole one."""
         total = 0.0
         for recorded in self.record().evaluations[evaluations:]:
-            complete = recorded.evaluation.outcome.state is EvaluationState.COMPLETE
+            complete = recorded.outcome.state is EvaluationState.COMPLETE
             if not complete or total > 0.0:
-                total += recorded.evaluation.seconds
+                total += recorded.seconds
             if complete and total > 0.0:
                 break
         return total

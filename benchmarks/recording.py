@@ -9,6 +9,7 @@ import argparse
 import statistics
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 from common import RESULTS, provenance, table, write_result
@@ -16,6 +17,7 @@ from common import RESULTS, provenance, table, write_result
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState
@@ -29,20 +31,22 @@ def run_trial(
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
     options = RecordOptions(Policy.ALL if folder else Policy.NONE)
-    with RunRecording(folder or Path(), study, options, backend.listen, print) as recording:
+    listen = partial(TopicListener, backend.context, backend.nodes)
+    with RunRecording(folder or Path(), study, options, listen, print) as recording:
         record: list[Evaluation] = []
         start = time.perf_counter()
         for index in range(evaluations):
             seed = 1 + index
-            outcome = backend.run_cut(study.assignments(parameters, nominal, seed))
+            planned = Evaluation(number, index, Stage.DRAWN, parameters, nominal, seed)
+            record += backend.run([planned])
+            outcome = record[-1].outcome
             if outcome.state is not EvaluationState.COMPLETE:
                 raise SystemExit(f"error: {outcome.reason}")
-            record.append(Evaluation(number, index, Stage.DRAWN, nominal, seed, outcome))
-            recording.evaluation(record[-1], parameters)
+            recording.evaluation(record[-1])
         trial = Trial(
             number, parameters, "benchmark", TrialState.COMPLETE, evaluations=tuple(record)
         )
-        recording.trial(trial, best=False)
+        recording.trial(trial, None)
         elapsed = time.perf_counter() - start
     return elapsed / evaluations, recording.summary
 

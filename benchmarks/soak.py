@@ -22,6 +22,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.journal import Journal
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState
@@ -76,8 +77,8 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
     done = ignored = 0
     begin = time.perf_counter()
 
-    def listen(recorder: Recorder):
-        return backend.listen(recorder)
+    def listen(recorder: Recorder) -> TopicListener:
+        return TopicListener(backend.context, backend.nodes, recorder)
 
     def look_around() -> None:
         counts.append(done)
@@ -91,17 +92,17 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
         pids = [process.pid for process in backend.processes.values()]
         recording = RunRecording(folder, study, RecordOptions(), listen, print)
         with Journal(folder / "journal.sqlite", {"study": study.name}) as journal, recording:
-            best = float("inf")
             for number in range(trials):
                 parameters = space.to_parameters(design[number])
                 record: list[Evaluation] = []
                 for index in range(min(CUTS_PER_TRIAL, evaluations - done)):
                     context = contexts.to_dict(contexts.draw(1, rng)[0])
                     seed = int(rng.integers(2**31))
-                    outcome = backend.run_cut(study.assignments(parameters, context, seed))
-                    evaluation = Evaluation(number, index, Stage.DRAWN, context, seed, outcome)
-                    journal.record_evaluation(evaluation, parameters)
-                    recording.evaluation(evaluation, parameters)
+                    planned = Evaluation(number, index, Stage.DRAWN, parameters, context, seed)
+                    (evaluation,) = backend.run([planned])
+                    outcome = evaluation.outcome
+                    journal.record_evaluation(evaluation)
+                    recording.evaluation(evaluation)
                     record.append(evaluation)
                     states[str(outcome.state)] += 1
                     if outcome.state is not EvaluationState.COMPLETE:
@@ -116,9 +117,7 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
                 state = TrialState.COMPLETE if whole else TrialState.FAILED
                 trial = Trial(number, parameters, "soak", state, evaluations=tuple(record))
                 journal.record_trial(trial)
-                worst = max((c.outcome.metrics.get("overshoot", 9.0) for c in record), default=9.0)
-                recording.trial(trial, best=whole and worst < best)
-                best = min(best, worst) if whole else best
+                recording.trial(trial, None)
         same = pids == [process.pid for process in backend.processes.values()]
     finally:
         backend.close()

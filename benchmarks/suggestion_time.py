@@ -51,11 +51,12 @@ from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.stage_one import BayesianOptimization
+from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 
 SEED = 20_201_116
 REPLICATES = 5
@@ -85,8 +86,8 @@ def make_trials(study: Study, count: int) -> list[Trial]:
         for index, context in enumerate([*rows, WORST_CONTEXT]):
             seed = int(rng.integers(2**31))
             stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
-            planned = Evaluation(len(trials), index, stage, context, seed)
-            evaluations.append(run_cut(study, backend, parameters, planned))
+            planned = Evaluation(len(trials), index, stage, parameters, context, seed)
+            evaluations.append(evaluate(study, backend, planned, NOBODY))
         if any(
             evaluation.outcome.state is not EvaluationState.COMPLETE for evaluation in evaluations
         ):

@@ -60,9 +60,7 @@ def test_the_numbers_shown_are_those_of_the_journal(chromium, feed_axis_page, fe
         "[row.cells[0].textContent.trim(), [row.cells[1].textContent, row.cells[2].textContent]]))"
     )
     record = read_run(feed_axis_run)
-    evaluations = [
-        r.evaluation for r in record.evaluations if r.evaluation.stage is Stage.VALIDATION
-    ]
+    evaluations = [r for r in record.evaluations if r.stage is Stage.VALIDATION]
     for column in (0, 1):
         of_column = [
             evaluation.outcome.metrics for evaluation in evaluations if evaluation.trial == column

@@ -5,6 +5,7 @@ import signal
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from functions import planned
 from std_msgs.msg import String
 
 from bo_tuner.backends.ros.backend import RosBackend
@@ -35,7 +36,7 @@ def run_cut(nodes, peer, tmp_path):
     context = {"stiffness_factor": 1.125, "damping_factor": 0.875}
 
     def run(seed):
-        return backend.run_cut(study.assignments(parameters, context, seed))
+        return backend.outcome(planned(parameters, context, seed))
 
     with contextlib.closing(backend):
         backend.open()

@@ -14,7 +14,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState, TrialState
@@ -47,7 +47,7 @@ def uninterrupted(study):
     backend.open()
     # As the command does: with another number of threads the last bits differ.
     with threadpool_limits(1):
-        return list(Tuning(study_from_mapping(study), backend, METHODS["IV"]))
+        return list(Tuning(study_from_mapping(study), backend, ALGORITHMS["IV"]))
 
 
 def figures(trials):

@@ -15,7 +15,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
 from bo_tuner.metrics.collect import outcome
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import salvage
 from bo_tuner.storage.record import read_run
@@ -23,6 +23,7 @@ from bo_tuner.storage.run_folder import JOURNAL, STUDY
 from bo_tuner.study import strict_yaml
 from bo_tuner.study.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
+from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from feed_axis_common.parameters import specifications
 from milling_plant.cut import MillingPlant
@@ -136,7 +137,7 @@ def make_run(folder):
     backend.open()
     provenance = {"algorithm": "IV", "backend": "inprocess"}
     with Journal(folder / JOURNAL, provenance) as journal:
-        for trial in Tuning(study, backend, METHODS["IV"], observe=journal.record_evaluation):
+        for trial in Tuning(study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)):
             journal.record_trial(trial)
     return read_run(folder)
 

@@ -3,7 +3,8 @@
 import pytest
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.metrics.collect import outcome
+from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.metrics.collect import Collector
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import (
     Evaluation,
@@ -14,6 +15,7 @@ from bo_tuner.trials import (
     TrialState,
     WorstCase,
 )
+from bo_tuner.tuning.observer import RunObserver
 
 NODE = {"node": "axis"}
 
@@ -41,7 +43,7 @@ def make_study(**sections):
     return study_from_mapping({key: value for key, value in mapping.items() if value is not None})
 
 
-class FunctionBackend:
+class FunctionBackend(SequentialBackend):
     """Evaluates a function of all that the node is told; counts calls.
 
     The function returns the node's figures, or a CutOutcome.
@@ -49,8 +51,9 @@ class FunctionBackend:
 
     name = "function"
 
-    def __init__(self, study, function):
+    def __init__(self, study, function, sources=None):
         self._study = study
+        self._collector = Collector(study, sources)
         self._function = function
         self.calls = []
 
@@ -60,13 +63,14 @@ class FunctionBackend:
     def close(self):
         pass
 
-    def run_cut(self, assignments):
+    def outcome(self, planned):
+        assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         (values,) = assignments.values()
         self.calls.append(dict(values))
         said = self._function(**values)
         if isinstance(said, Outcome):
             return said
-        return outcome(self._study, {"axis": {"status": "ok", "reason": ""} | said})
+        return self._collector.outcome({"axis": {"status": "ok", "reason": ""} | said})
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -84,14 +88,16 @@ def make_trial(number, parameters, errors=(), worst=0.5, noise=0.0):
     """A trial with one drawn evaluation for each of `errors`; failed without any."""
     evaluations = [
         Evaluation(
-            number, k, Stage.DRAWN, {"load": 1.5}, k,
+            number, k, Stage.DRAWN, parameters, {"load": 1.5}, k,
             Outcome(EvaluationState.COMPLETE, {"error": error, "peak": worst}),
         )
         for k, error in enumerate(errors)
     ]  # fmt: skip
     if not evaluations:
         evaluations = [
-            Evaluation(number, 0, Stage.DRAWN, {"load": 1.5}, 0, failed("axis: stalled"))
+            Evaluation(
+                number, 0, Stage.DRAWN, parameters, {"load": 1.5}, 0, failed("axis: stalled")
+            )
         ]
         return Trial(number, parameters, "", TrialState.FAILED, "axis: stalled", tuple(evaluations))
     worst_case = WorstCase(worst, {"load": 1.5}, worst, noise)
@@ -123,3 +129,22 @@ def _function_backend():
 @pytest.fixture(scope="session", name="failed")
 def _failed():
     return failed
+
+
+def planned(parameters, context=None, seed=1, stage=Stage.DRAWN):
+    """An evaluation that was not run yet."""
+    return Evaluation(0, 0, stage, parameters, {} if context is None else context, seed)
+
+
+class Watcher(RunObserver):
+    """Keeps what it is told of."""
+
+    def __init__(self):
+        self.evaluations = []
+        self.steps = []
+
+    def evaluation(self, evaluation):
+        self.evaluations.append(evaluation)
+
+    def advance(self):
+        self.steps.append(len(self.evaluations))

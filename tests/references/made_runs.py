@@ -3,11 +3,12 @@
 import hashlib
 import json
 
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
 INITIAL = {"trials": 3, "initial_trials": 3, "drawn_contexts": 2, "search_evaluations": 1}
@@ -34,7 +35,9 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
     backend.open()
     try:
         with Journal(folder / "journal.sqlite", provenance(study, backend_name, "IV")) as journal:
-            for trial in Tuning(study, backend, METHODS["IV"], observe=journal.record_evaluation):
+            for trial in Tuning(
+                study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)
+            ):
                 journal.record_trial(trial)
     finally:
         backend.close()

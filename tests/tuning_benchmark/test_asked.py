@@ -5,8 +5,8 @@ from valley import Draws
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.models.surrogates import single_evaluation_worst_cases
-from bo_tuner.optimizers.stage_one import BayesianOptimization
-from tuning_benchmark.asked import AskedStageOne, observation
+from bo_tuner.optimizers.bayesian import BayesianOptimization
+from tuning_benchmark.asked import AskedOptimizer, observation
 from tuning_benchmark.optimizer import Observation, best_observed
 
 
@@ -57,7 +57,7 @@ def test_an_optimizer_sees_what_our_surrogates_see(trial_study, make_trial):
 def test_the_initial_design_is_the_products(trial_study, make_trial):
     optimizer = Draws(trial_study, 5)
     trials = []
-    asked, ours = AskedStageOne(trial_study, optimizer), BayesianOptimization(trial_study)
+    asked, ours = AskedOptimizer(trial_study, optimizer), BayesianOptimization(trial_study)
     for number in range(trial_study.budget.initial_trials):
         proposal = asked.ask()
         assert proposal.parameters == ours.ask().parameters
@@ -85,7 +85,7 @@ def test_an_asked_value_stays_to_the_last_digit(make_study, make_trial):
         def ask(self):
             return {"x": 0.1}
 
-    asked = AskedStageOne(study, Fixed(study, 1))
+    asked = AskedOptimizer(study, Fixed(study, 1))
     for number in range(study.budget.initial_trials):
         asked.tell(make_trial(number, asked.ask().parameters, errors=(1.0,)))
     assert asked.ask().parameters["x"] == 0.1
@@ -96,7 +96,7 @@ def test_what_lies_outside_the_space_is_refused(trial_study, make_trial):
         def ask(self):
             return {"gain": 1.5}
 
-    asked = AskedStageOne(trial_study, Outside(trial_study, 1))
+    asked = AskedOptimizer(trial_study, Outside(trial_study, 1))
     for number in range(trial_study.budget.initial_trials):
         asked.tell(make_trial(number, asked.ask().parameters, errors=(1.0,)))
     with pytest.raises(ParameterError, match="gain"):

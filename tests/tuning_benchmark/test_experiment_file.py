@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from tuning_benchmark.experiment_file import load_experiment, shipped_experiments
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "campaigns.md"
@@ -18,7 +18,7 @@ def test_shipped_experiments_can_be_read(name):
 @pytest.mark.parametrize("name", ["paper", "small"])
 def test_the_papers_experiments_have_all_algorithms(name):
     experiment = load_experiment(name)
-    assert set(experiment.cases["benchmark"].rows) == set(METHODS)
+    assert set(experiment.cases["benchmark"].rows) == set(ALGORITHMS)
 
 
 def test_the_paper_has_its_tables():

@@ -1,7 +1,7 @@
 import pytest
 from valley import true_worst
 
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.trials import Stage
 from bo_tuner.tuning import recommendation as confirmation
@@ -106,7 +106,7 @@ def test_the_search_is_judged_apart_from_the_choice(study, small, row):
     """What Algorithm IV would answer of another optimizer's trials."""
     found = run(study, row, 1, small, JUDGE)
     trials, _ = trials_of(study, row, small)
-    first = rank(study.replace(seed=1), trials, METHODS["IV"].models)[0].trial
+    first = rank(study.replace(seed=1), trials, ALGORITHMS["IV"].models)[0].trial
     assert found["ranked"]["trial"] == first.number
     means = [first.parameters[name] for name in ("g0", "g1")]
     assert found["ranked"]["truth"]["worst"] == pytest.approx(true_worst(means))

@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from functions import planned
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import BackendError, StudyError
@@ -60,7 +61,7 @@ number = 3
 '''
 
 NODE = {"node": "axis", "result": "~/cut_result", "object": "axis_objects:Axis"}
-ASSIGNMENTS = {"axis": {"gain": 0.25, "load": 1.5, "seed": 3}}
+PLANNED = planned({"gain": 0.25}, {"load": 1.5}, 3)
 
 
 @pytest.fixture
@@ -117,24 +118,24 @@ class TestOpen:
 
     def test_constants_of_the_backend_win(self, opened):
         node = NODE | {"parameters": {"a": 1, "b": 2}, "inprocess_parameters": {"b": 3}}
-        told = opened(nodes={"axis": node}).run_cut(ASSIGNMENTS).details["axis.told"]
+        told = opened(nodes={"axis": node}).outcome(PLANNED).details["axis.told"]
         assert told == repr([("a", 1), ("b", 3), ("gain", 0.25), ("load", 1.5), ("seed", 3)])
 
     def test_a_nested_class(self, opened):
         backend = opened(nodes={"axis": NODE | {"object": "axis_objects:Outer.Inner"}})
-        assert backend.run_cut(ASSIGNMENTS).state is EvaluationState.COMPLETE
+        assert backend.outcome(PLANNED).state is EvaluationState.COMPLETE
 
     def test_not_open(self, opened):
         backend = opened()
         backend.close()
         backend.close()
         with pytest.raises(BackendError):
-            backend.run_cut(ASSIGNMENTS)
+            backend.outcome(PLANNED)
 
 
 class TestEvaluation:
     def test_metrics(self, opened):
-        found = opened().run_cut(ASSIGNMENTS)
+        found = opened().outcome(PLANNED)
         assert found.state is EvaluationState.COMPLETE
         assert found.metrics == {"error": 0.25, "peak": 1.0}
 
@@ -147,10 +148,10 @@ class TestEvaluation:
     )
     def test_refused_parameters(self, opened, gain, reason):
         backend = opened()
-        found = backend.run_cut({"axis": {"gain": gain}})
+        found = backend.outcome(planned({"gain": gain}, {"load": 1.5}, 3))
         assert found.state is EvaluationState.FAILED
         assert found.reason == reason
-        assert backend.run_cut(ASSIGNMENTS).state is EvaluationState.COMPLETE
+        assert backend.outcome(PLANNED).state is EvaluationState.COMPLETE
 
     @pytest.mark.parametrize(
         ("behaviour", "reason"),
@@ -164,7 +165,7 @@ class TestEvaluation:
         ],
     )
     def test_a_failed_evaluation_has_its_reason(self, opened, behaviour, reason):
-        found = behaving(opened, behaviour).run_cut(ASSIGNMENTS)
+        found = behaving(opened, behaviour).outcome(PLANNED)
         assert found.state is EvaluationState.FAILED
         assert reason in found.reason
         assert found.metrics == {}
@@ -179,7 +180,7 @@ class TestEvaluation:
         return opened(nodes={"axis": NODE, "sensor": sensor}, metrics=metrics)
 
     def test_metrics_of_another_node(self, opened):
-        found = self.sensing(opened, "{'peak': 7.0}").run_cut(ASSIGNMENTS)
+        found = self.sensing(opened, "{'peak': 7.0}").outcome(PLANNED)
         assert found.metrics == {"error": 0.25, "peak": 7.0}
 
     @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ class TestEvaluation:
         ],
     )
     def test_another_node_fails(self, opened, behaviour, reason):
-        found = self.sensing(opened, behaviour).run_cut(ASSIGNMENTS)
+        found = self.sensing(opened, behaviour).outcome(PLANNED)
         assert found.state is EvaluationState.FAILED
         assert reason in found.reason
 
@@ -203,7 +204,7 @@ class TestMilling:
         study = load_study("benchmark")
         context = {"stiffness_factor": 1.0, "damping_factor": 1.0}
         parameters = study.search_space().defaults | changes
-        return backend.run_cut(study.assignments(parameters, context, 5))
+        return backend.outcome(planned(parameters, context, 5))
 
     @pytest.fixture
     def backend(self):

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bo_tuner.certificate.neighbourhood import look_around
-from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance, posterior_samples
+from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.kernel import latent_covariance
 from bo_tuner.models.surrogates import Surrogates
@@ -42,7 +42,7 @@ def evaluations_of(study, function, count=40, noise=0.0, seed=0):
         context = space.to_dict(row)
         peak = float(function(**context) + noise * rng.standard_normal())
         outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": peak})
-        evaluations.append(Evaluation(0, 0, Stage.SEARCH, context, 0, outcome))
+        evaluations.append(Evaluation(0, 0, Stage.SEARCH, {}, context, 0, outcome))
     return evaluations
 
 
@@ -169,7 +169,7 @@ class TestDrift:
         study = plane(make_study)
         evaluations = evaluations_of(study, lambda load, wear: 0.6 + 0.8 * (load - 1))
         failed = [
-            Evaluation(0, 0, Stage.SEARCH, evaluation.context, 0) for evaluation in evaluations
+            Evaluation(0, 0, Stage.SEARCH, {}, evaluation.context, 0) for evaluation in evaluations
         ]
         assert context_tolerance(study, [*failed, *evaluations]) == context_tolerance(
             study, evaluations
@@ -178,7 +178,7 @@ class TestDrift:
 
 def make_evaluation(context):
     outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5})
-    return Evaluation(0, 0, Stage.SEARCH, context, 0, outcome)
+    return Evaluation(0, 0, Stage.SEARCH, {}, context, 0, outcome)
 
 
 def test_posterior_samples_have_the_moments_of_the_posterior():
@@ -187,7 +187,7 @@ def test_posterior_samples_have_the_moments_of_the_posterior():
     model = GaussianProcess.fit(x, np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=15), rng=rng)
     at = np.vstack([rng.random((6, 2)), x[:2]])
     mean, variance = model.predict(at)
-    sampled = posterior_samples(model, at, 20_000, rng)
+    sampled = model.sample(at, 20_000, rng)
     assert np.abs(sampled.mean(axis=0) - mean).max() < 5 * np.sqrt(variance.max() / 20_000)
     assert sampled.var(axis=0) == pytest.approx(variance, rel=0.06)
     # The covariances by conditioning a normal vector with a plain inverse.
@@ -207,7 +207,9 @@ def trial(number, parameters, objective, worst):
         {"tracking_error": objective, "overshoot": worst, "return_time": 0.001},
     )
     context = {"stiffness_factor": 1.0, "damping_factor": 1.0}
-    evaluations = tuple(Evaluation(number, k, Stage.DRAWN, context, k, outcome) for k in range(5))
+    evaluations = tuple(
+        Evaluation(number, k, Stage.DRAWN, {}, context, k, outcome) for k in range(5)
+    )
     return Trial(
         number, parameters, "", TrialState.COMPLETE, evaluations=evaluations,
         worst_case=WorstCase(worst, context, worst),

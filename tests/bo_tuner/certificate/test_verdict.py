@@ -12,7 +12,7 @@ from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.verdict import judge, most_draws_needed
 from bo_tuner.certificate.winners_curse import training_gaps
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.loop import Tuning
@@ -37,7 +37,7 @@ def evaluation(peak, stage=Stage.VALIDATION, error=1.0, load=1.5):
     outcome = Outcome(EvaluationState.FAILED, reason="axis: stalled")
     if peak is not None:
         outcome = Outcome(EvaluationState.COMPLETE, {"error": error, "peak": peak})
-    return Evaluation(0, 0, stage, {"load": load}, 7, outcome)
+    return Evaluation(0, 0, stage, {"gain": 0.5}, {"load": load}, 7, outcome)
 
 
 def evidence(peaks, repeated=((0.5, 0.6),)):
@@ -193,7 +193,9 @@ class TestFailures:
             return {"error": 1.0, "peak": 0.5}
 
         backend = function_backend(study, function)
-        with pytest.raises(RunError, match="3 runs in a row were lost with their nodes: gone"):
+        with pytest.raises(
+            RunError, match="3 evaluations in a row were lost with their nodes: gone"
+        ):
             collect(study, backend, 50, default=0.5, tuned=0.2)
         assert len(backend.calls) == 6
 
@@ -220,7 +222,7 @@ class TestEvaluations:
         assert seen[0] == seen[1]
         assert len(set(seen[0])) == 40
         before = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.5})
-        list(Tuning(study, before, METHODS["IV"]))
+        list(Tuning(study, before, ALGORITHMS["IV"]))
         validate(study, before, [{"gain": 0.25}])
         for key in ("load", "seed"):
             drawn = {c.context[key] if key == "load" else c.seed for c in tuned.drawn}

@@ -11,10 +11,11 @@ import sys
 import time
 
 import pytest
+from functions import planned
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
-from bo_tuner.storage.journal_reader import RecordedEvaluation, read_journal
+from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import study_to_yaml
@@ -286,9 +287,7 @@ class TestRecordedEvaluations:
             Outcome(EvaluationState.COMPLETE, {"error": e, "peak": 0.1}) for e in (1.0, 2.0)
         ]
         recorded = [
-            RecordedEvaluation(
-                Evaluation(0, k, Stage.DRAWN, {"load": 1.5}, 7, outcome), {"gain": 0.5}
-            )
+            Evaluation(0, k, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
             for k, outcome in enumerate(outcomes)
         ]
         ran = []
@@ -299,11 +298,13 @@ class TestRecordedEvaluations:
 
         backend = RecordedEvaluations(function_backend(study, function), study, recorded)
         backend.open()
-        same = study.assignments({"gain": 0.5}, {"load": 1.5}, 7)
-        assert [backend.run_cut(same) for _ in range(2)] == outcomes
-        assert backend.given == recorded[1].evaluation
+        same = planned({"gain": 0.5}, {"load": 1.5}, 7)
+        given = list(backend.run([same, same]))
+        assert [evaluation.outcome for evaluation in given] == outcomes
+        assert all(evaluation.recorded for evaluation in given)
         assert ran == []
-        assert backend.run_cut(same).metrics["error"] == 3.0
-        assert backend.given is None
-        backend.run_cut(study.assignments({"gain": 0.5}, {"load": 1.5 + 2**-50}, 7))
+        (new,) = backend.run([same])
+        assert new.outcome.metrics["error"] == 3.0
+        assert not new.recorded
+        list(backend.run([planned({"gain": 0.5}, {"load": 1.5 + 2**-50}, 7)]))
         assert len(ran) == 2

@@ -268,12 +268,12 @@ class TestInterruption:
 class TestFaults:
     def test_nodes_lost_for_good(self, here, folder, monkeypatch):
         lost = Outcome(EvaluationState.LOST, {}, "axis is gone")
-        monkeypatch.setattr(InProcessBackend, "run_cut", lambda *_: lost)
+        monkeypatch.setattr(InProcessBackend, "outcome", lambda *_: lost)
         (folder / "certificate.json").write_text("old")
         code, out, err = here(folder)
         assert code == 1
         assert err.splitlines()[-1] == (
-            "error: 3 runs in a row were lost with their nodes: axis is gone"
+            "error: 3 evaluations in a row were lost with their nodes: axis is gone"
         )
         assert out == ""
         assert (folder / "certificate.json").read_text() == "old"

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bo_tuner.metrics.collect import outcome
+from bo_tuner.metrics.collect import Collector
 from bo_tuner.trials import EvaluationState
 
 OK = {"status": "ok", "reason": ""}
 
 
 def judge(make_study, **said):
-    return outcome(make_study(), said)
+    return Collector(make_study()).outcome(said)
 
 
 @pytest.mark.parametrize("value", [0.25, "0.25", "2.5e-1", " 0.25 "])
@@ -73,5 +73,5 @@ def test_all_that_was_said_is_kept(make_study):
 def test_a_metric_under_another_key(make_study):
     node = {"node": "axis"}
     study = make_study(metrics={"error": node | {"key": "error_p99"}, "peak": node})
-    found = outcome(study, {"axis": OK | {"error_p99": 2.0, "peak": 1.0, "error": 5.0}})
+    found = Collector(study).outcome({"axis": OK | {"error_p99": 2.0, "peak": 1.0, "error": 5.0}})
     assert found.metrics == {"error": 2.0, "peak": 1.0}

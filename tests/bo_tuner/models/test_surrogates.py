@@ -42,7 +42,7 @@ def test_models_predict_their_responses(study, make_trial):
     models = fit(study, sloped(make_trial))
     x = np.array([[0.3], [0.8]])
     assert models.objective.predict(x)[0] == pytest.approx([1.305, 1.805], abs=0.02)
-    assert models.constraints[1].predict(x)[0] == pytest.approx([0.6, 1.6], abs=0.02)
+    assert models.constraints["peak"].predict(x)[0] == pytest.approx([0.6, 1.6], abs=0.02)
     assert models.outliers == frozenset()
 
 
@@ -56,8 +56,8 @@ def test_the_noise_of_a_evaluation_keeps_a_distance_from_the_worst_case(
     worst = {"kind": "worst_case", "metric": "peak", "upper": 1.0} | given
     study = make_study(parameters={"x": DOUBLE}, constraints={"peak": worst})
     noise = 0.1
-    without = fit(study, sloped(make_trial)).constraints[0]
-    with_noise = fit(study, sloped(make_trial, noise)).constraints[0]
+    (without,) = fit(study, sloped(make_trial)).constraints.values()
+    (with_noise,) = fit(study, sloped(make_trial, noise)).constraints.values()
     x = np.array([[0.5]])
     distance = with_noise.predict(x)[0] - without.predict(x)[0]
     assert distance == pytest.approx(norm.ppf(probability) * noise, abs=0.01)
@@ -66,7 +66,7 @@ def test_the_noise_of_a_evaluation_keeps_a_distance_from_the_worst_case(
 def test_feasibility_is_the_product_of_the_constraints(study, make_trial):
     models = fit(study, sloped(make_trial))
     x = np.array([[0.1], [0.45], [0.9]])
-    product = sum(c.log_probability(x) for c in models.constraints)
+    product = sum(c.log_probability(x) for c in models.constraints.values())
     assert models.log_feasibility(x) == pytest.approx(product)
     probability = np.exp(models.log_feasibility(x))
     assert probability[0] > 0.95
@@ -79,7 +79,7 @@ def test_an_outlier_leaves_all_models(study, make_trial):
     assert models.outliers == {9}
     x = np.array([[0.55]])
     assert models.objective.predict(x)[0] == pytest.approx([1.555], abs=0.05)
-    assert models.constraints[1].predict(x)[0] == pytest.approx([1.1], abs=0.05)
+    assert models.constraints["peak"].predict(x)[0] == pytest.approx([1.1], abs=0.05)
     p_out = models.classifiers[1].probability(np.array([[0.56], [0.05]]))
     assert p_out[0] > 0.5 > p_out[1]
     assert fit(study, trials, reject_outliers=False).objective.predict(x)[0][0] > 5.0
@@ -106,7 +106,7 @@ def test_the_joint_model_uses_every_evaluation(study, make_trial):
         x = trial.parameters["x"]
         evaluations = tuple(
             Evaluation(
-                trial.number, k, Stage.SEARCH, {"load": load}, k,
+                trial.number, k, Stage.SEARCH, trial.parameters, {"load": load}, k,
                 Outcome(EvaluationState.COMPLETE, {"error": 1.0 + x, "peak": x * load}),
             )
             for k, load in enumerate((1.0, 1.4, 1.7, 2.0))
@@ -119,7 +119,7 @@ def test_the_joint_model_uses_every_evaluation(study, make_trial):
             for evaluation in trial.evaluations
         )
         trials.append(replace(trial, evaluations=drawn + evaluations))
-    constraint = fit(study, trials, joint=True).constraints[1]
+    constraint = fit(study, trials, joint=True).constraints["peak"]
     mean, _ = constraint.predict(np.array([[0.25], [0.75]]))
     assert mean == pytest.approx([0.5, 1.5], abs=0.05)
 
@@ -127,6 +127,6 @@ def test_the_joint_model_uses_every_evaluation(study, make_trial):
 def test_warm_start_gives_the_same_models(study, make_trial):
     trials = sloped(make_trial)
     first = fit(study, trials)
-    again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.hyperparameters)
+    again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.warm_starts)
     x = np.array([[0.33]])
     assert again.objective.predict(x)[0] == pytest.approx(first.objective.predict(x)[0], abs=1e-3)

@@ -7,7 +7,8 @@ from rich.console import Console
 
 from bo_tuner.monitoring.display import comparison
 from bo_tuner.study.study_file import load_study
-from bo_tuner.tuning.validation import ConstraintCheck, Validation
+from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.validation import Validation
 
 
 def console(width=80):
@@ -19,16 +20,17 @@ def text(of):
 
 
 def validation(study, objective=0.1695, failures=0):
-    checks = [
-        ConstraintCheck(name, worst=0.1226, violations=2, holds=False) for name in study.constraints
-    ]
+    samples = {
+        name: Sample(name, worst=0.1226, count=25, violations=2, holds=False)
+        for name in study.constraints
+    }
     return Validation(
         parameters=study.search_space().defaults,
         draws=25,
         failures=failures,
         objective=objective,
         deviation=0.05,
-        constraints=tuple(checks),
+        constraints=samples,
     )
 
 

@@ -13,12 +13,13 @@ import pytest
 
 from bo_tuner.cli.tune import make_parser
 from bo_tuner.monitoring.json_lines import JsonLines
-from bo_tuner.monitoring.status import TUNING, RunStatus
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import WorstCase
+from bo_tuner.tuning.observer import Phase
 
 DEADLINE = 60.0
 AXIS = """\
@@ -98,9 +99,9 @@ class TestRun:
         ] == [
             (
                 dict(c.parameters),
-                dict(c.evaluation.context),
-                c.evaluation.seed,
-                dict(c.evaluation.outcome.metrics),
+                dict(c.context),
+                c.seed,
+                dict(c.outcome.metrics),
             )
             for c in content.evaluations
         ]
@@ -163,14 +164,14 @@ def test_not_together_with_quiet(capsys):
 
 def test_what_is_not_a_number_becomes_null(make_study, make_trial):
     study, out = make_study(), io.StringIO()
-    status = RunStatus(study, METHODS["IV"])
+    status = RunStatus(study, ALGORITHMS["IV"])
     lines = JsonLines(study, status, out)
     trial = make_trial(0, {"gain": float("inf")}, [1.0])
     trial = dataclasses.replace(
         trial, worst_case=WorstCase(float("nan"), {"load": float("-inf")}, 0.5), warnings=("ü\n",)
     )
     before = time.time()
-    lines.begin(TUNING, 5)
+    lines.begin(Phase.TUNING, 5)
     lines.trial(trial, None)
     lines.advise(StopAdvice(1, 4, float("nan"), 0.5))
     lines.pause(True)

@@ -8,10 +8,11 @@ import pytest
 from rich.console import Console
 
 from bo_tuner.monitoring.progress import RunProgress, advice_in_words, describe, duration
-from bo_tuner.monitoring.status import TUNING, RunStatus
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
 
@@ -38,14 +39,14 @@ def candidate(trial, feasibility=0.9):
 
 
 def follow(console, study, trials, best):
-    status = RunStatus(study, METHODS["IV"])
+    status = RunStatus(study, ALGORITHMS["IV"])
     with RunProgress(console, study, status) as progress:
         for observer in (status, progress):
-            observer.begin(TUNING, 5)
+            observer.begin(Phase.TUNING, 5)
         for trial in trials:
             for observer in (status, progress):
                 for evaluation in trial.evaluations:
-                    observer.evaluation(evaluation, trial.parameters)
+                    observer.evaluation(evaluation)
                 observer.trial(trial, best)
 
 
@@ -119,7 +120,7 @@ class TestTerminal:
         out = console(True, 80)
         trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(3)]
         with RunProgress(out, make_study()) as progress:
-            progress.begin(TUNING, 5)
+            progress.begin(Phase.TUNING, 5)
             progress.recall(trials, candidate(trials[1]))
         shown = ESCAPE.sub("", text(out))
         assert "3/5" in shown

@@ -6,11 +6,12 @@ import pytest
 
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.diagnostics import Level, progress, safety, surrogate, trial_result
-from bo_tuner.monitoring.status import CHECKING, TUNING, VALIDATION, RunStatus, Snapshot
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.monitoring.status import RunStatus, Snapshot
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.trials import EvaluationState
+from bo_tuner.tuning.observer import Phase
 
 
 def timed(trial, proposal, evaluation):
@@ -20,7 +21,7 @@ def timed(trial, proposal, evaluation):
 
 def tell(status, trial, incumbent=None):
     for evaluation in trial.evaluations:
-        status.evaluation(evaluation, trial.parameters)
+        status.evaluation(evaluation)
     status.trial(trial, incumbent)
 
 
@@ -31,16 +32,16 @@ def candidate(trial, feasibility=0.9):
 @pytest.fixture
 def status(make_study):
     """Of a study with 5 trials, 2 x 5 evaluations of validation, and a check of 20 evaluations."""
-    return RunStatus(make_study(), METHODS["IV"])
+    return RunStatus(make_study(), ALGORITHMS["IV"])
 
 
 class TestTimes:
     def test_nothing_is_known_at_first(self, status):
-        status.begin(TUNING, 5)
-        assert status.now == Snapshot(phase=TUNING, total=5)
+        status.begin(Phase.TUNING, 5)
+        assert status.now == Snapshot(phase=Phase.TUNING, total=5)
 
     def test_share_of_the_optimizer_and_time_left(self, status, make_trial):
-        status.begin(TUNING, 5)
+        status.begin(Phase.TUNING, 5)
         for k, proposal in enumerate((0.0, 4.0)):
             tell(status, timed(make_trial(k, {"gain": 0.5}, [1.0, 1.0]), proposal, evaluation=1.0))
         assert status.now.done == status.now.trials == 2
@@ -48,22 +49,22 @@ class TestTimes:
         # s.
         assert status.now.overhead == 0.5
         assert status.now.time_left == 3 * 4.0 + 30 * 1.0
-        status.begin(CHECKING, 6)
+        status.begin(Phase.CHECKING, 6)
         assert status.now.time_left == 30.0
         for evaluation in make_trial(0, {"gain": 0.5}, [1.0] * 24).evaluations:
-            status.evaluation(dataclasses.replace(evaluation, seconds=1.0), {"gain": 0.5})
+            status.evaluation(dataclasses.replace(evaluation, seconds=1.0))
         # More checks than foreseen: now the validation is what is left for certain.
         assert status.now.time_left == 10.0
-        status.begin(VALIDATION, 5)
+        status.begin(Phase.VALIDATION, 5)
         for evaluation in make_trial(0, {"gain": 0.5}, [1.0] * 4).evaluations:
-            status.evaluation(dataclasses.replace(evaluation, seconds=1.0), {"gain": 0.5})
+            status.evaluation(dataclasses.replace(evaluation, seconds=1.0))
         status.advance()
         assert status.now.done == 1
         assert status.now.time_left == 6.0
 
     def test_only_recent_trials_tell_of_the_next_ones(self, make_study, make_trial):
-        status = RunStatus(make_study(), METHODS["I"])
-        status.begin(TUNING, 31)
+        status = RunStatus(make_study(), ALGORITHMS["I"])
+        status.begin(Phase.TUNING, 31)
         for k in range(30):
             trial = timed(
                 make_trial(k, {"gain": 0.5}, [1.0]), 100.0 if k < 20 else 1.0, evaluation=2.0
@@ -76,9 +77,9 @@ class TestTimes:
         trials = [
             timed(make_trial(k, {"gain": 0.5}, [1.0, 1.0]), 3.0, evaluation=1.0) for k in range(3)
         ]
-        one, other = (RunStatus(make_study(), METHODS["IV"]) for _ in range(2))
+        one, other = (RunStatus(make_study(), ALGORITHMS["IV"]) for _ in range(2))
         for status in (one, other):
-            status.begin(TUNING, 5)
+            status.begin(Phase.TUNING, 5)
         for trial in trials:
             tell(one, trial, candidate(trials[0]))
         other.recall(trials, candidate(trials[0]))
@@ -86,7 +87,7 @@ class TestTimes:
 
 
 def test_counts_of_what_went_wrong(status, make_trial, failed):
-    status.begin(TUNING, 5)
+    status.begin(Phase.TUNING, 5)
     tell(status, make_trial(0, {"gain": 0.5}, [1.0]))
     tell(status, make_trial(1, {"gain": 0.5}, [1.0], worst=2.0))
     lost = make_trial(2, {"gain": 0.5})
@@ -133,7 +134,7 @@ class TestDiagnostics:
         study = make_study()
         trial = make_trial(0, {"gain": 0.5}, [1.0])
         now = Snapshot(
-            phase=TUNING,
+            phase=Phase.TUNING,
             done=1,
             total=5,
             trials=1,

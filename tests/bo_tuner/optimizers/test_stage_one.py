@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from bo_tuner.optimizers.stage_one import BayesianOptimization, RandomSearch
+from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.optimizers.random_search import RandomSearch
 
 NODE = {"node": "axis"}
 OPTIMUM = 0.3

@@ -11,13 +11,13 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.stopping import StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.loop import Tuning
 
-METHOD = METHODS["IV"]
+ALGORITHM = ALGORITHMS["IV"]
 DEADLINE = 60.0
 BUDGET = {
     "trials": 40,
@@ -45,14 +45,14 @@ def run(make_study, function_backend):
             error = objective(np.array(list(gains.values())))
             return {"error": error + noise * (load - 1.5) * 12**0.5, "peak": 0.2}
 
-        tuning = Tuning(study, function_backend(study, function), METHOD)
+        tuning = Tuning(study, function_backend(study, function), ALGORITHM)
         return study, (tuning.trials for _ in tuning)
 
     return start
 
 
 def advice_of(study, steps):
-    advisor = StopAdvisor(study, METHOD)
+    advisor = StopAdvisor(study, ALGORITHM)
     for trials in steps:
         if advisor.consider(trials) is not None:
             return advisor.advice
@@ -75,7 +75,7 @@ class TestAdvice:
 
     def test_a_known_optimum_was_found_to_the_noise(self, run):
         study, steps = run(distance, noise=0.3)
-        advisor = StopAdvisor(study, METHOD)
+        advisor = StopAdvisor(study, ALGORITHM)
         for trials in steps:
             if advisor.consider(trials):
                 break
@@ -87,7 +87,7 @@ class TestAdvice:
     def test_there_is_none_as_long_as_much_is_left_to_gain(self, run):
         """Five parameters without noise: it takes more than 25 trials to come near the optimum."""
         study, steps = run(distance, noise=1e-3, parameters=5, trials=26)
-        advisor = StopAdvisor(study, METHOD)
+        advisor = StopAdvisor(study, ALGORITHM)
         for trials in steps:
             advisor.consider(trials)
         left = min(distance(np.array(list(t.parameters.values()))) for t in trials)
@@ -99,7 +99,7 @@ class TestAdvice:
         assert advice_of(study, steps) is None
         study, steps = run(lambda gains: 5.0, noise=0.3, trials=25)
         trials = list(list(steps)[-1])
-        random = StopAdvisor(study, METHODS["II"])
+        random = StopAdvisor(study, ALGORITHMS["II"])
         assert not any(random.consider(trials[:n]) for n in range(1, 25))
 
     def test_none_while_nothing_is_feasible(self, make_study, make_trial):
@@ -109,8 +109,8 @@ class TestAdvice:
             make_trial(k, {"gain": g}, rng.normal(1.0, 0.1, 5).tolist(), worst=5.0)
             for k, g in enumerate(rng.random(12))
         ]
-        assert outlook(study, trials, METHOD.models) is None
-        assert outlook(study, [make_trial(0, {"gain": 0.5})], METHOD.models) is None
+        assert outlook(study, trials, ALGORITHM) is None
+        assert outlook(study, [make_trial(0, {"gain": 0.5})], ALGORITHM) is None
 
 
 def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_trial):
@@ -123,16 +123,16 @@ def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_tr
         )
         for k, g in enumerate(np.linspace(0.02, 0.98, 7))
     ]
-    found = outlook(study, trials, METHOD.models)
-    models = Surrogates.fit(study, trials, rng=np.random.default_rng(0), options=METHOD.models)
+    found = outlook(study, trials, ALGORITHM)
+    models = Surrogates.fit(study, trials, rng=np.random.default_rng(0), options=ALGORITHM.models)
     grid = np.linspace(0.0, 1.0, 20001)[:, None]
 
     def probability(x):
-        (constraint,) = models.constraints
+        (constraint,) = models.constraints.values()
         mean, variance = constraint.predict(x)
         return norm.cdf((1.0 - mean) / np.sqrt(variance))
 
-    points = models.objective.data.x
+    points = models.objective.points
     mean, _ = models.objective.predict(points)
     best = mean[probability(points) >= 0.5].min()
     mean, variance = models.objective.predict_reinterpolated(grid)

@@ -21,7 +21,7 @@ from bo_tuner.recording import recorder as recorder_module
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.recovery import partial_bags, recover
-from bo_tuner.recording.retention import Policy, RecordOptions, custom_data, verdict
+from bo_tuner.recording.retention import Policy, RecordOptions, custom_data
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
@@ -33,6 +33,7 @@ from bo_tuner.trials import (
     TrialState,
     WorstCase,
 )
+from bo_tuner.tuning.limits import verdict
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINTS = make_topic("/joint_states", "sensor_msgs/msg/JointState")
@@ -69,7 +70,7 @@ def number(value):
 def evaluation_of(trial, index=0, **changes):
     metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1e-4}
     outcome = Outcome(EvaluationState.COMPLETE, metrics)
-    evaluation = Evaluation(trial, index, Stage.DRAWN, CONTEXT, 7 + index, outcome)
+    evaluation = Evaluation(trial, index, Stage.DRAWN, PARAMETERS, CONTEXT, 7 + index, outcome)
     return replace(evaluation, **changes)
 
 
@@ -92,7 +93,7 @@ def record(recorder, trial, best=False, samples=50):
         recorder.take(*event())
         for k in range(samples):
             recorder.take(*joints(start + k * 20_000_000, 0.1 * k))
-        recorder.evaluation(evaluation, trial.parameters)
+        recorder.evaluation(evaluation)
     recorder.trial(trial, best)
 
 
@@ -220,11 +221,11 @@ class TestBag:
         stages = [(Stage.CHECK_DRAWN, 3), (Stage.CHECK_WORST, 3), (Stage.CHECK_DRAWN, 1)]
         for index, (stage, number) in enumerate(stages):
             it.take(*joints(START + 10**12 + index * 10**9))
-            it.evaluation(evaluation_of(number, index, stage=stage), PARAMETERS)
+            it.evaluation(evaluation_of(number, index, stage=stage))
         it.phase_ended()
         for index, parameters in enumerate((PARAMETERS, PARAMETERS | {"lambda_mpc": 0.5})):
             it.take(*joints(START + 10**13 + index * 10**9))
-            it.evaluation(evaluation_of(index, 0, stage=Stage.VALIDATION), parameters)
+            it.evaluation(evaluation_of(index, 0, stage=Stage.VALIDATION, parameters=parameters))
         it.phase_ended()
         names = ["trial_0003", "check_0003", "check_0001", "validation"]
         assert it.close()["bags"] == names
@@ -296,8 +297,8 @@ class TestRetention:
             raise AssertionError
 
         with RunRecording(tmp_path, STUDY, RecordOptions(Policy.NONE), listen, print) as recording:
-            recording.evaluation(evaluation_of(0), PARAMETERS)
-            recording.trial(trial_of(0), True)
+            recording.evaluation(evaluation_of(0))
+            recording.trial(trial_of(0), None)
         assert recording.summary == {"policy": "none"}
         assert list(tmp_path.iterdir()) == []
 
@@ -389,7 +390,7 @@ class TestCutOff:
     def test_an_interrupted_run_leaves_its_last_trial(self, recorder, tmp_path):
         it = recorder()
         it.take(*joints(START))
-        it.evaluation(evaluation_of(4), PARAMETERS)
+        it.evaluation(evaluation_of(4))
         assert it.close()["incomplete"] == ["trial_0004"]
         data = custom_data(tmp_path / "trial_0004")
         assert data["state"] == "interrupted"
@@ -459,8 +460,8 @@ class TestTrouble:
             return Listener()
 
         with RunRecording(tmp_path, STUDY, RecordOptions(), listen, told.append) as recording:
-            recording.evaluation(evaluation_of(0), PARAMETERS)
-            recording.trial(trial_of(0), True)
+            recording.evaluation(evaluation_of(0))
+            recording.trial(trial_of(0), None)
         assert len(told) == 1
         assert (tmp_path / "log" / "recording.log").read_text() == f"{told[0]}\n"
         assert recording.summary["warnings"] == told

@@ -12,6 +12,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.cli import replay as command
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.recording.bag import make_topic, typestore
@@ -99,7 +100,7 @@ class TestMilling:
         files = sorted(record.path.rglob("*"))
         assert len(record.evaluations) == 4
         for recorded in record.evaluations:
-            evaluation = recorded.evaluation
+            evaluation = recorded
             code, out, err = run(
                 capsys, record.path, "--trial", evaluation.trial, "--evaluation", evaluation.index
             )
@@ -152,12 +153,12 @@ class TestVerdict:
         record = replace(record, study=replace(record.study, metrics=metrics), backend=there)
         recorded = find_evaluation(record, complete(record)[0].number, None)
 
-        class Backend:
+        class Backend(SequentialBackend):
             name = here
             changed = "peak"
 
-            def run_cut(self, assignments):
-                found = dict(recorded.evaluation.outcome.metrics)
+            def outcome(self, planned):
+                found = dict(recorded.outcome.metrics)
                 found[self.changed] = nextafter(found[self.changed], 9.0)
                 return Outcome(EvaluationState.COMPLETE, found)
 
@@ -173,9 +174,7 @@ class TestVerdict:
         assert not result.confirmed
         assert all(row.difference is None and not row.equal for row in result.metrics)
         assert backend.calls == [
-            dict(recorded.parameters)
-            | dict(recorded.evaluation.context)
-            | {"seed": recorded.evaluation.seed}
+            dict(recorded.parameters) | dict(recorded.context) | {"seed": recorded.seed}
         ]
 
 
@@ -200,7 +199,7 @@ class TestChoice:
         for trial in complete(record):
             peaks = [evaluation.outcome.metrics["peak"] for evaluation in trial.evaluations]
             found = find_evaluation(record, trial.number, None)
-            assert found.evaluation == trial.evaluations[int(np.argmax(peaks))]
+            assert found == trial.evaluations[int(np.argmax(peaks))]
             assert found.parameters == trial.parameters
 
     @pytest.mark.parametrize(("direction", "pick"), [("minimize", max), ("maximize", min)])
@@ -212,11 +211,11 @@ class TestChoice:
         trial = complete(record)[0]
         errors = [evaluation.outcome.metrics["error"] for evaluation in trial.evaluations]
         found = find_evaluation(replace(record, study=study), trial.number, None)
-        assert found.evaluation.outcome.metrics["error"] == pick(errors)
+        assert found.outcome.metrics["error"] == pick(errors)
 
     def test_a_failed_evaluation_goes_first(self, record):
         (trial, *_) = [t for t in record.trials if t.state is TrialState.FAILED]
-        assert find_evaluation(record, trial.number, None).evaluation == trial.evaluations[-1]
+        assert find_evaluation(record, trial.number, None) == trial.evaluations[-1]
 
     def test_checks_of_a_candidate_are_evaluations_of_its_trial_and_the_validation_is_not(
         self, record
@@ -227,20 +226,20 @@ class TestChoice:
         def extra(stage, index):
             metrics = {"error": 1.0, "peak": 99.0}
             outcome = Outcome(EvaluationState.COMPLETE, metrics)
-            return replace(item, evaluation=Evaluation(trial.number, index, stage, {}, 1, outcome))
+            return Evaluation(trial.number, index, stage, item.parameters, {}, 1, outcome)
 
         for stage, found in ((Stage.CHECK_WORST, 50), (Stage.VALIDATION, None)):
             longer = replace(record, evaluations=(*record.evaluations, extra(stage, 50)))
-            index = find_evaluation(longer, trial.number, None).evaluation.index
+            index = find_evaluation(longer, trial.number, None).index
             assert (index == 50) is (found == 50)
 
     def test_of_two_evaluations_in_one_place_the_later_counts(self, record):
         """The first was left behind by a kill."""
         trial = complete(record)[0]
-        item = next(c for c in record.evaluations if c.evaluation.trial == trial.number)
-        again = replace(item, evaluation=replace(item.evaluation, seed=item.evaluation.seed + 1))
+        item = next(c for c in record.evaluations if c.trial == trial.number)
+        again = replace(item, seed=item.seed + 1)
         longer = replace(record, evaluations=(*record.evaluations, again))
-        assert find_evaluation(longer, trial.number, item.evaluation.index) is again
+        assert find_evaluation(longer, trial.number, item.index) is again
 
     def test_what_is_not_there(self, record):
         for which in ("99", "-1", "1.0", "first", "", "9" * 5000, "1\n"):

@@ -80,9 +80,9 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
     rows = table(page, "Default and tuned")
     for column in (0, 1):
         evaluations = [
-            recorded.evaluation.outcome.metrics
+            recorded.outcome.metrics
             for recorded in tuned.evaluations
-            if recorded.evaluation.stage is Stage.VALIDATION and recorded.evaluation.trial == column
+            if recorded.stage is Stage.VALIDATION and recorded.trial == column
         ]
         errors = [metrics["error"] for metrics in evaluations]
         mean = math.fsum(errors) / len(errors)
@@ -107,10 +107,9 @@ def test_every_trial_is_listed_with_its_values(page, tuned):
             assert (mean, worst, outcome) == ("–", "–", "failed")
         else:
             checked = [
-                recorded.evaluation.outcome.metrics["error"]
+                recorded.outcome.metrics["error"]
                 for recorded in tuned.evaluations
-                if recorded.evaluation.stage is Stage.CHECK_DRAWN
-                and recorded.evaluation.trial == trial.number
+                if recorded.stage is Stage.CHECK_DRAWN and recorded.trial == trial.number
             ]
             every = [*values, *checked]
             assert mean == f"{math.fsum(every) / len(every):.4g}"
@@ -121,11 +120,7 @@ def test_failures_are_listed_with_what_repeats_them(page, tuned):
     (rows,) = [
         rows for name, rows in page.tables.items() if name.startswith("Evaluations that failed")
     ]
-    failed = [
-        r.evaluation
-        for r in tuned.evaluations
-        if r.evaluation.outcome.state is not EvaluationState.COMPLETE
-    ]
+    failed = [r for r in tuned.evaluations if r.outcome.state is not EvaluationState.COMPLETE]
     assert failed
     assert [row[0] for row in rows[1:]] == [str(evaluation.trial) for evaluation in failed]
     for row, evaluation in zip(rows[1:], failed, strict=True):
@@ -182,9 +177,7 @@ def test_a_run_in_progress_has_a_report(tuned, tmp_path):
         tuned,
         summary=None,
         trials=tuned.trials[:4],
-        evaluations=tuple(
-            recorded for recorded in tuned.evaluations if recorded.evaluation.trial < 4
-        ),
+        evaluations=tuple(recorded for recorded in tuned.evaluations if recorded.trial < 4),
     )
     page = page_of(going_on, tmp_path)
     assert "Default and best parameter set so far" in page.tables

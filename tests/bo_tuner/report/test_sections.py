@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.grid import parameter_grid, permitted
@@ -35,7 +35,7 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
     trials = analysis.record.trials
     expected = {}
     for n in range(1, len(trials) + 1):
-        ranked = rank(analysis.study, trials[:n], METHODS[analysis.record.algorithm].models)
+        ranked = rank(analysis.study, trials[:n], ALGORITHMS[analysis.record.algorithm].models)
         if ranked:
             first = ranked[0]
             expected[n - 1.0] = first.objective if first.believed_feasible else math.nan
@@ -146,9 +146,7 @@ def test_the_map_has_every_evaluation_of_both(analysis):
     default, tuned = figure.panels
     best = analysis.answer.parameters["gain"]
     for panel, gain in ((default, 0.5), (tuned, best)):
-        evaluations = [
-            r.evaluation for r in analysis.record.evaluations if r.parameters["gain"] == gain
-        ]
+        evaluations = [r for r in analysis.record.evaluations if r.parameters["gain"] == gain]
         points = named(panel, "cut", Points)
         assert sorted(points.x) == sorted(evaluation.context["load"] for evaluation in evaluations)
         np.testing.assert_allclose(points.y, 2.0 * gain * np.array(points.x))
@@ -204,7 +202,7 @@ def test_a_record_without_times_is_told():
 def test_paired_differences_are_of_equal_draws(analysis):
     seen = {0: {}, 1: {}}
     for recorded in analysis.record.evaluations:
-        evaluation = recorded.evaluation
+        evaluation = recorded
         if evaluation.stage is Stage.VALIDATION:
             seen[evaluation.trial][evaluation.index] = evaluation.outcome.metrics["error"]
     differences = np.array([seen[1][k] - seen[0][k] for k in sorted(seen[0])])

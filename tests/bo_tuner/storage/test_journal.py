@@ -35,7 +35,7 @@ names = st.sampled_from(["gain", "state", "reason", "trial", "größe"])
 def evaluation(trial=0, index=0, stage=Stage.DRAWN, state=EvaluationState.COMPLETE, **values):
     outcome = Outcome(state, {"error": 0.1 + 0.2} if state == "complete" else {}, "", {})
     return dataclasses.replace(
-        Evaluation(trial, index, stage, {"load": 1.5}, 7, outcome),
+        Evaluation(trial, index, stage, {"gain": 0.1 + 0.2}, {"load": 1.5}, 7, outcome),
         **values,
     )
 
@@ -50,7 +50,7 @@ def trial(number=0, evaluations=(), **values):
 def record(journal, *trials):
     for item in trials:
         for each in item.evaluations:
-            journal.record_evaluation(each, item.parameters)
+            journal.record_evaluation(each)
         journal.record_trial(item)
 
 
@@ -107,7 +107,7 @@ class TestRoundTrip:
         with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
             for stage in others:
-                journal.record_evaluation(evaluation(stage=stage), {"gain": 1.0})
+                journal.record_evaluation(evaluation(stage=stage))
             assert read_journal(tmp_path / "j").trials == (recorded,)
 
     def test_order_is_that_of_the_numbers(self, tmp_path):
@@ -133,11 +133,12 @@ class TestDurability:
             journal = Journal(Path(sys.argv[1]), {"seed": "1"})
             outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.5})
             for k in range(50):
-                drawn = Evaluation(0, k, Stage.DRAWN, {}, k, outcome)
-                journal.record_evaluation(drawn, {"gain": 1.0})
+                journal.record_evaluation(
+                    Evaluation(0, k, Stage.DRAWN, {"gain": 1.0}, {}, k, outcome)
+                )
             trial = Trial(0, {"gain": 1.0}, "", TrialState.COMPLETE, evaluations=(None,) * 50)
             journal.record_trial(trial)
-            journal.record_evaluation(Evaluation(1, 0, Stage.DRAWN, {}, 0, outcome), {"gain": 2.0})
+            journal.record_evaluation(Evaluation(1, 0, Stage.DRAWN, {"gain": 2.0}, {}, 0, outcome))
             os.kill(os.getpid(), signal.SIGKILL)
         """
         path = tmp_path / "journal.sqlite"
@@ -202,9 +203,11 @@ class TestTables:
         outcome = Outcome(
             EvaluationState.COMPLETE, {"state": 1.0, "gain": 2.0}, "", {"axis.gain": "3"}
         )
+        parameters = {"gain": 6.0, "reason": 7.0}
+        context = {"state": 4.0, "seed": 5.0}
         recorded = trial(
-            evaluations=[evaluation(context={"state": 4.0, "seed": 5.0}, outcome=outcome)],
-            parameters={"gain": 6.0, "reason": 7.0},
+            evaluations=[evaluation(parameters=parameters, context=context, outcome=outcome)],
+            parameters=parameters,
             worst_case=WorstCase(8.0, {"state": 4.0}, 9.0),
         )
         with Journal(tmp_path / "j", {}) as journal:

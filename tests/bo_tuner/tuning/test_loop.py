@@ -4,17 +4,19 @@ import itertools
 import math
 
 import pytest
+from functions import Watcher
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import EvaluationState, Stage, TrialState
+from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
-IV = METHODS["IV"]
+IV = ALGORITHMS["IV"]
 
 
 def smooth(gain, load, seed, **_):
@@ -100,7 +102,7 @@ class TestEvaluations:
 
     def test_the_nominal_method_takes_one_evaluation(self, make_study, function_backend):
         study = make_study()
-        for trial in run(study, function_backend(study, smooth), METHODS["I"]):
+        for trial in run(study, function_backend(study, smooth), ALGORITHMS["I"]):
             (evaluation,) = trial.evaluations
             assert evaluation.stage is Stage.NOMINAL
             assert evaluation.context == {"load": 1.5}
@@ -116,14 +118,16 @@ class TestEvaluations:
     def test_observers_see_each_evaluation_at_once(self, make_study, function_backend):
         study = make_study()
         backend = function_backend(study, smooth)
-        seen = []
 
-        def observe(evaluation, parameters):
-            seen.append((evaluation, parameters))
-            assert len(backend.calls) == len(seen)
+        class Prompt(Watcher):
+            def evaluation(self, evaluation):
+                super().evaluation(evaluation)
+                assert len(backend.calls) == len(self.evaluations)
 
-        trial = next(iter(Tuning(study, backend, IV, observe=observe)))
-        assert seen == [(evaluation, trial.parameters) for evaluation in trial.evaluations]
+        watcher = Prompt()
+        trial = next(iter(Tuning(study, backend, IV, observer=watcher)))
+        assert watcher.evaluations == list(trial.evaluations)
+        assert {str(e.parameters) for e in watcher.evaluations} == {str(trial.parameters)}
 
 
 class TestFailures:
@@ -200,11 +204,11 @@ def iter_into(tuning, seen):
 
 
 class TestRepetition:
-    @pytest.mark.parametrize("algorithm", METHODS)
+    @pytest.mark.parametrize("algorithm", ALGORITHMS)
     def test_one_seed_one_run(self, make_study, function_backend, algorithm):
         study = make_study().replace(trials=4)
         first, second = (
-            run(study, function_backend(study, smooth), METHODS[algorithm]) for _ in range(2)
+            run(study, function_backend(study, smooth), ALGORITHMS[algorithm]) for _ in range(2)
         )
         assert first == second
 
@@ -233,7 +237,7 @@ class TestRepetition:
 
         with Journal(tmp_path / "journal.sqlite", {}) as journal:
             tuning = Tuning(
-                study, function_backend(study, function), IV, observe=journal.record_evaluation
+                study, function_backend(study, function), IV, observer=JournalObserver(journal)
             )
             trials = []
             for trial in tuning:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from functions import Watcher
 
 from bo_tuner.trials import EvaluationState, Stage
-from bo_tuner.tuning.recommendation import DRAWN_CUTS, WORST_CUTS, recommend
+from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS, recommend
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
@@ -40,18 +41,18 @@ def worst_at_two(trials):
 def test_flattered_candidates_are_refuted(study, make_trial, function_backend):
     trials = worst_at_two(flattering(make_trial))
     backend = function_backend(study, axis)
-    evaluations = []
-    answer = recommend(
-        study,
-        backend,
-        trials,
-        observe=lambda evaluation, parameters: evaluations.append(evaluation),
-    )
+    watcher = Watcher()
+    answer = recommend(study, backend, trials, observer=watcher)
+    evaluations = watcher.evaluations
     x = answer.candidate.trial.parameters["x"]
     assert answer.feasible
     assert 2.0 * x <= 1.0
     assert len(answer.checked) >= 2
-    assert len(evaluations) == len(backend.calls) == len(answer.checked) * (DRAWN_CUTS + WORST_CUTS)
+    assert (
+        len(evaluations)
+        == len(backend.calls)
+        == len(answer.checked) * (DRAWN_EVALUATIONS + WORST_EVALUATIONS)
+    )
     assert {evaluation.stage for evaluation in evaluations} == {
         Stage.CHECK_DRAWN,
         Stage.CHECK_WORST,
@@ -64,8 +65,8 @@ def test_what_is_seen_joins_the_record(study, make_trial, function_backend):
     answer = recommend(study, function_backend(study, axis), trials)
     trial = answer.candidate.trial
     x = trial.parameters["x"]
-    assert len(trial.observations("error")) == 2 + DRAWN_CUTS
-    assert trial.worst_case.value == pytest.approx(2.0 * x, abs=4 * NOISE / WORST_CUTS**0.5)
+    assert len(trial.observations("error")) == 2 + DRAWN_EVALUATIONS
+    assert trial.worst_case.value == pytest.approx(2.0 * x, abs=4 * NOISE / WORST_EVALUATIONS**0.5)
 
 
 def test_without_checks_the_first_in_rank_is_taken(study, make_trial, function_backend):
@@ -110,16 +111,10 @@ def test_if_all_are_refuted_the_objective_still_counts(study, make_trial, functi
 
 def test_a_failed_evaluation_refutes(study, make_trial, function_backend, failed):
     backend = function_backend(study, lambda **_: failed("axis: stalled"))
-    seen = []
-    answer = recommend(
-        study,
-        backend,
-        flattering(make_trial),
-        most_checked=2,
-        observe=lambda evaluation, parameters: seen.append(evaluation.outcome.state),
-    )
+    watcher = Watcher()
+    answer = recommend(study, backend, flattering(make_trial), most_checked=2, observer=watcher)
     assert not answer.feasible
-    assert seen == [EvaluationState.FAILED] * 2
+    assert [e.outcome.state for e in watcher.evaluations] == [EvaluationState.FAILED] * 2
 
 
 def test_all_trials_failed(study, make_trial, function_backend):

@@ -5,9 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from functions import Watcher
 
 from bo_tuner.errors import RunError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import EvaluationState, Stage
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.validation import validate
@@ -38,28 +39,26 @@ class TestDraws:
     def test_all_parametrizations_get_the_same(self, make_study, function_backend):
         study = make_study()
         backend = function_backend(study, figures())
-        observed = []
-        steps = []
+        watcher = Watcher()
         default, tuned = validate(
             study,
             backend,
             [{"gain": 0.25}, {"gain": 0.75}],
-            observe=lambda evaluation, parameters: observed.append((evaluation, parameters)),
-            advance=lambda: steps.append(len(observed)),
+            observer=watcher,
         )
         told = {gain: [c for c in backend.calls if c["gain"] == gain] for gain in (0.25, 0.75)}
         drawn = [[(c["load"], c["seed"]) for c in calls] for calls in told.values()]
         assert drawn[0] == drawn[1]
         assert len(set(drawn[0])) == study.budget.validation_draws == default.draws == tuned.draws
-        assert {evaluation.stage for evaluation, _ in observed} == {Stage.VALIDATION}
-        assert [parameters["gain"] for _, parameters in observed] == [0.25, 0.75] * 5
-        assert steps == [2, 4, 6, 8, 10]
+        assert {evaluation.stage for evaluation in watcher.evaluations} == {Stage.VALIDATION}
+        assert [e.parameters["gain"] for e in watcher.evaluations] == [0.25, 0.75] * 5
+        assert watcher.steps == [2, 4, 6, 8, 10]
 
     def test_they_are_fresh(self, make_study, function_backend):
         """No context and no noise of the training comes again."""
         study = make_study()
         training = function_backend(study, figures())
-        list(Tuning(study, training, METHODS["IV"]))
+        list(Tuning(study, training, ALGORITHMS["IV"]))
         backend = function_backend(study, figures())
         validate(study, backend, [{"gain": 0.25}])
         for key in ("load", "seed"):
@@ -104,7 +103,7 @@ class TestChance:
     def test_share(self, make_study, function_backend, probability, draws, above, holds):
         peak = figures(peak=lambda k: 1.5 if k < above else 0.5)
         found = judge(make_study, function_backend, peak, draws, **chance(probability))
-        (check,) = found.constraints
+        (check,) = found.constraints.values()
         assert check.violations == above
         assert check.holds is holds
         assert found.feasible is holds
@@ -121,12 +120,12 @@ class TestWorstCase:
         peak = figures(peak=lambda k: 1.0 + 1e-12 if k < above else 1.0)
         found = judge(make_study, function_backend, peak)
         assert found.feasible is (above == 0)
-        assert found.constraints[0].violations == above
+        assert found.constraints["peak"].violations == above
 
     def test_no_constraints(self, make_study, function_backend):
         found = judge(make_study, function_backend, figures(), constraints={})
         assert found.feasible
-        assert found.constraints == ()
+        assert found.constraints == {}
 
 
 class TestFailures:
@@ -146,15 +145,15 @@ class TestFailures:
         assert not found.feasible
         # The rest still counts.
         assert found.objective == np.mean([0, 1, 2, 3])
-        assert found.constraints[0].holds
+        assert found.constraints["peak"].holds
 
     def test_all_fail(self, make_study, function_backend, failed):
         found = judge(make_study, function_backend, lambda **_: failed("no"), draws=5)
         assert found.failures == found.draws == 5
         assert not found.feasible
-        assert not found.constraints[0].holds
+        assert not found.constraints["peak"].holds
         assert math.isnan(found.objective)
-        assert math.isnan(found.constraints[0].worst)
+        assert math.isnan(found.constraints["peak"].worst)
 
     def test_three_lost_in_a_row_end_it(self, make_study, function_backend, failed):
         """Nodes that never come back would keep it waiting for each of its evaluations."""
@@ -167,6 +166,8 @@ class TestFailures:
 
         study = make_study()
         backend = function_backend(study, function)
-        with pytest.raises(RunError, match="3 runs in a row were lost with their nodes: gone"):
+        with pytest.raises(
+            RunError, match="3 evaluations in a row were lost with their nodes: gone"
+        ):
             validate(study, backend, [{"gain": 0.5}, {"gain": 0.25}])
         assert len(backend.calls) == 9

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from bo_tuner.models.constraints import JointConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
-from bo_tuner.worst_case.joint_search import JointConstraint, JointSearch, candidate_contexts
+from bo_tuner.worst_case.joint_search import JointSearch
 
 NOISE = 0.01
 
@@ -30,26 +31,26 @@ def observed(count, seed=0):
 
 class TestCandidateContexts:
     def test_corners_and_inside(self, plane):
-        contexts = candidate_contexts(plane)
+        contexts = plane.candidates()
         assert {tuple(row) for row in contexts[:4]} == {(0, 0), (0, 1), (1, 0), (1, 1)}
         assert ((contexts[4:] > 0) & (contexts[4:] < 1)).all()
-        assert np.array_equal(contexts, candidate_contexts(plane))
+        assert np.array_equal(contexts, plane.candidates())
 
     def test_many_variables(self):
         space = ContextSpace({f"c{k}": Uniform(bounds=(0.0, 1.0)) for k in range(9)})
-        assert candidate_contexts(space).shape[1] == 9
+        assert space.candidates().shape[1] == 9
 
     def test_discrete_values_are_possible_ones(self):
         space = ContextSpace(
             {"load": Discrete(values=(0.0, 1.0, 4.0), probabilities=(0.5, 0.3, 0.2))}
         )
-        assert set(candidate_contexts(space)[:, 0]) <= {0.0, 0.25, 1.0}
+        assert set(space.candidates()[:, 0]) <= {0.0, 0.25, 1.0}
 
 
 class TestJointConstraint:
     def test_is_the_worst_case_of_every_parametrization(self, plane):
         model = GaussianProcess.fit(*observed(150), rng=np.random.default_rng(0))
-        constraint = JointConstraint(model, 2.0, candidate_contexts(plane))
+        constraint = JointConstraint(model, 2.0, plane.candidates())
         x = np.linspace(0.0, 1.0, 9)[:, None]
         mean, variance = constraint.predict(x)
         truth = x[:, 0] + 1.5

@@ -6,7 +6,8 @@ import pytest
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, TruncatedNormal, Uniform
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, WorstCaseSearch, worst_contexts_nearby
+from bo_tuner.worst_case.contexts import worst_contexts_nearby
+from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
 
 LOAD = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 DRAWN = 5
@@ -26,7 +27,7 @@ def corner(context):
 def search(space, function, *, seed=0, limit=np.inf, evaluations=10, noise=0.0, **options):
     """Run a search; returns it and the contexts that it asked for."""
     rng = np.random.default_rng(seed)
-    found = WorstCaseSearch(space, limit, evaluations, **options)
+    found = ReinterpolationSearch(space, limit, evaluations, **options)
     for row in space.draw(DRAWN, rng):
         context = space.to_dict(row)
         found.tell(context, function(context) + noise * rng.normal())
@@ -122,7 +123,7 @@ class TestEnd:
 
     def test_one_noisy_value_is_no_violation_for_the_posterior(self, plane):
         rng = np.random.default_rng(0)
-        found = WorstCaseSearch(plane, 1.0, 10, POSTERIOR)
+        found = ReinterpolationSearch(plane, 1.0, 10, POSTERIOR)
         contexts = plane.draw(12, rng)
         for k, row in enumerate(contexts):
             found.tell(plane.to_dict(row), 1.02 if k == 3 else 0.5 + 0.1 * rng.normal())
@@ -146,7 +147,7 @@ class TestPoorData:
     @pytest.mark.parametrize("noise", [0.0, 0.1])
     def test_equal_contexts(self, plane, noise):
         rng = np.random.default_rng(0)
-        found = WorstCaseSearch(plane, np.inf, 3)
+        found = ReinterpolationSearch(plane, np.inf, 3)
         for _ in range(5):
             found.tell({"a": 1.0, "b": 15.0}, 1.0 + noise * rng.normal())
         while not found.done(rng):
@@ -156,7 +157,7 @@ class TestPoorData:
 
     def test_one_context(self, plane):
         rng = np.random.default_rng(0)
-        found = WorstCaseSearch(plane, np.inf, 2)
+        found = ReinterpolationSearch(plane, np.inf, 2)
         found.tell({"a": 1.0, "b": 15.0}, 1.0)
         assert found.ask(rng) != {"a": 1.0, "b": 15.0}
 

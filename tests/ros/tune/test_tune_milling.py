@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import CutState, TrialState
 from bo_tuner.tuning.loop import Tuning
@@ -82,7 +82,7 @@ class TestRun:
         study = study_from_mapping(small_study(3))
         backend = InProcessBackend(study)
         backend.open()
-        expected = list(Tuning(study, backend, METHODS["IV"]))
+        expected = list(Tuning(study, backend, ALGORITHMS["IV"]))
         for there, here in zip(command.trials(), expected, strict=True):
             assert there.parameters == here.parameters
             assert there.worst_case == here.worst_case

@@ -72,6 +72,8 @@ class Evaluation:
         Number of the trial, and of the evaluation within it, both from 0.
     stage
         What the evaluation was run for.
+    parameters
+        Value of every parameter of the study.
     context
         Value of each context variable.
     seed
@@ -80,15 +82,19 @@ class Evaluation:
         What came of it; of an evaluation that is only planned, that it was not run.
     seconds
         How long it took [s]; no part of what makes two evaluations equal.
+    recorded
+        Whether the outcome was on record already; no part of equality either.
     """
 
     trial: int
     index: int
     stage: Stage
+    parameters: Mapping[str, Value]
     context: Mapping[str, float]
     seed: int
     outcome: Outcome = Outcome(EvaluationState.FAILED, reason="not run")
     seconds: float = field(default=0.0, compare=False)
+    recorded: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True)

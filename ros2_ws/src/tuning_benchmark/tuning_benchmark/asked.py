@@ -7,8 +7,9 @@ import numpy as np
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.models.surrogates import single_evaluation_margin
-from bo_tuner.optimizers.algorithms import Method
-from bo_tuner.optimizers.stage_one import Proposal, RandomSearch, StageOne
+from bo_tuner.optimizers import base
+from bo_tuner.optimizers.algorithms import Algorithm
+from bo_tuner.optimizers.base import DesignedOptimizer, Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from tuning_benchmark.optimizer import Observation, Optimizer, best_observed
@@ -17,7 +18,7 @@ ASKED = "asked"
 """Origin of a trial that the optimizer proposed."""
 
 
-class AskedStageOne:
+class AskedOptimizer:
     """The study's initial design, then what the optimizer asks for.
 
     Parameters
@@ -31,7 +32,7 @@ class AskedStageOne:
     def __init__(self, study: Study, optimizer: Optimizer) -> None:
         self._study = study
         self._space = study.search_space()
-        self._designed = RandomSearch(study)
+        self._designed = DesignedOptimizer(study)
         self._optimizer = optimizer
         self._trials: list[Trial] = []
         self._designing = True
@@ -79,16 +80,16 @@ class AskedStageOne:
 
 
 @dataclass(frozen=True)
-class AskedMethod(Method):
-    """A method whose stage one is another optimizer."""
+class AskedAlgorithm(Algorithm):
+    """An algorithm whose proposals come from another optimizer."""
 
-    stage: AskedStageOne | None = None
+    asked: AskedOptimizer | None = None
 
-    def stage_one(self, study: Study) -> StageOne:
+    def optimizer(self, study: Study) -> base.Optimizer:
         """Give the optimizer of this run."""
-        if self.stage is None:
-            raise ValueError("stage: expected the optimizer of this run")
-        return self.stage
+        if self.asked is None:
+            raise ValueError("asked: expected the optimizer of this run")
+        return self.asked
 
 
 def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observation:

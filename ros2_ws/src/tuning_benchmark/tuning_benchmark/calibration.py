@@ -10,7 +10,8 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import ParameterError
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark.experiment_parts import Calibration
 
 REPAIRED = 1e-9
@@ -78,8 +79,9 @@ def _evaluation(
 ) -> float | None:
     study, backend = variant
     contexts = study.context_space()
-    planned = Evaluation(0, 0, Stage.NOMINAL, contexts.to_dict(contexts.nominal()), 1)
-    outcome = run_cut(study, backend, parameters, planned).outcome
+    context = contexts.to_dict(contexts.nominal())
+    planned = Evaluation(0, 0, Stage.NOMINAL, parameters, context, 1)
+    outcome = evaluate(study, backend, planned, NOBODY).outcome
     if outcome.state is not EvaluationState.COMPLETE or not np.isfinite(outcome.metrics[metric]):
         return None
     return outcome.metrics[metric]

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from bo_tuner.errors import StudyError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
@@ -25,7 +25,7 @@ class Row:
     name
         As the tables call it.
     algorithm
-        Key of `METHODS`; or
+        Key of `ALGORITHMS`; or
     optimizer
         an optimizer, as ``module:Class``.
     protocol
@@ -57,7 +57,7 @@ class Row:
         if bool(self.algorithm) == bool(self.optimizer):
             raise StudyError("expected either an algorithm or an optimizer")
         if self.algorithm:
-            checks.choice(self.algorithm, tuple(METHODS), "algorithm")
+            checks.choice(self.algorithm, tuple(ALGORITHMS), "algorithm")
         if self.optimizer:
             checks.matching(self.optimizer, checks.OBJECT_PATH, "module:Class", "optimizer")
         checks.choice(self.protocol, (RANDOM, WORST_CASE), "protocol")
@@ -170,7 +170,7 @@ class Cost:
     Attributes
     ----------
     algorithm
-        Key of `METHODS`.
+        Key of `ALGORITHMS`.
     dimensions, trials
         Number of tuned parameters, and trials at which the cost is taken.
     compared_trials
@@ -187,7 +187,7 @@ class Cost:
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        checks.choice(self.algorithm, tuple(METHODS), "algorithm")
+        checks.choice(self.algorithm, tuple(ALGORITHMS), "algorithm")
         for name in ("dimensions", "trials"):
             for index, value in enumerate(getattr(self, name)):
                 checks.integer(value, name, index, at_least=1)

@@ -11,7 +11,8 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, TrialState, Value
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark.experiment_parts import Row
 from tuning_benchmark.runs import RunSize, tune
 from tuning_benchmark.truth import Effort, Truth
@@ -50,7 +51,7 @@ def surrogate_fields(
     answer = contestant.answer(backend, tuning.trials)
     trials = tuning.trials
     rng = generator(seeded.seed, Stream.ACQUISITION, 2**31, len(trials))
-    models = Surrogates.fit(seeded, trials, rng=rng, options=contestant.method.models)
+    models = Surrogates.fit(seeded, trials, rng=rng, options=contestant.algorithm.models)
     space = seeded.search_space()
     first, second = axes(seeded, points)
     grid = np.array([_cube(space, a, b) for a in first for b in second])
@@ -60,8 +61,6 @@ def surrogate_fields(
         rows: list[list[float]] = np.round(values.reshape(shape), 6).tolist()
         return rows
 
-    worst = seeded.worst_case_constraint
-    constraints = [*seeded.chance_constraints, *([] if worst is None else [worst])]
     nowhere = np.zeros(len(grid))
     failure, *outlier = (c.probability(grid) for c in models.classifiers)
     return {
@@ -71,8 +70,8 @@ def surrogate_fields(
         if models.objective is None
         else field(seeded.objective.from_cost(models.objective.predict(grid)[0])),
         "constraints": {
-            item.name: {"field": field(model.predict(grid)[0]), "limit": model.limit}
-            for item, model in zip(constraints, models.constraints, strict=True)
+            name: {"field": field(model.predict(grid)[0]), "limit": model.limit}
+            for name, model in models.constraints.items()
         },
         "feasibility": field(np.exp(models.log_feasibility(grid))),
         "failure": field(failure),
@@ -113,8 +112,8 @@ def true_fields(study: Study, judge: str, points: int, first: Value) -> dict[str
         judged = truth.judge.judge(study.assignments(parameters, {}, 0))
         found["objective"].append(_number(judged.objective))
         found["worst"].append(_number(judged.worst))
-        evaluation = run_cut(
-            study, backend, parameters, Evaluation(0, 0, Stage.NOMINAL, context, 1)
+        evaluation = evaluate(
+            study, backend, Evaluation(0, 0, Stage.NOMINAL, parameters, context, 1), NOBODY
         )
         whole = evaluation.outcome.state is EvaluationState.COMPLETE
         for constraint in study.chance_constraints:

@@ -2,24 +2,23 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import Assignments
-from bo_tuner.optimizers.algorithms import METHODS, Method
+from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Outcome, Trial, TrialState, Value
+from bo_tuner.trials import TUNING, Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import CHECK_CUTS, recommend
+from bo_tuner.tuning.recommendation import CHECK_EVALUATIONS, recommend
 from bo_tuner.tuning.validation import Validation, validate
 from bo_tuner.worst_case.search import OBSERVED
 from tuning_benchmark import plugins
-from tuning_benchmark.asked import AskedMethod, AskedStageOne
+from tuning_benchmark.asked import AskedAlgorithm, AskedOptimizer
 from tuning_benchmark.experiment_parts import RANDOM, Row
 from tuning_benchmark.neighbours import judge_neighbours
 from tuning_benchmark.optimizer import Optimizer
@@ -47,13 +46,14 @@ class TimedBackend:
         """Make the objects."""
         self._backend.open()
 
-    def run_cut(self, assignments: Assignments) -> Outcome:
-        """Run one cut."""
-        begin = time.process_time()
-        outcome = self._backend.run_cut(assignments)
-        self.seconds += time.process_time() - begin
-        self.evaluations += 1
-        return outcome
+    def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
+        """Run planned evaluations."""
+        for planned in evaluations:
+            begin = time.process_time()
+            (evaluation,) = self._backend.run([planned])
+            self.seconds += time.process_time() - begin
+            self.evaluations += 1
+            yield evaluation
 
     def close(self) -> None:
         """Forget the objects."""
@@ -75,15 +75,15 @@ class Contestant:
 
     def __init__(self, row: Row, study: Study, reserved: int) -> None:
         self._study = study
-        self._asked: AskedStageOne | None = None
+        self._asked: AskedOptimizer | None = None
         if row.algorithm:
-            method = METHODS[row.algorithm]
+            algorithm = ALGORITHMS[row.algorithm]
         else:
             optimizer: Optimizer = plugins.load(row.optimizer)(study, study.seed)
-            self._asked = AskedStageOne(study, optimizer)
-            method = AskedMethod(row.optimizer, stage=self._asked, most_checked=0)
+            self._asked = AskedOptimizer(study, optimizer)
+            algorithm = AskedAlgorithm(row.optimizer, asked=self._asked, most_checked=0)
         # As many checks as the cuts allow: what one row spends more, the others lack.
-        most_checked = min(method.most_checked, reserved // CHECK_CUTS)
+        most_checked = min(algorithm.most_checked, reserved // CHECK_EVALUATIONS)
         changes: dict[str, Any] = {"most_checked": most_checked}
         if row.protocol == RANDOM:
             changes["worst_case"] = OBSERVED
@@ -91,13 +91,13 @@ class Contestant:
             changes["worst_case"] = row.worst_case
         if row.neighbour_starts is not None:
             changes["neighbour_starts"] = row.neighbour_starts
-        self.method: Method = dataclasses.replace(method, **changes)
+        self.algorithm: Algorithm = dataclasses.replace(algorithm, **changes)
 
     def incumbent(self, trials: Sequence[Trial]) -> int | None:
         """Return the trial believed feasible and best, or None if there is none yet."""
         if self._asked is not None:
             return self._asked.recommend()
-        return first_ranked(self._study, trials, self.method)
+        return first_ranked(self._study, trials, self.algorithm)
 
     def answer(self, backend: TimedBackend, trials: Sequence[Trial]) -> tuple[int, bool] | None:
         """Return the trial recommended in the end and whether it is believed feasible.
@@ -111,15 +111,15 @@ class Contestant:
             self._study,
             backend,
             trials,
-            self.method.models,
-            most_checked=self.method.most_checked,
+            self.algorithm.models,
+            most_checked=self.algorithm.most_checked,
         )
         return None if found is None else (found.candidate.trial.number, found.feasible)
 
 
-def first_ranked(study: Study, trials: Sequence[Trial], method: Method) -> int | None:
+def first_ranked(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> int | None:
     """Return the trial that a method ranks first, without checks; None if none seems feasible."""
-    ranked = rank(study, trials, method.models)
+    ranked = rank(study, trials, algorithm.models)
     return ranked[0].trial.number if ranked and ranked[0].believed_feasible else None
 
 
@@ -159,8 +159,8 @@ def tune(
     contestant = Contestant(row, seeded, size.reserved)
     backend = TimedBackend(seeded)
     backend.open()
-    tuning = Tuning(seeded, backend, contestant.method)
-    reserved = size.reserved if contestant.method.most_checked > 0 else 0
+    tuning = Tuning(seeded, backend, contestant.algorithm)
+    reserved = size.reserved if contestant.algorithm.most_checked > 0 else 0
     return seeded, contestant, backend, tuning, size.evaluations - reserved
 
 
@@ -228,7 +228,7 @@ def run(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[st
 
 def _ranked(study: Study, truth: Truth, trials: Sequence[Trial]) -> dict[str, Any] | None:
     """Judge what `RANKING` would answer of another optimizer's trials: search apart from choice."""
-    number = first_ranked(study, trials, METHODS[RANKING])
+    number = first_ranked(study, trials, ALGORITHMS[RANKING])
     if number is None:
         return None
     verdict = truth.verdict(trials[number].parameters)
@@ -264,5 +264,5 @@ def _validation(checked: Validation) -> dict[str, Any]:
         "objective": checked.objective if finite else None,
         "feasible": checked.feasible,
         "failures": checked.failures,
-        "violations": {check.name: check.violations for check in checked.constraints},
+        "violations": {name: s.violations for name, s in checked.constraints.items()},
     }

@@ -19,7 +19,8 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark import plugins
 
 SEED = 20_201_115
@@ -221,8 +222,8 @@ class Truth:
         rows = np.linspace(0, self.effort.drawn - 1, count).astype(int)
         for number, row in enumerate(rows):
             context = space.to_dict(self.drawn_contexts[row])
-            planned = Evaluation(0, number, Stage.VALIDATION, context, SEED + number)
-            outcome = run_cut(self.study, backend, parameters, planned).outcome
+            planned = Evaluation(0, number, Stage.VALIDATION, parameters, context, SEED + number)
+            outcome = evaluate(self.study, backend, planned, NOBODY).outcome
             for constraint in chances:
                 whole = outcome.state is EvaluationState.COMPLETE
                 within[constraint.name] += (

@@ -7,28 +7,33 @@ others give theirs by ``cut_result()``.
 """
 
 import importlib
+from collections.abc import Mapping
 from typing import Any
 
-from bo_tuner.backends.protocol import IN_PROCESS, Assignments
+from bo_tuner.backends.protocol import IN_PROCESS, SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.metrics.collect import STATUS_OK, outcome
+from bo_tuner.metrics.collect import STATUS_OK, Collector
+from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 
-class InProcessBackend:
+class InProcessBackend(SequentialBackend):
     """Runs the study's objects.
 
     Parameters
     ----------
     study
         The study.
+    sources
+        Where metrics come from, unless as the study says; by name.
     """
 
     name = IN_PROCESS
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, sources: Mapping[str, MetricSource] | None = None) -> None:
         self._study = study
+        self._collector = Collector(study, sources)
         self._objects: dict[str, Any] = {}
 
     def open(self) -> None:
@@ -61,8 +66,9 @@ class InProcessBackend:
                 problem = str(error) if isinstance(error, ValueError) else repr(error)
                 raise StudyError(problem, ("nodes", key, "parameters")) from error
 
-    def run_cut(self, assignments: Assignments) -> Outcome:
+    def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics."""
+        assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         if not self._objects:
             raise BackendError("the backend is not open")
         # Foreign code: whatever it raises is a failed evaluation with its reason, never a lost run.
@@ -80,7 +86,7 @@ class InProcessBackend:
             said = {trigger: self._objects[trigger].run_cut(*others.values())}
             if said[trigger].get("status") == STATUS_OK:
                 said |= {key: other.cut_result() for key, other in others.items()}
-            return outcome(self._study, said)
+            return self._collector.outcome(said)
         except Exception as error:
             return Outcome(EvaluationState.FAILED, {}, f"{type(error).__name__}: {error}")
 

@@ -1,20 +1,20 @@
-"""Where evaluations run: over ROS on separate nodes, or on plain objects within the process."""
+"""What the loop asks of a backend: to run evaluations."""
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from time import monotonic
 from typing import Protocol
 
-from bo_tuner.trials import Outcome
+from bo_tuner.trials import Evaluation, Outcome
 
 ROS, IN_PROCESS = "ros", "inprocess"
 BACKENDS = (ROS, IN_PROCESS)
 """Names of the backends, on the command line and on record; the first is the default."""
 
-Assignments = Mapping[str, Mapping[str, int | float]]
-"""Parameter values by node key of the study, then by parameter name."""
-
 
 class Backend(Protocol):
-    """Runs evaluations of a study, one at a time, between `open` and `close`."""
+    """Runs evaluations of a study between `open` and `close`."""
 
     name: str
 
@@ -27,11 +27,27 @@ class Backend(Protocol):
             If the nodes or objects cannot be had.
         """
 
-    def run_cut(self, assignments: Assignments) -> Outcome:
-        """Set parameters, run one evaluation, and collect its metrics.
+    def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
+        """Run planned evaluations; yields each with its outcome and duration as it ends.
 
-        A fault of a node or of the simulation is an outcome, not an exception.
+        They may end in another order than they were given. A fault of a node or of the simulation
+        is an outcome, not an exception.
         """
 
     def close(self) -> None:
         """Let go of everything that `open` took; may be called more than once."""
+
+
+class SequentialBackend(ABC):
+    """A backend that runs one evaluation after the other."""
+
+    def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
+        """Run planned evaluations in the order given."""
+        for planned in evaluations:
+            begin = monotonic()
+            outcome = self.outcome(planned)
+            yield replace(planned, outcome=outcome, seconds=monotonic() - begin)
+
+    @abstractmethod
+    def outcome(self, planned: Evaluation) -> Outcome:
+        """Set parameters, run one evaluation, and collect its metrics."""

@@ -1,16 +1,16 @@
 """The evaluations of a certificate: fresh draws for all alike, then the worst contexts of each."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.worst_case_search import CANDIDATES, find_worst_contexts, most_evaluations
-from bo_tuner.errors import RunError
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
-from bo_tuner.tuning.loop import LOST_IN_A_ROW, EvaluationObserver, run_cut
+from bo_tuner.tuning.evaluation import Losses, evaluate
+from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 REPEATS = 20
 """Evaluations with fresh noise in each context that may be the worst."""
@@ -47,12 +47,8 @@ class Certification:
         The study.
     backend
         Runs the evaluations; open.
-    observe
-        Called after each evaluation.
-    begin
-        Called with the name and the number of steps of each phase, for progress.
-    advance
-        Called after each step.
+    observer
+        Told of each phase, evaluation and step.
     """
 
     def __init__(
@@ -60,20 +56,16 @@ class Certification:
         study: Study,
         backend: Backend,
         *,
-        observe: EvaluationObserver = lambda evaluation, parameters: None,
-        begin: Callable[[str, int], None] = lambda phase, steps: None,
-        advance: Callable[[], None] = lambda: None,
+        observer: RunObserver = NOBODY,
     ) -> None:
         self._study = study
         self._backend = backend
-        self._observe = observe
-        self._begin = begin
-        self._advance = advance
+        self._observer = observer
         self._contexts = study.context_space()
-        self._lost = 0
+        self._losses = Losses("evaluations")
 
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
-        """Cut each subject in the same independent draws, and search its worst contexts.
+        """Evaluate each subject in the same independent draws, and search its worst contexts.
 
         The search needs a worst-case constraint; each subject has one of its own.
 
@@ -89,16 +81,16 @@ class Certification:
         ]
 
     def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
-        self._begin("draws", draws)
+        self._observer.begin("draws", draws)
         rows = self._contexts.draw(draws, generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS))
         evaluations: list[list[Evaluation]] = [[] for _ in subjects]
         for k, row in enumerate(rows):
             seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, DRAWN, k)
             context = self._contexts.to_dict(row)
             for number, subject in enumerate(subjects):
-                planned = Evaluation(number, k, Stage.VALIDATION, context, seed)
-                evaluations[number].append(self._run(subject, planned))
-            self._advance()
+                planned = Evaluation(number, k, Stage.VALIDATION, subject.parameters, context, seed)
+                evaluations[number].append(self._run(planned))
+            self._observer.advance()
         return evaluations
 
     def _look_closely(self, number: int, subject: Subject, drawn: Sequence[Evaluation]) -> Evidence:
@@ -108,24 +100,26 @@ class Certification:
         search: list[Evaluation] = []
 
         def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
-            # The same for all subjects, as far as they are cut in the same contexts.
+            # The same for all subjects, as far as they are evaluated in the same contexts.
             seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, *key)
-            evaluation = self._run(subject, Evaluation(number, index, stage, context, seed))
-            self._advance()
+            evaluation = self._run(
+                Evaluation(number, index, stage, subject.parameters, context, seed)
+            )
+            self._observer.advance()
             return evaluation
 
-        def evaluate(context: Mapping[str, float]) -> float | None:
+        def metric_in(context: Mapping[str, float]) -> float | None:
             evaluation = run(Stage.SEARCH, context, len(search), SEARCHED, len(search))
             search.append(evaluation)
             return evaluation.outcome.metrics.get(constraint.metric)
 
-        self._begin(
+        self._observer.begin(
             f"worst case of {subject.name}",
             most_evaluations(self._contexts, len(subject.suspected)) + CANDIDATES * REPEATS,
         )
         candidates = find_worst_contexts(
             self._contexts,
-            evaluate,
+            metric_in,
             [
                 (evaluation.context, evaluation.outcome.metrics[constraint.metric])
                 for evaluation in drawn
@@ -140,13 +134,8 @@ class Certification:
         ]
         return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
 
-    def _run(self, subject: Subject, planned: Evaluation) -> Evaluation:
-        evaluation = run_cut(self._study, self._backend, subject.parameters, planned)
-        self._observe(evaluation, subject.parameters)
-        self._lost = self._lost + 1 if evaluation.outcome.state is EvaluationState.LOST else 0
-        if self._lost >= LOST_IN_A_ROW:
-            raise RunError(
-                f"{self._lost} runs in a row were lost with their nodes: "
-                f"{evaluation.outcome.reason}"
-            )
+    def _run(self, planned: Evaluation) -> Evaluation:
+        evaluation = evaluate(self._study, self._backend, planned, self._observer)
+        self._losses.note(evaluation.outcome.state is EvaluationState.LOST)
+        self._losses.check(evaluation.outcome.reason)
         return evaluation

@@ -123,7 +123,7 @@ def look_around(
     points = np.array([space.to_cube(item) for item in tuned])
     cost = models.objective.predict_mean(points)
     # A difference of logarithms is relative as it is.
-    scale = 1.0 if study.objective.scale == "log" else models.objective.standardisation.scale
+    scale = 1.0 if study.objective.scale == "log" else models.objective.scale
     loss: Array = (cost - cost[0]) / scale
     excess = relative_excess(models, points)
     feasibility = np.exp(models.log_feasibility(points))

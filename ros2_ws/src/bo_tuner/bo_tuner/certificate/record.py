@@ -18,7 +18,7 @@ from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.errors import OutputError
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
@@ -146,16 +146,12 @@ def make_certificate(
     best_sha256
         As in `Certificate`.
     """
-    study, models = record.study, METHODS[record.algorithm].models
+    study, models = record.study, ALGORITHMS[record.algorithm].models
     tuned = evidence[TUNED]
     findings = judge(study, tuned, confidence)
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(record.trials))
     surrogates = Surrogates.fit(study, record.trials, rng=rng, options=models)
-    in_training = [
-        evaluation.evaluation
-        for evaluation in record.evaluations
-        if evaluation.parameters == trial.parameters
-    ]
+    in_training = [e for e in record.evaluations if e.parameters == trial.parameters]
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [
         evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION

@@ -13,16 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.kernel import jittered_cholesky, latent_covariance
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState
-from bo_tuner.worst_case.search import PRIORS, maximise_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
 
 CREDIBLE = 0.9
 """Posterior probability of a band, the rest equally above and below."""
@@ -31,8 +29,8 @@ SAMPLES = 1000
 STEPS = 31
 """Points of a line from the nominal value to a bound, ends included."""
 
-FEWEST_CUTS = 5
-MOST_CUTS = 300
+FEWEST_EVALUATIONS = 5
+MOST_EVALUATIONS = 300
 """Evaluations beyond this are left out: the cost grows with their cube."""
 
 
@@ -127,7 +125,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
     study
         The study.
     evaluations
-        Of one parameter set, of any stage; of more than `MOST_CUTS` whole ones the first.
+        Of one parameter set, of any stage; of more than `MOST_EVALUATIONS` whole ones the first.
 
     Returns
     -------
@@ -139,8 +137,8 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
         evaluation
         for evaluation in evaluations
         if evaluation.outcome.state is EvaluationState.COMPLETE
-    ][:MOST_CUTS]
-    if constraint is None or space.dimension == 0 or len(whole) < FEWEST_CUTS:
+    ][:MOST_EVALUATIONS]
+    if constraint is None or space.dimension == 0 or len(whole) < FEWEST_EVALUATIONS:
         return None
     rng = generator(study.seed, Stream.ROBUSTNESS)
     points = space.to_cube(
@@ -151,7 +149,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
     worst_context, _ = maximise_over_contexts(space, model.predict_mean, rng, points)
     nominal = space.nominal()
     worst = np.array([worst_context[name] for name in space.names])
-    ends = posterior_samples(model, space.to_cube(np.array([nominal, worst])), SAMPLES, rng)
+    ends = model.sample(space.to_cube(np.array([nominal, worst])), SAMPLES, rng)
     variables = []
     for column, (name, distribution) in enumerate(
         zip(space.names, space.distributions, strict=True)
@@ -162,7 +160,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
             for bound in (distribution.lower, distribution.upper)
         ]
         contexts = np.vstack([worst, *(_line(base, column, steps) for base, steps in lines)])
-        sampled = posterior_samples(model, space.to_cube(contexts), SAMPLES, rng)
+        sampled = model.sample(space.to_cube(contexts), SAMPLES, rng)
         evaluations_at = np.cumsum([1, *(len(steps) for _, steps in lines)])
         at_worst, *along = np.split(sampled, evaluations_at[:-1], axis=1)
         drifts = [
@@ -192,39 +190,6 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
         worst_context=worst_context,
         variables=tuple(sorted(variables, key=lambda v: -v.relief.median)),
     )
-
-
-def posterior_samples(
-    model: GaussianProcess, x: Array, count: int, rng: np.random.Generator
-) -> Array:
-    """Draw the latent response at several points jointly from the posterior.
-
-    With V = L⁻¹ k(X, x), the posterior covariance is k(x, x) - Vᵀ V (Rasmussen and Williams 2006,
-    Eq. 2.24).
-
-    Parameters
-    ----------
-    model
-        The process.
-    x
-        Points (m, d) of the unit cube.
-    count
-        Number of samples, S.
-    rng
-        Source of the samples.
-
-    Returns
-    -------
-    ndarray, shape (S, m)
-        In the unit of the response.
-    """
-    cross = latent_covariance(model.hyperparameters, model.data.x, x)
-    whitened = solve_triangular(model.factor, cross, lower=True)
-    covariance = latent_covariance(model.hyperparameters, x, x) - whitened.T @ whitened
-    factor, _ = jittered_cholesky(covariance)
-    standardised = cross.T @ model.alpha + rng.standard_normal((count, len(x))) @ factor.T
-    samples: Array = model.standardisation.shift + model.standardisation.scale * standardised
-    return samples
 
 
 def _steps(distribution: Distribution, bound: float) -> Array:

@@ -1,9 +1,10 @@
-"""A search of the worst context that shares nothing with stage two but the box it searches.
+"""A search of the worst context that is independent of stage two's.
 
 Stage two spends ten evaluations on a parameter set and starts where its neighbours were the worst.
-What it overlooked, a check in its own worst context overlooks as well. Here evaluations go to every
-corner, all over the box, and then to the local maxima that a model of all these evaluations has
-from many starts.
+What it overlooked, a check in its own worst context overlooks as well. So nothing of it is used
+here, neither priors nor swarm nor starting points, only the box and the class of models.
+Evaluations go to every corner, all over the box, and then to the local maxima that a model of all
+these evaluations has from many starts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,17 +16,16 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.worst_case.search import DISTINCT, PRIORS, corners
 
 Context = dict[str, float]
 Evaluate = Callable[[Mapping[str, float]], float | None]
 """Runs an evaluation in a context; returns the metric, or None if the evaluation failed."""
 
-SPREAD_CUTS = 12
+SPREAD_EVALUATIONS = 12
 """Evaluations all over the box, by a Latin hypercube."""
 
-ROUNDS, CUTS_A_ROUND = 4, 5
-"""Rounds of local searches, and the most maxima that are cut after each."""
+ROUNDS, EVALUATIONS_A_ROUND = 4, 5
+"""Rounds of local searches, and the most maxima that are evaluated after each."""
 
 STARTS = 10
 """Local searches of a round, from the tried and some other contexts where the most is expected."""
@@ -35,6 +35,9 @@ OTHERS = 200
 
 CANDIDATES = 5
 """Contexts that may be the worst one."""
+
+DISTINCT = 0.1
+"""Starts and maxima closer than this in the unit cube count as one."""
 
 APART = 0.02
 """Candidates closer than this in the unit cube are one; a maximum beside a corner and the corner
@@ -48,7 +51,7 @@ def most_evaluations(space: ContextSpace, known: int) -> int:
     """Return how many evaluations `find_worst_contexts` asks for at most, with `known` contexts."""
     if space.dimension == 0:
         return 0
-    return len(corners(space)) + SPREAD_CUTS + known + ROUNDS * CUTS_A_ROUND
+    return len(space.corners()) + SPREAD_EVALUATIONS + known + ROUNDS * EVALUATIONS_A_ROUND
 
 
 def find_worst_contexts(
@@ -67,7 +70,7 @@ def find_worst_contexts(
     evaluate
         Called for each evaluation.
     drawn
-        Contexts that were cut already, with the metric.
+        Contexts that were evaluated already, with the metric.
     known
         Contexts that somebody else takes for the worst.
     rng
@@ -82,16 +85,16 @@ def find_worst_contexts(
     if space.dimension == 0:
         return [{}]
     tried = _Tried(space, drawn[:MOST_MODELLED])
-    spread = latin_hypercube(SPREAD_CUTS, space.dimension, rng)
+    spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
     known_points = _points(space, known)
-    for point in np.vstack([corners(space), spread, known_points]):
-        tried.evaluation(point, evaluate)
+    for point in np.vstack([space.corners(), spread, known_points]):
+        tried.run(point, evaluate)
     for _ in range(ROUNDS):
         model = tried.fit(rng)
         if model is None:
             break
-        for point in _local_maxima(space, model, _upper(model), rng)[:CUTS_A_ROUND]:
-            tried.evaluation(point, evaluate)
+        for point in _local_maxima(space, model, _upper(model), rng)[:EVALUATIONS_A_ROUND]:
+            tried.run(point, evaluate)
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(_points(space, [context])[0], value)
@@ -99,7 +102,7 @@ def find_worst_contexts(
 
 
 class _Tried:
-    """Contexts that were cut, as points of the unit cube, with the metric."""
+    """Contexts that were tried, as points of the unit cube, with the metric."""
 
     def __init__(
         self, space: ContextSpace, drawn: Sequence[tuple[Mapping[str, float], float]]
@@ -112,7 +115,7 @@ class _Tried:
         self._points.append(point)
         self._values.append(value)
 
-    def evaluation(self, point: Array, evaluate: Evaluate) -> None:
+    def run(self, point: Array, evaluate: Evaluate) -> None:
         context = self._space.to_contexts(point[None])
         value = evaluate(self._space.to_dict(context[0]))
         if value is not None:
@@ -121,15 +124,13 @@ class _Tried:
     def fit(self, rng: np.random.Generator) -> GaussianProcess | None:
         if not self._values:
             return None
-        return GaussianProcess.fit(
-            np.array(self._points), np.array(self._values), rng=rng, priors=PRIORS
-        )
+        return GaussianProcess.fit(np.array(self._points), np.array(self._values), rng=rng)
 
     def candidates(
         self, known: Array, model: GaussianProcess | None, rng: np.random.Generator
     ) -> Array:
         """Contexts (m, e) to look at closely, in own units."""
-        edge = corners(self._space)
+        edge = self._space.corners()
         if model is None:
             # Every evaluation failed: the corners are as good as any.
             return self._space.to_contexts(_distinct([*known, *edge])[:CANDIDATES])
@@ -137,7 +138,9 @@ class _Tried:
         maxima = _local_maxima(self._space, model, model.predict_mean, rng)
         corner = edge[int(np.argmax(model.predict_mean(edge)))]
         seen = points[int(np.argmax(self._values))]
-        first = _distinct([maxima[0], corner, seen, *known], APART)
+        # A maximum this close to the corner is taken for it.
+        highest = corner if np.abs(maxima[0] - corner).max() <= APART else maxima[0]
+        first = _distinct([highest, corner, seen, *known], APART)
         others = points[np.argsort(-model.predict_mean(points), kind="stable")]
         rest = _distinct([*first, *maxima, *others])
         # Those of `first` that are close to each other are not all in `rest`.
@@ -161,7 +164,7 @@ def _local_maxima(
 ) -> Array:
     """Local maxima (m, e) of a function of the unit cube, all different, the largest first."""
     starts = np.vstack(
-        [model.data.x, corners(space), latin_hypercube(OTHERS, space.dimension, rng)]
+        [model.data.x, space.corners(), latin_hypercube(OTHERS, space.dimension, rng)]
     )
     best = starts[np.argsort(-function(starts), kind="stable")]
     found = [

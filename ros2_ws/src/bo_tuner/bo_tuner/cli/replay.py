@@ -1,13 +1,13 @@
 """``replay``: run a recorded evaluation again, confirm its metrics, record default and tuned."""
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 from rich.table import Table
 
-from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import BACKENDS, IN_PROCESS, Backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
@@ -16,6 +16,7 @@ from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.bag import Message
+from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.replay.bag import Inbox, write_side_by_side
 from bo_tuner.replay.replay import (
     BEST,
@@ -27,11 +28,11 @@ from bo_tuner.replay.replay import (
     find_trial,
     replay,
 )
-from bo_tuner.storage.journal_reader import RecordedEvaluation
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.trials import Evaluation
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 
 DESCRIPTION = """\
 Run a recorded evaluation again, with its parameters, context and seed, and
@@ -58,8 +59,6 @@ examples:
 """
 
 DEFAULT, TUNED = "default", "tuned"
-
-B = TypeVar("B", bound=Backend)
 
 
 def make_parser() -> Parser:
@@ -118,33 +117,38 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     )
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
-    if name == IN_PROCESS:
-        with _opened(InProcessBackend(record.study), interruption) as backend:
-            result = replay(record, recorded, backend)
-        _show(record, result, name)
-        console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
-    else:
-        output = arguments.output or record.path / "replay"
-        ros = _ros_backend(record, output, arguments.attach, ros_arguments, interruption)
-        with _opened(ros, interruption):
-            result, default, inbox, sides = _run_both(record, recorded, ros)
+    output = arguments.output or record.path / "replay"
+    backend = make_backend(
+        name,
+        record.study,
+        output / "log",
+        attach=arguments.attach,
+        ros_arguments=ros_arguments,
+        interrupted=interruption.check,
+    )
+    if isinstance(backend, RosBackend):
+        _make_folder(output / "log")
+        with _opened(backend, interruption):
+            result, default, inbox, sides = _run_both(record, recorded, backend)
         _show(record, result, name)
         for warning in inbox.warnings:
             console.print(warning, soft_wrap=True)
-        path = (
-            output
-            / f"trial_{recorded.evaluation.trial:04d}_evaluation_{recorded.evaluation.index:02d}"
-        )
+        path = output / f"trial_{recorded.trial:04d}_evaluation_{recorded.index:02d}"
         notes = _notes(record, recorded, result.replayed, default, inbox.lost)
         if write_side_by_side(path, sides, notes):
             say(f"bag of {' and '.join(sides)}: {path}")
         else:
             console.print("no bag: no message was heard", soft_wrap=True)
+    else:
+        with _opened(backend, interruption):
+            result = replay(record, recorded, backend)
+        _show(record, result, name)
+        console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
     return EXIT_OK if result.confirmed else EXIT_INFEASIBLE
 
 
-def _description(recorded: RecordedEvaluation, backend: str) -> str:
-    evaluation = recorded.evaluation
+def _description(recorded: Evaluation, backend: str) -> str:
+    evaluation = recorded
     context = ", ".join(f"{name} {value:.4g}" for name, value in evaluation.context.items())
     return (
         f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
@@ -152,33 +156,19 @@ def _description(recorded: RecordedEvaluation, backend: str) -> str:
     )
 
 
-def _ros_backend(
-    record: RunRecord,
-    output: Path,
-    attach: bool,
-    ros_arguments: list[str],
-    interruption: Interruption,
-) -> RosBackend:
-    log = output / "log"
+def _make_folder(path: Path) -> None:
     try:
-        log.mkdir(parents=True, exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{log}: cannot be made: {error.strerror}") from error
-    return RosBackend(
-        record.study,
-        log,
-        attach=attach,
-        ros_arguments=ros_arguments,
-        interrupted=interruption.check,
-    )
+        raise OutputError(f"{path}: cannot be made: {error.strerror}") from error
 
 
 @contextlib.contextmanager
-def _opened(backend: B, interruption: Interruption) -> Iterator[B]:
+def _opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
     try:
         interruption.check()
         backend.open()
-        yield backend
+        yield
     finally:
         # The nodes come down first, whatever else.
         interruption.ignore()
@@ -186,11 +176,11 @@ def _opened(backend: B, interruption: Interruption) -> Iterator[B]:
 
 
 def _run_both(
-    record: RunRecord, recorded: RecordedEvaluation, ros: RosBackend
+    record: RunRecord, recorded: Evaluation, ros: RosBackend
 ) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
     """Run the evaluation, and the same with the default parameters; take the messages of both."""
     inbox = Inbox()
-    listener = ros.listen(inbox)
+    listener = TopicListener(ros.context, ros.nodes, inbox)
     try:
         inbox.collect(listener.take)
         result = replay(record, recorded, ros)
@@ -198,7 +188,9 @@ def _run_both(
         # Nodes that were lost are others now, and may have other topics.
         listener.refresh()
         defaults = record.study.search_space().defaults
-        default = run_cut(record.study, ros, defaults, recorded.evaluation)
+        default = evaluate(
+            record.study, ros, dataclasses.replace(recorded, parameters=defaults), NOBODY
+        )
         return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
     finally:
         listener.close()
@@ -206,14 +198,13 @@ def _run_both(
 
 def _notes(
     record: RunRecord,
-    recorded: RecordedEvaluation,
+    recorded: Evaluation,
     tuned: Evaluation,
     default: Evaluation,
     lost: int,
 ) -> dict[str, object]:
     """Tell what is in the bag."""
-    evaluation = recorded.evaluation
-    defaults = record.study.search_space().defaults
+    evaluation = recorded
     notes: dict[str, object] = {
         "study": record.study.name,
         "trial": str(evaluation.trial),
@@ -223,12 +214,9 @@ def _notes(
         "seed": str(evaluation.seed),
         "lost_messages": str(lost),
     }
-    for side, parameters, ran in (
-        (DEFAULT, defaults, default),
-        (TUNED, recorded.parameters, tuned),
-    ):
+    for side, ran in ((DEFAULT, default), (TUNED, tuned)):
         notes[side] = {
-            "parameters": dict(parameters),
+            "parameters": dict(ran.parameters),
             "state": str(ran.outcome.state),
             "reason": ran.outcome.reason,
             "metrics": dict(ran.outcome.metrics),

@@ -3,9 +3,10 @@
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import ROS, Backend
+from bo_tuner.backends.protocol import ROS
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.deliverables import write_deliverables
@@ -13,20 +14,23 @@ from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_S
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import Output, Result
-from bo_tuner.monitoring.monitor import Monitor
+from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
 from bo_tuner.monitoring.node import LiveNode
-from bo_tuner.monitoring.status import CHECKING, TUNING, VALIDATION
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, Value
+from bo_tuner.trials import Trial
+from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.observer import Observers, Phase
 from bo_tuner.tuning.recommendation import Recommendation, recommend
 from bo_tuner.tuning.validation import Validation, validate
 
@@ -42,7 +46,7 @@ class RunOptions:
     Attributes
     ----------
     algorithm
-        Key of `METHODS`.
+        Key of `ALGORITHMS`.
     backend
         One of `BACKENDS`.
     attach
@@ -87,10 +91,21 @@ class Session:
         self._study = study
         self._folder = folder
         self._options = options
-        self._method = METHODS[options.algorithm]
+        self._algorithm = ALGORITHMS[options.algorithm]
         self._interruption = interruption
-        self._monitor = Monitor(study, self._method, options.output, interruption)
-        self._display = self._monitor.display
+        self._status = RunStatus(study, self._algorithm)
+        self._display = make_display(study, options.output, self._status)
+        self._observers = Observers()
+        self._advisor = Advisor(study, self._algorithm, self._observers)
+        self._gate = Gate(interruption, self._observers)
+        self._backend = make_backend(
+            options.backend,
+            study,
+            folder.log,
+            attach=options.attach,
+            ros_arguments=options.ros_arguments,
+            interrupted=interruption.check,
+        )
 
     def run(self) -> int:
         """Tune, validate and report; returns the exit code.
@@ -101,7 +116,7 @@ class Session:
             If the folder, the nodes or the objects cannot be had in the first place.
         """
         code = self._run_on_record()
-        self._display.end(code)
+        self._display.finish(code)
         return code
 
     def _run_on_record(self) -> int:
@@ -138,7 +153,7 @@ class Session:
 
     def _recorded(self, earlier: JournalContent) -> RecordedEvaluations:
         try:
-            return RecordedEvaluations(self._make_backend(), self._study, earlier.evaluations)
+            return RecordedEvaluations(self._backend, self._study, earlier.evaluations)
         except KeyError as error:
             raise RunRecordError(
                 f"{self._folder.journal}: has evaluations of another study, with {error}"
@@ -162,90 +177,84 @@ class Session:
             self._interruption.ignore()
             backend.close()
 
-    def _make_backend(self) -> Backend:
-        return make_backend(
-            self._options.backend,
-            self._study,
-            self._folder.log,
-            attach=self._options.attach,
-            ros_arguments=self._options.ros_arguments,
-            interrupted=self._interruption.check,
-        )
-
     def _tune(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
-        study = self._study
-        recording = self._recording(backend)
-
-        def observe(evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
-            if backend.given is None:
-                journal.record_evaluation(evaluation, parameters)
-                recording.evaluation(evaluation, parameters)
-            self._monitor.evaluation(evaluation, parameters)
-
-        tuning = Tuning(study, backend, self._method, observe=observe, trials=earlier.trials)
-        with self._live(backend), self._display, recording:
-            self._monitor.begin(TUNING, study.budget.trials)
+        study, observers = self._study, self._observers
+        tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)
+        with self._watched(journal) as recording:
+            observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
-                self._monitor.recall(tuning.trials, self._best(tuning))
+                observers.recall(tuning.trials, self._best(tuning))
             for trial in self._trials(tuning):
-                journal.record_trial(trial)
-                leader = self._best(tuning)
-                recording.trial(trial, leader is not None and leader.trial.number == trial.number)
-                self._monitor.trial(tuning.trials, leader)
-            self._monitor.begin(CHECKING, self._method.most_checked)
+                observers.trial(trial, self._best(tuning))
+            observers.end(Phase.TUNING)
+            observers.begin(Phase.CHECKING, self._algorithm.most_checked)
             best = recommend(
                 study,
                 backend,
                 tuning.trials,
-                self._method.models,
-                most_checked=self._method.most_checked,
-                observe=observe,
-                advance=self._monitor.advance,
+                self._algorithm.models,
+                most_checked=self._algorithm.most_checked,
+                observer=observers,
             )
-            recording.phase_ended()
+            observers.end(Phase.CHECKING)
             if best is None:
-                self._display.warn("no feasible parameter set: every trial failed")
+                self._display.warn("no feasible parameters: every trial failed")
                 return EXIT_INFEASIBLE
-            self._monitor.begin(VALIDATION, study.budget.validation_draws)
+            observers.begin(Phase.VALIDATION, study.budget.validation_draws)
             default, tuned = validate(
                 study,
                 backend,
                 [study.search_space().defaults, best.candidate.trial.parameters],
-                observe=observe,
-                advance=self._monitor.advance,
+                observer=observers,
             )
-            recording.phase_ended()
+            observers.end(Phase.VALIDATION)
         return self._report(best, default, tuned, recording.summary)
+
+    @contextlib.contextmanager
+    def _watched(self, journal: Journal) -> Iterator[RunRecording]:
+        """Let all observers see the run: what is durable first, what may wait last."""
+        ros = self._backend if isinstance(self._backend, RosBackend) else None
+        recording = RunRecording(
+            self._folder.path,
+            self._study,
+            self._options.record,
+            None if ros is None else partial(TopicListener, ros.context, ros.nodes),
+            self._display.warn,
+        )
+        with contextlib.ExitStack() as stack:
+            for observer in (JournalObserver(journal), recording, self._status, self._display):
+                self._observers.add(observer)
+            if ros is not None:
+                self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
+            self._observers.add(self._advisor)
+            self._observers.add(self._gate)
+            stack.enter_context(self._display)
+            stack.enter_context(recording)
+            yield recording
+
+    def _live(self, ros: RosBackend) -> LiveNode:
+        """Show the run in the ROS graph."""
+        return LiveNode(
+            ros.context,
+            self._study,
+            self._folder.path,
+            self._status,
+            self._gate.requests,
+            self._interruption,
+        )
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:
         """Run trials up to the budget, or until the advice to stop if it is to be followed."""
         trials = iter(tuning)
-        while not (self._options.stop_early and self._monitor.advice is not None):
+        while not (self._options.stop_early and self._advisor.advice is not None):
             trial = next(trials, None)
             if trial is None:
                 return
             yield trial
 
     def _best(self, tuning: Tuning) -> Candidate | None:
-        ranked = rank(self._study, tuning.trials, self._method.models)
+        ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
-
-    def _live(self, backend: RecordedEvaluations) -> contextlib.AbstractContextManager[object]:
-        """Tell of the run in the ROS graph, if there is one."""
-        ros = backend.backend
-        if not isinstance(ros, RosBackend):
-            return contextlib.nullcontext()
-        live = LiveNode(
-            ros.context, self._study, self._folder.path, self._monitor, self._interruption
-        )
-        return contextlib.closing(live)
-
-    def _recording(self, backend: RecordedEvaluations) -> RunRecording:
-        ros = backend.backend
-        listen = ros.listen if isinstance(ros, RosBackend) else None
-        return RunRecording(
-            self._folder.path, self._study, self._options.record, listen, self._display.warn
-        )
 
     def _report(
         self,
@@ -258,7 +267,7 @@ class Session:
         candidate = best.candidate
         folder = self._folder
         path = folder.write_parameters(self._study, candidate.trial.parameters)
-        advice = self._monitor.advice
+        advice = self._advisor.advice
         summary = {
             "feasible": feasible,
             "trial": candidate.trial.number,
@@ -290,7 +299,7 @@ def _amiss(study: Study, best: Recommendation, tuned: Validation) -> str:
             "no parameter set is feasible as far as the checks can tell; the file holds the "
             "one nearest to it"
         )
-    broken = [study.constraints[check.name] for check in tuned.constraints if not check.holds]
+    broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
     metrics = [study.metrics[constraint.metric] for constraint in broken]
     if metrics and not any(metric.reproducible for metric in metrics):
         names = ", ".join(metric.name for metric in metrics)

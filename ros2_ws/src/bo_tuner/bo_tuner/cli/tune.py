@@ -10,7 +10,7 @@ from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
 from bo_tuner.errors import StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
@@ -97,8 +97,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--algorithm",
-        choices=tuple(METHODS),
-        help="; ".join(f"{name}: {method.title}" for name, method in METHODS.items())
+        choices=tuple(ALGORITHMS),
+        help="; ".join(f"{name}: {method.title}" for name, method in ALGORITHMS.items())
         + f" (default: {ALGORITHM})",
     )
     parser.add_argument(

@@ -3,7 +3,7 @@
 import argparse
 import contextlib
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -29,11 +29,13 @@ from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
+from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, Value
+from bo_tuner.trials import Trial
+from bo_tuner.tuning.observer import Observers, RunObserver
 
 DESCRIPTION = """\
 Certify what a run found: run its parameters and the default in the same fresh
@@ -184,27 +186,26 @@ def _collect(
         Subject(TUNED, trial.parameters, suspected),
     ]
 
-    def observe(_evaluation: Evaluation, _parameters: Mapping[str, Value]) -> None:
-        interruption.check()
-
     try:
         interruption.check()
         backend.open()
-        with _Progress(console) as progress:
-            found = Certification(
-                study, backend, observe=observe, begin=progress.begin, advance=progress.step
-            ).collect(subjects, draws)
+        bar, observers = _Bar(console), Observers()
+        observers.add(bar)
+        observers.add(Gate(interruption, observers))
+        with bar.progress:
+            found = Certification(study, backend, observer=observers).collect(subjects, draws)
     finally:
         interruption.ignore()
         backend.close()
     return {subject.name: item for subject, item in zip(subjects, found, strict=True)}
 
 
-class _Progress(Progress):
+class _Bar(RunObserver):
     """A bar for one phase after the other, or a line for each where there is no terminal."""
 
     def __init__(self, console: Console) -> None:
-        super().__init__(
+        self._console = console
+        self.progress = Progress(
             TextColumn("[bold]{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -213,16 +214,16 @@ class _Progress(Progress):
             disable=not console.is_terminal,
         )
 
-    def begin(self, phase: str, steps: int) -> None:
-        for task in self.task_ids:
-            self.remove_task(task)
-        self.add_task(phase, total=steps)
-        if self.disable:
-            self.console.print(f"{phase}: {steps} steps", soft_wrap=True)
+    def begin(self, phase: str, total: int) -> None:
+        for task in self.progress.task_ids:
+            self.progress.remove_task(task)
+        self.progress.add_task(phase, total=total)
+        if self.progress.disable:
+            self._console.print(f"{phase}: {total} steps", soft_wrap=True)
 
-    def step(self) -> None:
-        for task in self.task_ids:
-            self.advance(task)
+    def advance(self) -> None:
+        for task in self.progress.task_ids:
+            self.progress.advance(task)
 
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:

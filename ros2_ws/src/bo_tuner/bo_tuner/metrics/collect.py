@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from math import isfinite
 
+from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
 
@@ -17,43 +18,58 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in line)
 
 
-def outcome(study: Study, said: Mapping[str, Mapping[str, object]]) -> Outcome:
-    """Judge an evaluation.
+class Collector:
+    """Makes the outcome of an evaluation of what the nodes reported.
 
     Parameters
     ----------
     study
         The study, for its metrics.
-    said
-        By node key what the node said of the evaluation: ``status``, ``reason`` and its figures, as
-        numbers or as text.
-
-    Returns
-    -------
-    CutOutcome
-        Failed if a node says so, or if a metric is missing or not finite: such a value never
-        becomes a number.
+    sources
+        Where each metric comes from, by name; what is left out is taken from the study.
     """
-    details = {
-        f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
-        for node, pairs in said.items()
-        for key, value in pairs.items()
-    }
-    for node, pairs in said.items():
-        if pairs.get("status") != STATUS_OK:
-            reason = one_line(str(pairs.get("reason") or "no reason given"))
-            return Outcome(EvaluationState.FAILED, {}, f"{node}: {reason}", details)
-    metrics = {}
-    for name, metric in study.metrics.items():
-        text = said.get(metric.node, {}).get(metric.key)
-        try:
-            value = float(text)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            value = float("nan")
-        if not isfinite(value):
-            shown = "is missing" if text is None else f"is {one_line(str(text)[:40])}"
-            return Outcome(
-                EvaluationState.FAILED, {}, f"{metric.node}: metric {metric.key} {shown}", details
-            )
-        metrics[name] = value
-    return Outcome(EvaluationState.COMPLETE, metrics, "", details)
+
+    def __init__(self, study: Study, sources: Mapping[str, MetricSource] | None = None) -> None:
+        self._study = study
+        self._sources = sources_of(study) | dict(sources or {})
+
+    def outcome(self, results: Results) -> Outcome:
+        """Judge an evaluation.
+
+        Parameters
+        ----------
+        results
+            By node key what the node reported: ``status``, ``reason`` and its figures, as numbers
+            or as text.
+
+        Returns
+        -------
+        Outcome
+            Failed if a node says so, or if a metric is missing or not finite: such a value never
+            becomes a number.
+        """
+        details = {
+            f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
+            for node, pairs in results.items()
+            for key, value in pairs.items()
+        }
+        for node, pairs in results.items():
+            if pairs.get("status") != STATUS_OK:
+                reason = one_line(str(pairs.get("reason") or "no reason given"))
+                return Outcome(EvaluationState.FAILED, {}, f"{node}: {reason}", details)
+        metrics = {}
+        for name, metric in self._study.metrics.items():
+            try:
+                found = self._sources[name].value(results)
+            except MissingMetricError as error:
+                return Outcome(EvaluationState.FAILED, {}, one_line(str(error)), details)
+            try:
+                value = float(found)  # type: ignore[arg-type]
+            except (TypeError, ValueError):
+                value = float("nan")
+            if not isfinite(value):
+                shown = one_line(str(found)[:40])
+                reason = f"{metric.node}: metric {metric.key} is {shown}"
+                return Outcome(EvaluationState.FAILED, {}, reason, details)
+            metrics[name] = value
+        return Outcome(EvaluationState.COMPLETE, metrics, "", details)

@@ -13,13 +13,14 @@ Forrester, Keane and Bressloff (2006). Design and analysis of "noisy" computer e
 AIAA Journal 44(10): reinterpolation.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas, lapack, solve_triangular
 
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import (
@@ -73,7 +74,7 @@ class GaussianProcess:
         rng: np.random.Generator,
         priors: Hyperpriors | None = None,
         minimum_length_scales: ArrayLike | None = None,
-        start: Hyperparameters | None = None,
+        start: Sequence[float] | None = None,
     ) -> Self:
         """Fit the hyperparameters by maximum a posteriori and condition on the data.
 
@@ -89,8 +90,8 @@ class GaussianProcess:
             Priors of the hyperparameters, `Hyperpriors.default` if not given.
         minimum_length_scales : array_like, shape (d,), optional
             Lower bounds of the length scales, in edges of the unit cube.
-        start : Hyperparameters, optional
-            Warm start, of an earlier fit to similar data.
+        start : sequence of float, length d + 2, optional
+            `warm_start` of an earlier fit to similar data.
 
         Raises
         ------
@@ -102,14 +103,15 @@ class GaussianProcess:
         dimension = points.shape[1]
         priors = Hyperpriors.default(dimension) if priors is None else priors
         box = priors.bounds(dimension, minimum_length_scales)
-        if start is not None and start.length_scales.shape != (dimension,):
-            raise ValueError(
-                f"start: expected {dimension} length scales, found {start.length_scales.shape}"
-            )
+        if start is not None and len(start) != dimension + 2:
+            raise ValueError(f"start: expected {dimension + 2} values, found {len(start)}")
         standardisation = Standardisation.of(responses)
         data = Replicates.group(points, standardisation.apply(responses))
         posterior = LogPosterior(data, priors)
-        warm = None if start is None else start.to_log()
+        warm = None
+        if start is not None:
+            # By way of the values, as in recorded runs: one rounding less is another search.
+            warm = Hyperparameters.from_log(np.array(start)).to_log()
         phi, warnings = maximise_posterior(posterior, box, rng, warm)
         return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
 
@@ -163,6 +165,31 @@ class GaussianProcess:
             warnings += (f"covariance matrix: needed {jitter:.0e} on its diagonal",)
         alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
         return cls(hyperparameters, standardisation, data, factor, alpha, warnings)
+
+    @property
+    def points(self) -> Array:
+        """Distinct points of the data, shape (n, d)."""
+        return self.data.x
+
+    @property
+    def counts(self) -> Array:
+        """Number of observations at each point, shape (n,)."""
+        return self.data.count
+
+    @property
+    def length_scales(self) -> Array:
+        """Length scales, shape (d,), in edges of the unit cube."""
+        return self.hyperparameters.length_scales
+
+    @property
+    def scale(self) -> float:
+        """Standard deviation of the responses, by which they are standardised."""
+        return self.standardisation.scale
+
+    @property
+    def warm_start(self) -> tuple[float, ...]:
+        """Logarithms of the hyperparameters, length d + 2, see `Hyperparameters.to_log`."""
+        return tuple(self.hyperparameters.to_log().tolist())
 
     @property
     def noise_variance(self) -> float:
@@ -239,6 +266,39 @@ class GaussianProcess:
         at_data |= variance <= INTERPOLATION_RESOLUTION * self._prior_variance
         variance[at_data] = 0.0
         return self.standardisation.restore(cross @ self.alpha, variance)
+
+    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
+        """Draw the latent response at several points jointly from the posterior.
+
+        With V = L⁻¹ k(X, x), the posterior covariance is k(x, x) - Vᵀ V (Rasmussen and Williams
+        2006, Eq. 2.24).
+
+        Parameters
+        ----------
+        x : array_like, shape (m, d)
+        count : int
+            Number of samples, S.
+        rng : numpy.random.Generator
+            Source of the samples.
+
+        Returns
+        -------
+        ndarray, shape (S, m)
+            In the unit of the response.
+
+        Raises
+        ------
+        ValueError
+            As `predict`.
+        """
+        points = self._checked(x)
+        cross = latent_covariance(self.hyperparameters, self.data.x, points)
+        whitened = solve_triangular(self.factor, cross, lower=True)
+        covariance = latent_covariance(self.hyperparameters, points, points)
+        factor, _ = jittered_cholesky(covariance - whitened.T @ whitened)
+        standardised = cross.T @ self.alpha + rng.standard_normal((count, len(points))) @ factor.T
+        samples: Array = self.standardisation.shift + self.standardisation.scale * standardised
+        return samples
 
     def _checked(self, x: ArrayLike) -> Array:
         points = np.asarray(x, dtype=np.float64)

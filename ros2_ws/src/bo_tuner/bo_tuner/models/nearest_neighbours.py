@@ -14,10 +14,11 @@ where every neighbour counts the same. A neighbour's weight is 1 / δ².
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
+from sklearn.neighbors import NearestNeighbors
 
 from bo_tuner.numerics.arrays import Array
 
@@ -108,6 +109,14 @@ class NeighbourClassifier:
             result: Array = np.log(outside / (inside + outside))
         return result
 
+    @cached_property
+    def _scaled(self) -> Array:
+        return self.x / self.length_scales
+
+    @cached_property
+    def _tree(self) -> NearestNeighbors:
+        return NearestNeighbors(algorithm="kd_tree").fit(self._scaled)
+
     def _votes(self, x: Array) -> tuple[Array, Array]:
         """Return the summed weights for and against the positive class, each of shape (m,)."""
         n, m = len(self.x), len(x)
@@ -118,13 +127,11 @@ class NeighbourClassifier:
         outside = np.full(m, prior * (1.0 - self.prior_probability))
         if n == 0:
             return inside, outside
-        squared = cdist(x / self.length_scales, self.x / self.length_scales, "sqeuclidean")
-        labels = np.broadcast_to(self.labels, squared.shape)
-        if n > self.neighbours:
-            # The distance δ grows with the Euclidean one, so that finds the nearest.
-            nearest = np.argpartition(squared, self.neighbours - 1, axis=1)[:, : self.neighbours]
-            squared = np.take_along_axis(squared, nearest, axis=1)
-            labels = self.labels[nearest]
+        # The distance δ grows with the Euclidean one, so that finds the nearest.
+        scaled = x / self.length_scales
+        nearest = self._tree.kneighbors(scaled, min(n, self.neighbours), return_distance=False)
+        squared = ((scaled[:, None, :] - self._scaled[nearest]) ** 2).sum(axis=2)
+        labels = self.labels[nearest]
         distance = -2.0 * np.expm1(-0.5 * squared)
         # A neighbour at no distance has infinite weight: alone with its equals it decides.
         coincident = distance == 0.0

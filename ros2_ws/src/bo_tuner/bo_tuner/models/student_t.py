@@ -31,6 +31,7 @@ Martinez-Cantin, Tee and McCourt (2018). Practical Bayesian optimization in the 
 outliers. AISTATS 21.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -41,7 +42,7 @@ from scipy.linalg import lapack
 from scipy.special import stdtr
 
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
+from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
 from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
 from bo_tuner.numerics.arrays import Array
@@ -250,7 +251,7 @@ def find_outliers(
     rng: np.random.Generator,
     priors: Hyperpriors | None = None,
     minimum_length_scales: ArrayLike | None = None,
-    start: Hyperparameters | None = None,
+    start: Sequence[float] | None = None,
 ) -> tuple[NDArray[np.bool_], GaussianProcess]:
     """Mark the outliers of all observations (paper, Section 3).
 

@@ -5,31 +5,29 @@ nearest-neighbour classifiers. A failed trial has no values; it speaks through t
 failures alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.acquisition.acquisition import SurrogateConstraint
+from bo_tuner.models.constraints import JointConstraint, SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models.protocol import FitModel, Model
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Trial, TrialState
-from bo_tuner.worst_case.joint_search import JointConstraint, candidate_contexts
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
 # Distance in the unit cube within which a failure speaks for its neighbours. Not the objective's
 # length scales: they come from complete trials only, and a flat response would stretch them.
 CLASSIFIER_SCALE = 0.25
-WarmStarts = dict[str, Hyperparameters]
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,13 @@ class ModelOptions:
     joint
         Model the worst case by one process over parameter set and context (Algorithm V) instead
         of by the estimates of the trials.
+    fit
+        Fits the model of a response; Gaussian processes unless told otherwise.
     """
 
     reject_outliers: bool = True
     joint: bool = False
+    fit: FitModel = GaussianProcess.fit
 
 
 DEFAULT_MODELS = ModelOptions()
@@ -62,23 +63,31 @@ class Surrogates:
         Model of the cost (the objective's metric, on its scale, to be minimised); None while no
         trial is complete.
     constraints
-        One for each constraint of the study, in its order; empty while no trial is complete.
+        By the names of the study's constraints; empty while no trial is complete.
     classifiers
         Probabilities of a failure and, with the outlier scheme, of an outlier.
     outliers
         Numbers of the trials that were taken for outliers of the objective.
-    hyperparameters
-        Of each model by name, for the next warm start.
-    warnings
-        Numerical trouble of the fits.
+    models
+        Every model by its name: that of the objective, of the outlier scheme, and of each
+        constraint.
     """
 
-    objective: GaussianProcess | None
-    constraints: tuple[SurrogateConstraint, ...]
+    objective: Model | None
+    constraints: Mapping[str, SurrogateConstraint]
     classifiers: tuple[NeighbourClassifier, ...]
     outliers: frozenset[int] = frozenset()
-    hyperparameters: WarmStarts = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    models: Mapping[str, Model] = field(default_factory=dict)
+
+    @property
+    def warm_starts(self) -> dict[str, tuple[float, ...]]:
+        """What the next fit may start from, by the names of the models."""
+        return {name: model.warm_start for name, model in self.models.items()}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Numerical trouble of the fits."""
+        return tuple(f"{name}: {w}" for name, model in self.models.items() for w in model.warnings)
 
     @classmethod
     def fit(
@@ -87,7 +96,7 @@ class Surrogates:
         trials: Sequence[Trial],
         *,
         rng: np.random.Generator,
-        start: WarmStarts | None = None,
+        start: Mapping[str, Sequence[float]] | None = None,
         options: ModelOptions = DEFAULT_MODELS,
     ) -> Self:
         """Fit to all trials.
@@ -101,94 +110,132 @@ class Surrogates:
         rng
             Source of further starts of the hyperparameter searches.
         start
-            Hyperparameters of an earlier fit.
+            `warm_starts` of an earlier fit.
         options
             Which models to fit.
         """
-        space = study.search_space()
-        minimum = space.minimum_length_scales()
-        warm = start or {}
+        fitting = _Fitting(study, rng, start or {}, options)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
-        cube = {t.number: space.to_cube(_tuned(t, space.names)) for t in trials}
-        models: dict[str, GaussianProcess] = {}
-
-        def fit_model(name: str, x: Array, y: Array) -> GaussianProcess:
-            models[name] = GaussianProcess.fit(
-                x, y, rng=rng, minimum_length_scales=minimum, start=warm.get(name)
-            )
-            return models[name]
-
         outliers: frozenset[int] = frozenset()
         objective = None
-        constraints: list[SurrogateConstraint] = []
+        constraints: dict[str, SurrogateConstraint] = {}
         if complete:
-            metric = study.objective.metric
-            x, y, number = _observations(complete, cube, metric)
             if options.reject_outliers:
-                # On the metric's own scale, where off-the-charts values stand out the most.
-                mask, models[OUTLIERS] = find_outliers(
-                    x,
-                    study.objective.sign * y,
-                    rng=rng,
-                    minimum_length_scales=minimum,
-                    start=warm.get(OUTLIERS),
-                )
-                outliers = frozenset(number[mask].tolist())
+                outliers = fitting.outliers(complete)
             # What has an outlying objective would mislead the other models as well.
             kept = [t for t in complete if t.number not in outliers]
-            x, y, _ = _observations(kept, cube, metric)
-            objective = fit_model(OBJECTIVE, x, study.objective.to_cost(y))
-            for constraint in study.chance_constraints:
-                x, y, _ = _observations(kept, cube, constraint.metric)
-                model = fit_model(constraint.name, x, y)
-                constraints.append(
-                    SurrogateConstraint.on_observation(
-                        model, constraint.upper, constraint.probability
-                    )
-                )
-            worst = study.worst_case_constraint
-            if worst is not None and options.joint:
-                contexts = study.context_space()
-                x, y = joint_observations(kept, cube, contexts, worst.metric)
-                model = GaussianProcess.fit(
-                    x,
-                    y,
-                    rng=rng,
-                    minimum_length_scales=np.append(minimum, np.zeros(contexts.dimension)),
-                    start=warm.get(worst.name),
-                )
-                models[worst.name] = model
-                margin = worst.deviations * model.noise_variance**0.5
-                constraints.append(
-                    JointConstraint(model, worst.upper - margin, candidate_contexts(contexts))
-                )
-            elif worst is not None:
-                x = np.array([cube[t.number] for t in kept])
-                model = fit_model(worst.name, x, single_evaluation_worst_cases(kept, worst))
-                constraints.append(SurrogateConstraint.on_expectation(model, worst.upper))
-        x_all = np.array([cube[t.number] for t in trials]).reshape(-1, space.dimension)
-        failed = np.array([t.state is TrialState.FAILED for t in trials], dtype=bool)
-        scales = np.full(space.dimension, CLASSIFIER_SCALE)
-        classifiers = [NeighbourClassifier(x_all, failed, scales)]
+            objective = fitting.objective(kept)
+            constraints = fitting.constraints(kept)
+        classifiers = [fitting.classifier(trials, lambda t: t.state is TrialState.FAILED)]
         if options.reject_outliers and complete:
-            flagged = np.array([t.number in outliers for t in complete], dtype=bool)
-            x_complete = np.array([cube[t.number] for t in complete])
-            classifiers.append(NeighbourClassifier(x_complete, flagged, scales))
+            classifiers.append(fitting.classifier(complete, lambda t: t.number in outliers))
         return cls(
             objective=objective,
-            constraints=tuple(constraints),
+            constraints=constraints,
             classifiers=tuple(classifiers),
             outliers=outliers,
-            hyperparameters={name: model.hyperparameters for name, model in models.items()},
-            warnings=tuple(f"{name}: {w}" for name, m in models.items() for w in m.warnings),
+            models=fitting.models,
         )
 
     def log_feasibility(self, x: Array) -> Array:
         """Log probability (m,) that a parameter set at x (m, d) meets all constraints."""
         total = np.zeros(len(x))
-        for constraint in self.constraints:
+        for constraint in self.constraints.values():
             total += constraint.log_probability(x)
         return total
+
+
+class _Fitting:
+    """Fits the models of one study to trials, and collects them."""
+
+    def __init__(
+        self,
+        study: Study,
+        rng: np.random.Generator,
+        start: Mapping[str, Sequence[float]],
+        options: ModelOptions,
+    ) -> None:
+        self._study = study
+        self._space = study.search_space()
+        self._minimum = self._space.minimum_length_scales()
+        self._rng = rng
+        self._start = start
+        self._options = options
+        self.models: dict[str, Model] = {}
+
+    def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
+        objective = self._study.objective
+        x, y, number = self._observations(complete, objective.metric)
+        # On the metric's own scale, where off-the-charts values stand out the most.
+        mask, self.models[OUTLIERS] = find_outliers(
+            x,
+            objective.sign * y,
+            rng=self._rng,
+            minimum_length_scales=self._minimum,
+            start=self._start.get(OUTLIERS),
+        )
+        return frozenset(number[mask].tolist())
+
+    def objective(self, trials: Sequence[Trial]) -> Model:
+        x, y, _ = self._observations(trials, self._study.objective.metric)
+        return self._fit(OBJECTIVE, x, self._study.objective.to_cost(y), self._minimum)
+
+    def constraints(self, trials: Sequence[Trial]) -> dict[str, SurrogateConstraint]:
+        found: dict[str, SurrogateConstraint] = {}
+        for chance in self._study.chance_constraints:
+            x, y, _ = self._observations(trials, chance.metric)
+            model = self._fit(chance.name, x, y, self._minimum)
+            found[chance.name] = SurrogateConstraint.on_observation(
+                model, chance.upper, chance.probability
+            )
+        worst = self._study.worst_case_constraint
+        if worst is not None:
+            by = self._joint_worst_case if self._options.joint else self._worst_case
+            found[worst.name] = by(trials, worst)
+        return found
+
+    def classifier(
+        self, trials: Sequence[Trial], positive: Callable[[Trial], bool]
+    ) -> NeighbourClassifier:
+        labels = np.array([positive(t) for t in trials], dtype=bool)
+        scales = np.full(self._space.dimension, CLASSIFIER_SCALE)
+        return NeighbourClassifier(self._points(trials), labels, scales)
+
+    def _worst_case(self, trials: Sequence[Trial], worst: Constraint) -> SurrogateConstraint:
+        y = single_evaluation_worst_cases(trials, worst)
+        model = self._fit(worst.name, self._points(trials), y, self._minimum)
+        return SurrogateConstraint.on_expectation(model, worst.upper)
+
+    def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
+        contexts = self._study.context_space()
+        points = {t.number: point for t, point in zip(trials, self._points(trials), strict=True)}
+        x, y = joint_observations(trials, points, contexts, worst.metric)
+        minimum = np.append(self._minimum, np.zeros(contexts.dimension))
+        model = self._fit(worst.name, x, y, minimum)
+        margin = worst.deviations * model.noise_variance**0.5
+        return JointConstraint(model, worst.upper - margin, contexts.candidates())
+
+    def _fit(self, name: str, x: Array, y: Array, minimum: Array) -> Model:
+        self.models[name] = self._options.fit(
+            x, y, rng=self._rng, minimum_length_scales=minimum, start=self._start.get(name)
+        )
+        return self.models[name]
+
+    def _points(self, trials: Sequence[Trial]) -> Array:
+        rows = [self._space.to_cube(t.parameters) for t in trials]
+        return np.array(rows).reshape(-1, self._space.dimension)
+
+    def _observations(
+        self, trials: Sequence[Trial], metric: str
+    ) -> tuple[Array, Array, NDArray[np.int_]]:
+        """Points (N, d), values (N,) and trial numbers (N,) of the estimating evaluations."""
+        x, y, number = [], [], []
+        for trial, point in zip(trials, self._points(trials), strict=True):
+            for value in trial.observations(metric):
+                x.append(point)
+                y.append(value)
+                number.append(trial.number)
+        return np.array(x), np.array(y), np.array(number)
 
 
 def joint_observations(
@@ -221,20 +268,3 @@ def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) ->
     """
     noise = [t.worst_case.noise for t in trials if t.worst_case is not None]
     return constraint.deviations * float(np.median(noise)) if noise else 0.0
-
-
-def _tuned(trial: Trial, names: Sequence[str]) -> dict[str, int | float]:
-    return {name: trial.parameters[name] for name in names}
-
-
-def _observations(
-    trials: Sequence[Trial], cube: dict[int, Array], metric: str
-) -> tuple[Array, Array, NDArray[np.int_]]:
-    """Points (N, d), values (N,) and trial numbers (N,) of the estimating evaluations."""
-    x, y, number = [], [], []
-    for trial in trials:
-        for value in trial.observations(metric):
-            x.append(cube[trial.number])
-            y.append(value)
-            number.append(trial.number)
-    return np.array(x), np.array(y), np.array(number)

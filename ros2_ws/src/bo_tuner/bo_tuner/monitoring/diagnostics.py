@@ -9,9 +9,9 @@ import numpy as np
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.recording.retention import verdict
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
+from bo_tuner.tuning.limits import verdict
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"

@@ -85,7 +85,7 @@ class Display(RunObserver):
         if result.amiss:
             out.print(result.amiss, soft_wrap=True)
 
-    def end(self, code: int) -> None:
+    def finish(self, code: int) -> None:
         """Tell that the run has ended with an exit code."""
 
 
@@ -119,14 +119,16 @@ def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
         metric.unit,
         *[f"{v.objective:.4g} ± {v.deviation / v.draws**0.5:.2g}" for v in both],
     )
-    for index, constraint in enumerate(study.constraints.values()):
+    for name, constraint in study.constraints.items():
         unit = study.metrics[constraint.metric].unit
-        checks = [v.constraints[index] for v in both]
+        samples = [v.constraints[name] for v in both]
         table.add_row(
-            f"largest {constraint.metric}", unit, *[f"{check.worst:.4g}" for check in checks]
+            f"largest {constraint.metric}", unit, *[f"{sample.worst:.4g}" for sample in samples]
         )
         table.add_row(
-            f"  draws above {constraint.upper:g}", "", *[str(check.violations) for check in checks]
+            f"  draws above {constraint.upper:g}",
+            "",
+            *[str(sample.violations) for sample in samples],
         )
     table.add_row("failed evaluations", "", *[str(v.failures) for v in both])
     table.add_section()

@@ -14,9 +14,9 @@ from bo_tuner.monitoring.display import Display, Result
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
-from bo_tuner.recording.retention import verdict
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+from bo_tuner.trials import Evaluation, Trial, TrialState
+from bo_tuner.tuning.limits import verdict
 
 SCHEMA = 1
 
@@ -67,7 +67,7 @@ class JsonLines(Display):
         for trial in trials:
             self._write("trial", recalled=True, **self._of_trial(trial))
 
-    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+    def evaluation(self, evaluation: Evaluation) -> None:
         """Tell of an evaluation."""
         outcome = evaluation.outcome
         self._write(
@@ -75,7 +75,7 @@ class JsonLines(Display):
             trial=evaluation.trial,
             index=evaluation.index,
             stage=str(evaluation.stage),
-            parameters=parameters,
+            parameters=evaluation.parameters,
             context=evaluation.context,
             seed=evaluation.seed,
             state=str(outcome.state),
@@ -128,7 +128,7 @@ class JsonLines(Display):
             **result.summary,
         )
 
-    def end(self, code: int) -> None:
+    def finish(self, code: int) -> None:
         """Tell that the run has ended."""
         self._write("end", exit_code=code)
 

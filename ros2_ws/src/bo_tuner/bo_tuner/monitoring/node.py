@@ -17,9 +17,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bo_tuner.interruption import Interruption
+from bo_tuner.interruption import Interruption, Pause
 from bo_tuner.monitoring import diagnostics
-from bo_tuner.monitoring.monitor import Monitor
+from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
@@ -45,8 +45,10 @@ class LiveNode(RunObserver):
         The study.
     folder
         Of the run.
-    monitor
-        Tells of each step from now on, and is asked for pauses.
+    status
+        Where the run stands; told of each step before.
+    pause
+        Is asked for pauses.
     interruption
         Is asked for the end of the run.
     """
@@ -56,13 +58,14 @@ class LiveNode(RunObserver):
         context: Context,
         study: Study,
         folder: Path,
-        monitor: Monitor,
+        status: RunStatus,
+        pause: Pause,
         interruption: Interruption,
     ) -> None:
         self._study = study
         self._folder = folder
-        self._status = monitor.status
-        self._pause = monitor.pause
+        self._status = status
+        self._pause = pause
         self._interruption = interruption
         self._node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
@@ -87,7 +90,6 @@ class LiveNode(RunObserver):
         self._stop = threading.Event()
         self.thread = threading.Thread(target=self._spin, name="live", daemon=True)
         self.thread.start()
-        monitor.add(self)
 
     def close(self) -> None:
         """Tell the last state and leave the graph."""

@@ -1,6 +1,6 @@
 """What a run shows in the terminal while it goes on."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,7 +15,8 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+from bo_tuner.trials import Evaluation, Trial, TrialState
+from bo_tuner.tuning.limits import worst_case_holds
 
 
 class RunProgress(Display):
@@ -70,7 +71,7 @@ class RunProgress(Display):
         self._progress.second_line = incumbent_in_words(incumbent, self._study)
         self._show(steps=len(trials))
 
-    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+    def evaluation(self, evaluation: Evaluation) -> None:
         """Show the times anew."""
         self._show()
 
@@ -185,6 +186,6 @@ def describe(trial: Trial, study: Study) -> str:
     text = f"{where}  {study.objective.metric} {sum(values) / len(values):.4g}"
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        verdict = "above" if trial.worst_case.value > worst.upper else "within"
+        verdict = "within" if worst_case_holds(worst, trial.worst_case) else "above"
         text += f"  worst {worst.metric} {trial.worst_case.value:.4g} ({verdict} {worst.upper:g})"
     return f"{text}  [{len(trial.evaluations)} evaluations]"

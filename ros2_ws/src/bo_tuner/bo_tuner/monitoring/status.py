@@ -1,23 +1,20 @@
 """Where a run stands: one snapshot after each step, from which all that watch it read."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bo_tuner.optimizers.algorithms import Method
+from bo_tuner.optimizers.algorithms import Algorithm
+from bo_tuner.optimizers.base import SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.stage_one import SPACE_FILLING
 from bo_tuner.optimizers.stopping import StopAdvice
-from bo_tuner.recording.retention import verdict
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, Value
-from bo_tuner.tuning.observer import RunObserver
-from bo_tuner.tuning.recommendation import DRAWN_CUTS, WORST_CUTS
+from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
+from bo_tuner.tuning.limits import violated
+from bo_tuner.tuning.observer import Phase, RunObserver
+from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 
 RECENT = 10
 """So many of the latest trials tell how long the next ones take: proposals take ever longer."""
-
-TUNING, CHECKING, VALIDATION = "tuning", "checking candidates", "validation"
-"""Phases of a run."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class Snapshot:
     Attributes
     ----------
     phase
-        What is going on; one of `TUNING`, `CHECKING` and `VALIDATION`, or empty before the first.
+        What is going on; a `Phase`, or empty before the first.
     done, total
         Steps of the phase.
     trials
@@ -76,7 +73,7 @@ class RunStatus(RunObserver):
     ----------
     study
         The study.
-    method
+    algorithm
         The algorithm of the run.
 
     Attributes
@@ -85,16 +82,16 @@ class RunStatus(RunObserver):
         The present snapshot. It is replaced as a whole, never changed.
     """
 
-    def __init__(self, study: Study, method: Method) -> None:
+    def __init__(self, study: Study, algorithm: Algorithm) -> None:
         self._study = study
         self._evaluations = 0
         self._evaluation_seconds = 0.0
         self._optimizer_seconds = 0.0
         self._trial_seconds: list[float] = []
         self._phase_evaluations = 0
-        worst = WORST_CUTS if study.worst_case_constraint is not None else 0
+        worst = WORST_EVALUATIONS if study.worst_case_constraint is not None else 0
         # Of one candidate: as a rule the first one holds.
-        self._check_evaluations = DRAWN_CUTS + worst if method.most_checked else 0
+        self._check_evaluations = DRAWN_EVALUATIONS + worst if algorithm.most_checked else 0
         # Of the default and of the tuned parameter set.
         self._validation_evaluations = 2 * study.budget.validation_draws
         self.now = Snapshot()
@@ -113,7 +110,7 @@ class RunStatus(RunObserver):
         self._phase_evaluations = 0
         self._update(incumbent=incumbent)
 
-    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+    def evaluation(self, evaluation: Evaluation) -> None:
         """Take note of an evaluation."""
         self._count(evaluation)
         self._update()
@@ -148,7 +145,7 @@ class RunStatus(RunObserver):
             trial.seconds + sum(evaluation.seconds for evaluation in trial.evaluations)
         )
         failed = trial.state is TrialState.FAILED
-        violating = verdict(self._study, trial).startswith("violates")
+        violating = not failed and bool(violated(self._study, trial))
         self._update(
             done=self.now.done + 1,
             trials=self.now.trials + 1,
@@ -171,10 +168,10 @@ class RunStatus(RunObserver):
             return None
         recent = self._trial_seconds[-RECENT:]
         seconds, evaluations = 0.0, self._validation_evaluations
-        if now.phase == TUNING:
+        if now.phase == Phase.TUNING:
             seconds = (now.total - now.done) * sum(recent) / len(recent)
             evaluations += self._check_evaluations
-        elif now.phase == CHECKING:
+        elif now.phase == Phase.CHECKING:
             evaluations += max(0, self._check_evaluations - self._phase_evaluations)
         else:
             evaluations = max(0, evaluations - self._phase_evaluations)

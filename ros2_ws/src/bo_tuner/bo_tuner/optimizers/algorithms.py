@@ -1,15 +1,26 @@
 """The algorithms of the paper's comparison (Sec. 5.1), as choices for the two stages."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
-from bo_tuner.optimizers.stage_one import BayesianOptimization, RandomSearch, StageOne
+import numpy as np
+
+from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, joint_observations
+from bo_tuner.optimizers.base import Optimizer, Proposal
+from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.optimizers.random_search import RandomSearch
+from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.worst_case.search import POSTERIOR
+from bo_tuner.trials import Trial, TrialState
+from bo_tuner.worst_case.contexts import worst_contexts_nearby
+from bo_tuner.worst_case.joint_search import JointSearch
+from bo_tuner.worst_case.protocol import WorstCaseSearch
+from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
 
 
 @dataclass(frozen=True)
-class Method:
+class Algorithm:
     """Choices that make up an algorithm.
 
     Attributes
@@ -17,11 +28,13 @@ class Method:
     title
         What it is, in a line.
     nominal
-        Evaluate parameter sets in the nominal context only, by one evaluation each.
+        Evaluate parameter sets in the nominal context only, once each.
     random
         Draw parameter sets at random instead of by the surrogates.
     models
         Which models stand for the responses.
+    acquisition
+        Makes the acquisition function.
     worst_case
         Estimate of the worst case: ``posterior`` or ``observed``.
     neighbour_starts
@@ -34,26 +47,77 @@ class Method:
     nominal: bool = False
     random: bool = False
     models: ModelOptions = DEFAULT_MODELS
+    acquisition: AcquisitionRule = constrained_improvement
     worst_case: str = POSTERIOR
     neighbour_starts: int = 2
     most_checked: int = 6
 
-    def stage_one(self, study: Study) -> StageOne:
-        """Make the stage one of a run."""
+    def optimizer(self, study: Study) -> Optimizer:
+        """Make the optimizer of a run."""
         if self.random:
             return RandomSearch(study)
-        return BayesianOptimization(study, self.models)
+        return BayesianOptimization(study, self.models, self.acquisition)
+
+    def worst_case_search(
+        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
+    ) -> WorstCaseSearch:
+        """Make the search of the worst context of a proposed parameter set.
+
+        Parameters
+        ----------
+        study
+            The study.
+        constraint
+            Its worst-case constraint.
+        proposal
+            What is to be evaluated.
+        trials
+            All trials so far.
+        """
+        contexts = study.context_space()
+        if self.nominal:
+            return ReinterpolationSearch(contexts, constraint.upper, 0, OBSERVED)
+        space = study.search_space()
+        point = space.to_cube(proposal.parameters)
+        if self.models.joint:
+            kept = [t for t in trials if t.state is TrialState.COMPLETE]
+            points = {t.number: space.to_cube(t.parameters) for t in kept}
+            x, y = joint_observations(kept, points, contexts, constraint.metric)
+            return JointSearch(
+                contexts,
+                constraint.upper,
+                constraint.probability,
+                study.budget.search_evaluations,
+                point,
+                x.reshape(-1, space.dimension + contexts.dimension),
+                y,
+                proposal.hyperparameters.get(constraint.name) or None,
+            )
+        known = [(t.parameters, t.worst_case) for t in trials if t.worst_case is not None]
+        return ReinterpolationSearch(
+            contexts,
+            constraint.upper,
+            study.budget.search_evaluations,
+            self.worst_case,
+            worst_contexts_nearby(
+                point,
+                np.array([space.to_cube(p) for p, _ in known]).reshape(-1, space.dimension),
+                [worst for _, worst in known],
+                contexts,
+                self.neighbour_starts,
+            ),
+        )
 
 
-METHODS = {
-    "I": Method("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
-    "II": Method("random sampling in stage one", random=True),
-    "III": Method(
+ALGORITHMS = {
+    "I": Algorithm("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
+    "II": Algorithm("random sampling in stage one", random=True),
+    "III": Algorithm(
         "Bayesian optimization without outlier detection",
         models=ModelOptions(reject_outliers=False),
     ),
-    "IV": Method("Bayesian optimization with outlier detection"),
-    "V": Method(
+    "IV": Algorithm("Bayesian optimization with outlier detection"),
+    "V": Algorithm(
         "as IV, with one joint model of parameter set and context",
         models=ModelOptions(joint=True),
     ),

@@ -95,10 +95,10 @@ def rank(
     ]
     if models.objective is None:
         return []
-    scale = 1.0 if study.objective.scale == "log" else models.objective.standardisation.scale
+    scale = 1.0 if study.objective.scale == "log" else models.objective.scale
     candidates = []
     for trial in complete:
-        x = space.to_cube({name: trial.parameters[name] for name in space.names})[None]
+        x = space.to_cube(trial.parameters)[None]
         (cost,) = models.objective.predict(x)[0]
         (excess,) = relative_excess(models, x)
         around = neighbourhood(space, trial, models)
@@ -125,15 +125,11 @@ def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array
 
     The length scale is the shortest of all models; the half of it is at most `LARGEST_STEP`.
     """
-    tuned = {name: trial.parameters[name] for name in space.names}
-    x = space.to_cube(tuned)
+    x = space.to_cube(trial.parameters)
     # A joint model has the contexts behind the parameters.
     d = space.dimension
-    scales = np.min([h.length_scales[:d] for h in models.hyperparameters.values()], axis=0)
-    points = [
-        space.to_cube({name: neighbour[name] for name in space.names})
-        for neighbour in space.integer_neighbours(tuned)
-    ]
+    scales = np.min([m.length_scales[:d] for m in models.models.values()], axis=0)
+    points = [space.to_cube(neighbour) for neighbour in space.integer_neighbours(trial.parameters)]
     for column in np.flatnonzero(~space.integer):
         for sign in (-1.0, 1.0):
             moved = x.copy()
@@ -153,7 +149,7 @@ def relative_excess(models: Surrogates, x: Array) -> Array:
         return np.full(len(x), -np.inf)
     excess = [
         (c.predict(x)[0] - c.limit) / max(abs(c.limit), np.finfo(float).tiny)
-        for c in models.constraints
+        for c in models.constraints.values()
     ]
     largest: Array = np.max(excess, axis=0)
     return largest

@@ -29,13 +29,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.acquisition.acquisition import LogAcquisition, best_at_data
-from bo_tuner.models.hyperpriors import Hyperparameters
-from bo_tuner.models.surrogates import ModelOptions, Surrogates
-from bo_tuner.numerics.particle_swarm import maximise
+from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.optimizers.algorithms import Method
-from bo_tuner.optimizers.stage_one import BELIEVED_FEASIBLE, STARTS
+from bo_tuner.optimizers.algorithms import Algorithm
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
@@ -97,7 +94,7 @@ class StopAdvisor:
     ----------
     study
         The study.
-    method
+    algorithm
         The algorithm of the run. A random search expects nothing, so it gets no advice.
 
     Attributes
@@ -106,9 +103,9 @@ class StopAdvisor:
         The advice, from the trial on which it was given first; None before.
     """
 
-    def __init__(self, study: Study, method: Method) -> None:
+    def __init__(self, study: Study, algorithm: Algorithm) -> None:
         self._study = study
-        self._method = method
+        self._algorithm = algorithm
         self._in_a_row = 0
         self.advice: StopAdvice | None = None
 
@@ -122,11 +119,11 @@ class StopAdvisor:
         """
         budget = self._study.budget
         done, remaining = len(trials), budget.trials - len(trials)
-        if self.advice is not None or self._method.random or remaining <= 0:
+        if self.advice is not None or self._algorithm.random or remaining <= 0:
             return None
         if done < budget.initial_trials or done % PERIOD:
             return None
-        found = outlook(self._study, trials, self._method.models)
+        found = outlook(self._study, trials, self._algorithm)
         if found is None or remaining * found.gain >= found.noise:
             self._in_a_row = 0
             return None
@@ -139,7 +136,7 @@ class StopAdvisor:
         return self.advice
 
 
-def outlook(study: Study, trials: Sequence[Trial], options: ModelOptions) -> Outlook | None:
+def outlook(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> Outlook | None:
     """Estimate what one more trial promises.
 
     Parameters
@@ -148,45 +145,28 @@ def outlook(study: Study, trials: Sequence[Trial], options: ModelOptions) -> Out
         The study.
     trials
         All trials so far.
-    options
-        As in `Surrogates.fit`.
+    algorithm
+        The algorithm of the run: its models and its acquisition function.
 
     Returns
     -------
     Outlook or None
         None while nothing is believed feasible, or after numerical trouble.
     """
-    space = study.search_space()
     rng = generator(study.seed, Stream.ACQUISITION, OWN_STREAM, len(trials))
-    latest = next((t.hyperparameters for t in reversed(trials) if t.hyperparameters), {})
+    start = latest_hyperparameters(trials)
     try:
-        surrogates = Surrogates.fit(
-            study,
-            trials,
-            rng=rng,
-            start={n: Hyperparameters.from_log(np.array(p)) for n, p in latest.items()},
-            options=options,
-        )
+        surrogates = Surrogates.fit(study, trials, rng=rng, start=start, options=algorithm.models)
         model = surrogates.objective
         if model is None:
             return None
-        feasible = surrogates.log_feasibility(model.data.x) >= BELIEVED_FEASIBLE
-        best = best_at_data(model, feasible)
-        if best is None:
+        search = AcquisitionSearch(surrogates, study.search_space(), algorithm.acquisition, rng)
+        if search.incumbent is None:
             return None
-        classifiers = tuple(c for c in surrogates.classifiers if c.labels.any())
-        acquisition = LogAcquisition(model, best, surrogates.constraints, classifiers)
-        near = np.argsort(model.predict_mean(model.data.x))[:STARTS]
-        starts = model.data.x[near] + rng.normal(0.0, 0.05, (len(near), space.dimension))
-        found = maximise(
-            acquisition,
-            space.dimension,
-            rng,
-            repair=space.repair,
-            initial=np.clip(starts, 0.0, 1.0),
-        )
+        found = search.maximise()
     except (ArithmeticError, np.linalg.LinAlgError, ValueError):
         return None
-    row = np.flatnonzero(feasible)[np.argmin(model.predict_mean(model.data.x[feasible]))]
-    noise = float(np.sqrt(model.noise_variance / model.data.count[row]))
-    return Outlook(best, float(np.exp(found.value)), noise)
+    means = model.predict_mean(model.points)
+    row = int(np.flatnonzero(search.feasible)[np.argmin(means[search.feasible])])
+    noise = float(np.sqrt(model.noise_variance / model.counts[row]))
+    return Outlook(search.incumbent, float(np.exp(found.value)), noise)

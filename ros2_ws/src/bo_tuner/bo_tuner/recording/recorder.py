@@ -8,7 +8,7 @@ bounded; beyond that messages are dropped, and counted in the bag's custom data.
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,10 +23,10 @@ from bo_tuner.recording.retention import (
     RecordOptions,
     Retention,
     badness,
-    verdict,
 )
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState, Value
+from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState
+from bo_tuner.tuning.limits import verdict
 
 MEMORY = 64_000_000
 """Most bytes of messages that wait to be written."""
@@ -105,9 +105,9 @@ class Recorder:
         with self._lock:
             self._batch.lost += count
 
-    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
+    def evaluation(self, evaluation: Evaluation) -> None:
         """Tell that what came since the last call belongs to `evaluation`."""
-        self._submit(self._write, self._take_batch(), evaluation, dict(parameters))
+        self._submit(self._write, self._take_batch(), evaluation)
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Tell that a trial is complete, and whether no other is better so far."""
@@ -191,7 +191,8 @@ class Recorder:
                 self.warn(f"{path.name}: cut off; recovered as far as it was written")
         self._retention = Retention(self._folder, self._options)
 
-    def _write(self, batch: _Batch, evaluation: Evaluation, parameters: dict[str, Value]) -> None:
+    def _write(self, batch: _Batch, evaluation: Evaluation) -> None:
+        parameters = dict(evaluation.parameters)
         if evaluation.stage not in TUNING and self._bag_name != bag_name(evaluation):
             self._finish_evidence(_Batch())
         if self._bag is None:

@@ -59,22 +59,6 @@ def badness(study: Study, trial: Trial) -> float:
     return sum(values) / len(values)
 
 
-def verdict(study: Study, trial: Trial) -> str:
-    """Tell in a few words whether what was seen of a trial keeps the constraints."""
-    if trial.state is TrialState.FAILED:
-        return "failed"
-    violated = []
-    for constraint in study.chance_constraints:
-        values = trial.observations(constraint.metric)
-        within = sum(value <= constraint.upper for value in values)
-        if within < constraint.probability * len(values) - 1e-9:
-            violated.append(constraint.name)
-    worst = study.worst_case_constraint
-    if worst is not None and trial.worst_case is not None and trial.worst_case.value > worst.upper:
-        violated.append(worst.name)
-    return f"violates {', '.join(violated)}" if violated else "within limits"
-
-
 class Retention:
     """Deletes the bags in a folder that shall not stay.
 

@@ -1,15 +1,17 @@
 """The recording of a run, from its first trial to the validation, or none at all."""
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, Value
+from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.tuning.observer import Phase, RunObserver
 
 LOG = "recording.log"
 
@@ -31,7 +33,7 @@ Listen = Callable[[Recorder], Listener]
 """Makes a listener that hands messages to a recorder."""
 
 
-class RunRecording:
+class RunRecording(RunObserver):
     """Records evaluations; use it in a ``with`` block around them.
 
     Parameters
@@ -91,21 +93,26 @@ class RunRecording:
             self._pass_news_on()
             self._recorder = None
 
-    def evaluation(self, evaluation: Evaluation, parameters: Mapping[str, Value]) -> None:
-        """Tell that an evaluation of a parameter set has ended."""
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Record the messages of an evaluation; one that was on record has none."""
+        if evaluation.recorded:
+            return
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
-            self._recorder.evaluation(evaluation, parameters)
+            self._recorder.evaluation(evaluation)
 
-    def trial(self, trial: Trial, best: bool) -> None:
-        """Tell that a trial has ended, and whether no other is better so far."""
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Finish the bag of a trial."""
+        best = incumbent is not None and incumbent.trial.number == trial.number
         if self._recorder is not None and self._listener is not None:
             self._recorder.trial(trial, best)
             self._listener.refresh()
             self._pass_news_on()
 
-    def phase_ended(self) -> None:
-        """Tell that the checks, or the validation, have ended."""
+    def end(self, phase: str) -> None:
+        """Finish the bag of the checks or of the validation."""
+        if phase == Phase.TUNING:
+            return
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
             self._recorder.phase_ended()

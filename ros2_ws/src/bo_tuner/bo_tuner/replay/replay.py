@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from bo_tuner.backends.protocol import IN_PROCESS, Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.recording.retention import badness
-from bo_tuner.storage.journal_reader import RecordedEvaluation
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.parts import Metric
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
-from bo_tuner.tuning.loop import run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.observer import NOBODY
 
 BEST, WORST = "best", "worst"
 
@@ -80,7 +80,7 @@ class Replay:
         return self.same_end and all(row.equal for row in self.metrics if row.judged)
 
 
-def replay(record: RunRecord, recorded: RecordedEvaluation, backend: Backend) -> Replay:
+def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """Run a recorded cut again: the same parameter set, context and seed.
 
     What a clock measures differs from run to run. Such a metric is judged only where nothing is
@@ -95,8 +95,8 @@ def replay(record: RunRecord, recorded: RecordedEvaluation, backend: Backend) ->
     backend
         Runs the evaluation; open.
     """
-    old = recorded.evaluation
-    new = run_cut(record.study, backend, recorded.parameters, old)
+    old = recorded
+    new = evaluate(record.study, backend, old, NOBODY)
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
         Comparison(
@@ -129,7 +129,7 @@ def find_trial(record: RunRecord, which: str) -> int:
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
-        ranked = rank(record.study, record.trials, METHODS[record.algorithm].models)
+        ranked = rank(record.study, record.trials, ALGORITHMS[record.algorithm].models)
         if not ranked:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
         return ranked[0].trial.number
@@ -138,11 +138,7 @@ def find_trial(record: RunRecord, which: str) -> int:
         if not complete:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is worst")
         return max(complete, key=lambda trial: badness(record.study, trial)).number
-    numbers = {
-        str(item.evaluation.trial): item.evaluation.trial
-        for item in record.evaluations
-        if _is_of_trial(item)
-    }
+    numbers = {str(item.trial): item.trial for item in record.evaluations if _is_of_trial(item)}
     if which not in numbers:
         there = numbers.values()
         trials = f"trials {min(there)} to {max(there)}" if there else "no trials yet"
@@ -153,7 +149,7 @@ def find_trial(record: RunRecord, which: str) -> int:
     return numbers[which]
 
 
-def find_evaluation(record: RunRecord, trial: int, index: int | None) -> RecordedEvaluation:
+def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluation:
     """Return an evaluation of a trial, with those that checked it as a candidate.
 
     Parameters
@@ -173,12 +169,12 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Recorde
     """
     # A later one of the same place takes the place of one that a kill left behind.
     evaluations = {
-        item.evaluation.index: item
+        item.index: item
         for item in record.evaluations
-        if item.evaluation.trial == trial and _is_of_trial(item)
+        if item.trial == trial and _is_of_trial(item)
     }
     if index is None:
-        return max(evaluations.values(), key=lambda item: _badness(record.study, item.evaluation))
+        return max(evaluations.values(), key=lambda item: _badness(record.study, item))
     if index not in evaluations:
         raise RunRecordError(
             f"{record.path}: trial {trial} has no evaluation {index}, only {min(evaluations)} to "
@@ -197,8 +193,8 @@ def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _is_of_trial(item: RecordedEvaluation) -> bool:
-    return item.evaluation.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
+def _is_of_trial(item: Evaluation) -> bool:
+    return item.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
 
 def _badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:

@@ -1,8 +1,8 @@
 """What a report says of a run is taken from here: trials, models, and the answer."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,14 +10,15 @@ import numpy as np
 from bo_tuner.errors import RunRecordError
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
-from bo_tuner.recording.retention import verdict
 from bo_tuner.report.sections.certified import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
-from bo_tuner.tuning.validation import ConstraintCheck, Validation
+from bo_tuner.tuning.limits import WITHIN, Sample, verdict
+from bo_tuner.tuning.recommendation import with_check
+from bo_tuner.tuning.validation import Validation
 
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
@@ -51,12 +52,13 @@ class Analysis:
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
         """The trials, each with the evaluations that checked it as a candidate."""
-        checks: dict[int, list[Evaluation]] = {}
-        for recorded in self.record.evaluations:
-            if recorded.evaluation.stage in CHECKS:
-                checks.setdefault(recorded.evaluation.trial, []).append(recorded.evaluation)
+        checks: dict[int, dict[int, Evaluation]] = {}
+        for evaluation in self.record.evaluations:
+            if evaluation.stage in CHECKS:
+                # A later one of the same place replaces one that a kill left behind.
+                checks.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
         return tuple(
-            _with_checks(trial, checks.get(trial.number, []), self.study)
+            with_check(self.study, trial, list(checks.get(trial.number, {}).values()))[0]
             for trial in self.record.trials
         )
 
@@ -64,13 +66,13 @@ class Analysis:
     def models(self) -> Surrogates:
         """Surrogates of all trials, those by which `rank` decides."""
         rng = generator(self.study.seed, Stream.ACQUISITION, 2**31, len(self.trials))
-        options = METHODS[self.record.algorithm].models
+        options = ALGORITHMS[self.record.algorithm].models
         return Surrogates.fit(self.study, self.trials, rng=rng, options=options)
 
     @cached_property
     def ranked(self) -> list[Candidate]:
         """Complete trials, the recommended one first."""
-        return rank(self.study, self.trials, METHODS[self.record.algorithm].models)
+        return rank(self.study, self.trials, ALGORITHMS[self.record.algorithm].models)
 
     @cached_property
     def certificate(self) -> CertificateFile | None:
@@ -119,7 +121,7 @@ class Analysis:
             return Outcome.FAILED
         if trial.number in self.models.outliers:
             return Outcome.OUTLIER
-        within = verdict(self.study, trial) == "within limits"
+        within = verdict(self.study, trial) == WITHIN
         return Outcome.WITHIN if within else Outcome.VIOLATES
 
     def mean_objective(self, trial: Trial) -> float:
@@ -137,8 +139,7 @@ class Analysis:
         Over the draws of the validation that both completed; None without two of them.
         """
         seen: dict[int, dict[int, float]] = {}
-        for recorded in self.record.evaluations:
-            evaluation = recorded.evaluation
+        for evaluation in self.record.evaluations:
             if (
                 evaluation.stage is Stage.VALIDATION
                 and evaluation.outcome.state is EvaluationState.COMPLETE
@@ -156,28 +157,11 @@ class Analysis:
         space = self.study.search_space()
         key = space.key(self.tuned_values(parameters))
         return [
-            recorded.evaluation
-            for recorded in self.record.evaluations
-            if recorded.evaluation.outcome.state is EvaluationState.COMPLETE
-            and space.key(self.tuned_values(recorded.parameters)) == key
+            evaluation
+            for evaluation in self.record.evaluations
+            if evaluation.outcome.state is EvaluationState.COMPLETE
+            and space.key(evaluation.parameters) == key
         ]
-
-
-def _with_checks(trial: Trial, checks: Sequence[Evaluation], study: Study) -> Trial:
-    """Return a trial with its checks and, as they found it, its worst case."""
-    extended = replace(trial, evaluations=trial.evaluations + tuple(checks))
-    constraint, worst = study.worst_case_constraint, trial.worst_case
-    again = [
-        evaluation.outcome.metrics[constraint.metric]
-        for evaluation in checks
-        if constraint is not None
-        and evaluation.stage is Stage.CHECK_WORST
-        and evaluation.outcome.state is EvaluationState.COMPLETE
-    ]
-    if worst is None or not again:
-        return extended
-    found = replace(worst, value=float(np.mean(again)), observed=max(worst.observed, *again))
-    return replace(extended, worst_case=found)
 
 
 def _validation(entry: object) -> Validation:
@@ -189,15 +173,16 @@ def _validation(entry: object) -> Validation:
         failures=int(entry["failures"]),
         objective=_number(entry["objective"]),
         deviation=_number(entry["deviation"]),
-        constraints=tuple(
-            ConstraintCheck(
-                name=str(check["name"]),
-                worst=_number(check["worst"]),
-                violations=int(check["violations"]),
-                holds=bool(check["holds"]),
+        constraints={
+            str(name): Sample(
+                name=str(sample["name"]),
+                worst=_number(sample["worst"]),
+                count=int(sample["count"]),
+                violations=int(sample["violations"]),
+                holds=bool(sample["holds"]),
             )
-            for check in entry["constraints"]
-        ),
+            for name, sample in entry["constraints"].items()
+        },
     )
 
 

@@ -96,16 +96,14 @@ class Journal:
         """Close the journal."""
         self.close()
 
-    def record_evaluation(
-        self, evaluation: Evaluation, parameters: Mapping[str, int | float]
-    ) -> None:
-        """Append an evaluation of the parameter set `parameters`."""
+    def record_evaluation(self, evaluation: Evaluation) -> None:
+        """Append an evaluation."""
         outcome = evaluation.outcome
         row = (
             evaluation.trial,
             evaluation.index,
             str(evaluation.stage),
-            json.dumps(dict(parameters)),
+            json.dumps(dict(evaluation.parameters)),
             json.dumps(dict(evaluation.context)),
             evaluation.seed,
             str(outcome.state),

@@ -23,7 +23,6 @@ from bo_tuner.trials import (
     Stage,
     Trial,
     TrialState,
-    Value,
     WorstCase,
 )
 
@@ -41,14 +40,6 @@ _SQLITE = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH10xI")
 _WAL_HEADER = struct.Struct(">IIIIIIII")
 _FRAME_HEADER = struct.Struct(">IIIIII")
-
-
-@dataclass(frozen=True)
-class RecordedEvaluation:
-    """An evaluation and the parameter set that it was of."""
-
-    evaluation: Evaluation
-    parameters: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -70,7 +61,7 @@ class JournalContent:
 
     sessions: tuple[Mapping[str, str], ...]
     trials: tuple[Trial, ...]
-    evaluations: tuple[RecordedEvaluation, ...]
+    evaluations: tuple[Evaluation, ...]
     damage: str
 
 
@@ -143,8 +134,8 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
         with Journal(path, provenance):
             pass
     with Journal(path, dict(sessions[-1]) | {"salvaged_from": kept.name}) as journal:
-        for recorded in content.evaluations:
-            journal.record_evaluation(recorded.evaluation, recorded.parameters)
+        for evaluation in content.evaluations:
+            journal.record_evaluation(evaluation)
         for trial in content.trials:
             journal.record_trial(trial)
     return content, f"{content.damage}; {used}, the damaged file is kept as {kept.name}"
@@ -216,30 +207,27 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     return found, ""
 
 
-def _evaluation(row: Mapping[str, object]) -> RecordedEvaluation:
+def _evaluation(row: Mapping[str, object]) -> Evaluation:
     state = EvaluationState(str(row["state"]))
     outcome = Outcome(
         state, json.loads(str(row["metrics"])), str(row["reason"]), json.loads(str(row["details"]))
     )
-    evaluation = Evaluation(
+    return Evaluation(
         trial=int(str(row["trial"])),
         index=int(str(row["position"])),
         stage=Stage(str(row["stage"])),
+        parameters=json.loads(str(row["parameters"])),
         context=json.loads(str(row["context"])),
         seed=int(str(row["seed"])),
         outcome=outcome,
         seconds=float(str(row["seconds"])),
     )
-    return RecordedEvaluation(evaluation, json.loads(str(row["parameters"])))
 
 
-def _trials(
-    rows: list[dict[str, object]], evaluations: tuple[RecordedEvaluation, ...]
-) -> Iterator[Trial]:
+def _trials(rows: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial: dict[int, dict[int, Evaluation]] = {}
-    for recorded in evaluations:
-        evaluation = recorded.evaluation
+    for evaluation in evaluations:
         if evaluation.stage in TUNING:
             # A later one of the same place takes the place of one that a kill left behind.
             by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation

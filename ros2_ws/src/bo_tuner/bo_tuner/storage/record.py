@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
-from bo_tuner.optimizers.algorithms import METHODS
-from bo_tuner.storage.journal_reader import RecordedEvaluation, read_journal
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import Trial
+from bo_tuner.trials import Evaluation, Trial
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class RunRecord:
     study
         The study as run.
     algorithm, backend
-        What it is run by; keys of `METHODS` and of the command line.
+        What it is run by; keys of `ALGORITHMS` and of the command line.
     provenance
         Versions, seed and host of the process that began it.
     trials
@@ -44,7 +44,7 @@ class RunRecord:
     backend: str
     provenance: Mapping[str, str]
     trials: tuple[Trial, ...]
-    evaluations: tuple[RecordedEvaluation, ...]
+    evaluations: tuple[Evaluation, ...]
     summary: Mapping[str, object] | None
     damage: str
 
@@ -68,7 +68,7 @@ def read_run(path: Path) -> RunRecord:
         raise RunRecordError(str(error)) from error
     provenance = content.sessions[0] if content.sessions else {}
     algorithm = provenance.get("algorithm", "")
-    if algorithm not in METHODS:
+    if algorithm not in ALGORITHMS:
         raise RunRecordError(
             f"{path / JOURNAL}: no known algorithm in its provenance: {algorithm or 'none'}"
         )

@@ -10,6 +10,12 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.distributions import Distribution
 
+MOST_CORNER_DIMENSIONS = 5
+"""Corners are those of so many leading dimensions: their number doubles with each."""
+
+CANDIDATES = 24
+"""Contexts within the box among the candidates for the worst one."""
+
 
 class ContextSpace:
     """Independent context variables in a fixed order.
@@ -134,6 +140,24 @@ class ContextSpace:
         """
         row = self._rows(np.asarray(context, dtype=np.float64)[None], "context")[0]
         return dict(zip(self.names, row.tolist(), strict=True))
+
+    def corners(self) -> Array:
+        """Return corners of the unit cube, shape (m, d).
+
+        Beyond `MOST_CORNER_DIMENSIONS`, of the leading ones, with the others halfway.
+        """
+        axes = [[0.0, 1.0]] * min(self.dimension, MOST_CORNER_DIMENSIONS)
+        points = np.full((2 ** len(axes), self.dimension), 0.5)
+        points[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
+        return points
+
+    def candidates(self) -> Array:
+        """Return possible contexts of the unit cube over which a worst case is taken, (m, d).
+
+        The corners, then a Latin hypercube that is the same in every call.
+        """
+        inside = latin_hypercube(CANDIDATES, self.dimension, np.random.default_rng(0))
+        return self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
 
     def _at_quantiles(self, probability: Array) -> Array:
         """Return the contexts (n, d) below which each variable stays with these probabilities."""

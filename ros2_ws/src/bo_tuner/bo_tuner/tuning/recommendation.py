@@ -1,29 +1,29 @@
 """The last step before a recommendation: the best candidates again, on fresh draws.
 
 A search picks winners, and the luck that made a trial a winner does not repeat. The candidates are
-therefore cut again, in fresh contexts from the distribution and, with fresh noise, in the context
-that is believed the worst. What is seen there joins the trial's record, and `rank` decides anew
-among those that held.
+therefore evaluated again, in fresh contexts from the distribution and, with fresh noise, in the
+context that is believed the worst. What is seen there joins the trial's record, and `rank` decides
+again among those that held.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
-from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial
-from bo_tuner.tuning.loop import EvaluationObserver, run_cut
+from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.limits import judge_sample, refuted
+from bo_tuner.tuning.observer import NOBODY, RunObserver
 
-DRAWN_CUTS = 10
-WORST_CUTS = 10
-CHECK_CUTS = DRAWN_CUTS + WORST_CUTS
+DRAWN_EVALUATIONS = 10
+WORST_EVALUATIONS = 10
+CHECK_EVALUATIONS = DRAWN_EVALUATIONS + WORST_EVALUATIONS
 """Most evaluations of a candidate's check."""
 
 
@@ -54,8 +54,7 @@ def recommend(
     options: ModelOptions = DEFAULT_MODELS,
     *,
     most_checked: int = 6,
-    observe: EvaluationObserver = lambda evaluation, parameters: None,
-    advance: Callable[[], None] = lambda: None,
+    observer: RunObserver = NOBODY,
 ) -> Recommendation | None:
     """Check the best candidates on fresh draws and recommend one.
 
@@ -70,10 +69,8 @@ def recommend(
         Runs the evaluations; open.
     most_checked
         Most candidates to check; with 0 the first in rank is recommended as it is.
-    observe
-        Called after each evaluation.
-    advance
-        Called after each candidate.
+    observer
+        Told of each evaluation, and of each candidate as a step.
 
     Returns
     -------
@@ -100,12 +97,12 @@ def recommend(
             return Recommendation(best, True, tuple(checked))
         if len(checked) == most_checked:
             break
-        trial, holds = _check(study, backend, best.trial, observe)
+        trial, holds = _check(study, backend, best.trial, observer)
         latest[trial.number] = trial
         checked.append(trial.number)
         if holds:
             held.add(trial.number)
-        advance()
+        observer.advance()
     for candidate in ranked:
         if candidate.trial.number in held:
             return Recommendation(candidate, True, tuple(checked))
@@ -117,59 +114,65 @@ def recommend(
     return Recommendation(least, False, tuple(checked))
 
 
+def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple[Trial, bool]:
+    """Return a trial with the evaluations of its check, and whether all constraints held in it.
+
+    Only a check that was completed gives another estimate of the worst case, and can hold.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trial
+        As it was before.
+    check
+        Its check, as far as it went.
+    """
+    extended = replace(trial, evaluations=trial.evaluations + tuple(check))
+    completed = len(check) == _size(trial) and all(
+        e.outcome.state is EvaluationState.COMPLETE for e in check
+    )
+    if not completed:
+        return extended, False
+    holds = all(
+        judge_sample(chance, extended.observations(chance.metric)).holds
+        for chance in study.chance_constraints
+    )
+    constraint, worst = study.worst_case_constraint, trial.worst_case
+    if constraint is None or worst is None:
+        return extended, holds
+    repeated = _values(check, Stage.CHECK_WORST, constraint.metric)
+    drawn = _values(check, Stage.CHECK_DRAWN, constraint.metric)
+    holds = holds and not refuted(constraint, repeated) and judge_sample(constraint, drawn).holds
+    found = replace(worst, value=float(np.mean(repeated)), observed=max(worst.observed, *repeated))
+    return replace(extended, worst_case=found), holds
+
+
 def _check(
-    study: Study, backend: Backend, trial: Trial, observe: EvaluationObserver
+    study: Study, backend: Backend, trial: Trial, observer: RunObserver
 ) -> tuple[Trial, bool]:
-    """Cut a trial again; returns it with the new evaluations, and whether all constraints held."""
-    evaluations: list[Evaluation] = []
-
-    def run(stage: Stage, context: Mapping[str, float]) -> bool:
-        index = len(trial.evaluations) + len(evaluations)
-        seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
-        planned = Evaluation(trial.number, index, stage, context, seed)
-        evaluation = run_cut(study, backend, trial.parameters, planned)
-        evaluations.append(evaluation)
-        observe(evaluation, trial.parameters)
-        return evaluation.outcome.state is EvaluationState.COMPLETE
-
+    """Evaluate a trial again, until an evaluation fails; returns as `with_check`."""
     contexts = study.context_space()
     drawn = contexts.draw_stratified(
-        DRAWN_CUTS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
+        DRAWN_EVALUATIONS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
     )
     plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
     if trial.worst_case is not None:
-        plan += [(Stage.CHECK_WORST, dict(trial.worst_case.context))] * WORST_CUTS
-    whole = all(run(stage, context) for stage, context in plan)
-    extended = replace(trial, evaluations=trial.evaluations + tuple(evaluations))
-    holds = whole and all(_chance_holds(extended, c) for c in study.chance_constraints)
-    constraint = study.worst_case_constraint
-    if not whole or constraint is None or trial.worst_case is None:
-        return extended, holds
-    values = _values(evaluations, Stage.CHECK_WORST, constraint.metric)
-    mean, noise = float(values.mean()), float(values.std(ddof=1))
-    # Refuted is what violates by more than the error of the estimate, mean + z noise.
-    z = constraint.deviations
-    error = noise * float(np.sqrt((1.0 + 0.5 * z**2) / len(values)))
-    holds = holds and mean + z * noise - error <= constraint.upper
-    holds = (
-        holds
-        and _values(evaluations, Stage.CHECK_DRAWN, constraint.metric).max() <= constraint.upper
-    )
-    worst = trial.worst_case
-    checked = replace(worst, value=mean, observed=max(worst.observed, float(values.max())))
-    return replace(extended, worst_case=checked), bool(holds)
+        plan += [(Stage.CHECK_WORST, dict(trial.worst_case.context))] * WORST_EVALUATIONS
+    check: list[Evaluation] = []
+    for index, (stage, context) in enumerate(plan, start=len(trial.evaluations)):
+        seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
+        planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
+        check.append(evaluate(study, backend, planned, observer))
+        if check[-1].outcome.state is not EvaluationState.COMPLETE:
+            break
+    return with_check(study, trial, check)
 
 
-def _values(evaluations: Sequence[Evaluation], stage: Stage, metric: str) -> Array:
-    return np.array(
-        [
-            evaluation.outcome.metrics[metric]
-            for evaluation in evaluations
-            if evaluation.stage is stage
-        ]
-    )
+def _size(trial: Trial) -> int:
+    """Return the number of evaluations in the check of a trial."""
+    return DRAWN_EVALUATIONS + (0 if trial.worst_case is None else WORST_EVALUATIONS)
 
 
-def _chance_holds(trial: Trial, constraint: Constraint) -> bool:
-    values = np.array(trial.observations(constraint.metric))
-    return float(np.mean(values > constraint.upper)) <= constraint.allowed
+def _values(check: Sequence[Evaluation], stage: Stage, metric: str) -> list[float]:
+    return [e.outcome.metrics[metric] for e in check if e.stage is stage]

@@ -7,62 +7,21 @@ set is the largest posterior mean over the contexts, known in part before its fi
 Notation: d tuned parameters, e context variables; a joint point is (x, c), both in unit cubes.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from math import sqrt
 
 import numpy as np
 from scipy.special import ndtri
 
-from bo_tuner.acquisition.acquisition import SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.search import PRIORS, corners, maximise_over_contexts
-
-CANDIDATES = 24
-"""Contexts within the box over which a worst case is taken, besides the corners."""
+from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
 
 DECIDED = 2.0
 """A limit this many standard deviations away from the worst case needs no further evaluation."""
-
-
-def candidate_contexts(space: ContextSpace) -> Array:
-    """Contexts (m, e) of the unit cube over which worst cases are taken, corners first.
-
-    The others are a Latin hypercube, the same in every call.
-    """
-    inside = latin_hypercube(CANDIDATES, space.dimension, np.random.default_rng(0))
-    return space.to_cube(space.to_contexts(np.vstack([corners(space), inside])))
-
-
-@dataclass(frozen=True, eq=False)
-class JointConstraint(SurrogateConstraint):
-    """Upper limit on the worst case of a metric over the contexts, by the joint model.
-
-    Attributes
-    ----------
-    model : GaussianProcess
-        Over joint points (d + e columns).
-    limit : float
-        Upper limit of the latent worst case, in the metric's unit.
-    contexts : ndarray, shape (m, e)
-        Candidate contexts in the unit cube.
-    """
-
-    contexts: Array
-
-    def predict(self, x: Array) -> tuple[Array, Array]:
-        """Mean and variance (n,) of the metric in the worst candidate context of each x (n, d)."""
-        joint = np.hstack(
-            [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
-        )
-        mean = self.model.predict_mean(joint).reshape(len(x), -1)
-        worst = mean.argmax(axis=1)
-        return self.model.predict(np.hstack([x, self.contexts[worst]]))
 
 
 class JointSearch:
@@ -86,7 +45,7 @@ class JointSearch:
     x, y
         Joint points (n, d + e) and metrics (n,) of earlier trials.
     hyperparameters
-        Of the joint model; fitted to the data if not given.
+        Logarithms of those of the joint model; fitted to the data if not given.
     """
 
     def __init__(
@@ -98,7 +57,7 @@ class JointSearch:
         point: Array,
         x: Array,
         y: Array,
-        hyperparameters: Hyperparameters | None = None,
+        hyperparameters: Sequence[float] | None = None,
     ) -> None:
         self._space = space
         self._limit = limit
@@ -150,7 +109,9 @@ class JointSearch:
         if self._model is None and self._hyperparameters is None:
             self._model = GaussianProcess.fit(self._x, self._y, rng=rng, priors=PRIORS)
         elif self._model is None and self._hyperparameters is not None:
-            self._model = GaussianProcess.condition(self._hyperparameters, self._x, self._y)
+            self._model = GaussianProcess.condition(
+                Hyperparameters.from_log(np.array(self._hyperparameters)), self._x, self._y
+            )
         if self._model is None:
             raise RuntimeError("unreachable: the model was just made")
         return self._model

@@ -2,20 +2,20 @@
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rclpy.context import Context
 
-from bo_tuner.backends.protocol import ROS, Assignments
+from bo_tuner.backends.protocol import ROS, SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.metrics.collect import one_line, outcome
-from bo_tuner.recording.topic_listener import Sink, TopicListener
+from bo_tuner.metrics.collect import Collector, one_line
+from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
@@ -26,7 +26,7 @@ LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
 
 
-class RosBackend:
+class RosBackend(SequentialBackend):
     """Runs evaluations on the study's nodes.
 
     Parameters
@@ -44,6 +44,8 @@ class RosBackend:
         for the nodes that it starts.
     interrupted
         Asked while waiting; raises what shall end the wait.
+    sources
+        Where metrics come from, unless as the study says; by name.
 
     Attributes
     ----------
@@ -61,8 +63,10 @@ class RosBackend:
         attach: bool = False,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
+        sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
+        self._collector = Collector(study, sources)
         self._log_directory = log_directory
         self._attach = attach
         self._ros_arguments = ros_arguments or []
@@ -117,7 +121,7 @@ class RosBackend:
             raise BackendError("the backend is not open")
         return self._client.context
 
-    def run_cut(self, assignments: Assignments) -> Outcome:
+    def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
 
         After a lost evaluation the nodes are started anew, or, attached, waited for.
@@ -125,6 +129,7 @@ class RosBackend:
         client = self._client
         if client is None:
             raise BackendError("the backend is not open")
+        assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         try:
             for key in client.restarted():
                 client.set(key, self._study.nodes[key].parameters)
@@ -133,7 +138,7 @@ class RosBackend:
             said = client.run_cut()
             if lost := client.restarted():
                 raise LostError(f"{self._study.nodes[lost[0]].node} was started anew in the cut")
-            result = outcome(self._study, said)
+            result = self._collector.outcome(said)
         except RefusedError as refusal:
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)))
         except LostError as loss:
@@ -142,16 +147,10 @@ class RosBackend:
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(result, details={**result.details, **ignored})
 
-    def listen(self, sink: Sink) -> TopicListener:
-        """Hear all topics of the study's nodes; to be closed before the backend.
-
-        Parameters
-        ----------
-        sink
-            Where messages go.
-        """
-        nodes = [spec.node for spec in self._study.nodes.values()]
-        return TopicListener(self.context, nodes, sink)
+    @property
+    def nodes(self) -> list[str]:
+        """Names of the study's nodes, relative to the namespace."""
+        return [spec.node for spec in self._study.nodes.values()]
 
     def close(self) -> None:
         """End the started nodes, leave attached ones as they were found, and leave ROS."""

@@ -8,7 +8,8 @@ from enum import StrEnum
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, change, number, quantity
 from bo_tuner.study.parts import CHANCE, MINIMIZE, Constraint
-from bo_tuner.tuning.validation import ConstraintCheck, Validation
+from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.validation import Validation
 
 
 class Status(StrEnum):
@@ -161,9 +162,8 @@ def _tiles(analysis: Analysis, default: Validation, tuned: Validation) -> list[T
             Status.GOOD if better else Status.WARNING,
         )
     ]
-    for constraint, ours, theirs in zip(
-        study.constraints.values(), tuned.constraints, default.constraints, strict=True
-    ):
+    for name, constraint in study.constraints.items():
+        ours, theirs = tuned.constraints[name], default.constraints[name]
         limit = f"limit {number(constraint.upper)}"
         tiles.append(
             Tile(
@@ -195,18 +195,17 @@ def _comparison(analysis: Analysis, default: Validation, tuned: Validation) -> T
             "",
         ]
     )  # fmt: skip
-    for index, constraint in enumerate(study.constraints.values()):
-        checks = [v.constraints[index] for v in both]
+    for name, constraint in study.constraints.items():
+        samples = [v.constraints[name] for v in both]
         unit = study.metrics[constraint.metric].unit
         limit = f"≤ {number(constraint.upper)}"
         rows.append(
-            [f"largest {constraint.metric}", *(number(c.worst) for c in checks), unit, limit]
+            [f"largest {constraint.metric}", *(number(s.worst) for s in samples), unit, limit]
         )
         rows.append(
             [
                 f"  draws above {number(constraint.upper)}",
-                *(f"{c.violations} of {v.draws - v.failures}"
-                  for c, v in zip(checks, both, strict=True)),
+                *(f"{s.violations} of {s.count}" for s in samples),
                 "",
                 _allowed(constraint),
             ]
@@ -236,15 +235,14 @@ def _paired(analysis: Analysis, unit: str) -> str:
 
 
 def _holds(who: str, validation: Validation) -> str:
-    broken = [check for check in validation.constraints if not check.holds]
-    parts = [_broken(check, validation) for check in broken]
+    parts = [_broken(s) for s in validation.constraints.values() if not s.holds]
     if validation.failures:
         parts.append(f"{validation.failures} of {validation.draws} evaluations failed")
     return f"{who} keeps all limits." if not parts else f"{who} does not hold: {', '.join(parts)}."
 
 
-def _broken(check: ConstraintCheck, validation: Validation) -> str:
-    return f"{check.name} violated in {check.violations} of {validation.draws} draws"
+def _broken(sample: Sample) -> str:
+    return f"{sample.name} violated in {sample.violations} of {sample.count} draws"
 
 
 def _better(analysis: Analysis, value: float, reference: float) -> bool:

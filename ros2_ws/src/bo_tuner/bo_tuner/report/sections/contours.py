@@ -163,7 +163,7 @@ def most_sensitive(analysis: Analysis) -> list[str]:
     names, model = analysis.study.search_space().names, analysis.models.objective
     if model is None:
         return list(names[:MOST_PARAMETERS])
-    order = np.argsort(model.hyperparameters.length_scales, kind="stable")[:MOST_PARAMETERS]
+    order = np.argsort(model.length_scales, kind="stable")[:MOST_PARAMETERS]
     return [names[k] for k in sorted(order)]
 
 

@@ -19,7 +19,7 @@ from bo_tuner.figures.figure import (
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.algorithms import METHODS
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, quantity, values
@@ -182,7 +182,7 @@ def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
 def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Incumbents after some numbers of trials, with the place of the last of these trials."""
     trials = analysis.record.trials
-    options = METHODS[analysis.record.algorithm].models
+    options = ALGORITHMS[analysis.record.algorithm].models
     count = min(len(trials), MOST_INCUMBENTS)
     found = []
     for n in np.unique(np.linspace(1, len(trials), count).round().astype(int)):
@@ -261,9 +261,7 @@ def _notes(analysis: Analysis) -> list[str]:
         notes.append(f"The incumbent's line has {MOST_INCUMBENTS} places, not one for each trial.")
     if analysis.record.summary is not None and analysis.record.summary.get("stopped_early"):
         notes.append("The run stopped early: what was left would have gained less than the noise.")
-    lost = sum(
-        r.evaluation.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations
-    )
+    lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)
     if lost:
         notes.append(f"{lost} evaluations were lost with their nodes.")
     return notes

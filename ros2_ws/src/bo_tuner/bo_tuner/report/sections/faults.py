@@ -8,9 +8,7 @@ from bo_tuner.trials import EvaluationState
 def faults(analysis: Analysis) -> Section:
     """List failures and outliers."""
     failed = [
-        r
-        for r in analysis.record.evaluations
-        if r.evaluation.outcome.state is not EvaluationState.COMPLETE
+        r for r in analysis.record.evaluations if r.outcome.state is not EvaluationState.COMPLETE
     ]
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
@@ -30,14 +28,14 @@ def faults(analysis: Analysis) -> Section:
                 ],
                 rows=[
                     [
-                        str(r.evaluation.trial),
-                        r.evaluation.stage,
-                        r.evaluation.outcome.state,
-                        r.evaluation.outcome.reason,
+                        str(r.trial),
+                        r.stage,
+                        r.outcome.state,
+                        r.outcome.reason,
                         values(analysis.tuned_values(r.parameters)),
-                        values(r.evaluation.context),
-                        str(r.evaluation.seed),
-                        _bag(analysis, r.evaluation.trial),
+                        values(r.context),
+                        str(r.seed),
+                        _bag(analysis, r.trial),
                     ]
                     for r in failed
                 ],

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bo_tuner.acquisition.acquisition import SurrogateConstraint
 from bo_tuner.figures.figure import (
     Axis,
     Band,
@@ -19,6 +18,7 @@ from bo_tuner.figures.figure import (
     Points,
     Scale,
 )
+from bo_tuner.models.constraints import SurrogateConstraint
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
@@ -39,7 +39,9 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     study = analysis.study
     at = analysis.tuned_values(answer.parameters)
     grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().names]
-    limited = list(zip(_constraints(analysis), analysis.models.constraints, strict=True))
+    limited = [
+        (study.constraints[name], model) for name, model in analysis.models.constraints.items()
+    ]
     panels = []
     for grid in grids:
         panels.append(_objective_slice(analysis, answer, grid))
@@ -168,12 +170,6 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
         if away.max() <= NEARBY:
             near.append(trial)
     return near
-
-
-def _constraints(analysis: Analysis) -> list[Constraint]:
-    """Constraints in the order of their surrogates."""
-    worst = analysis.study.worst_case_constraint
-    return [*analysis.study.chance_constraints, *([] if worst is None else [worst])]
 
 
 def _slices_said(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:

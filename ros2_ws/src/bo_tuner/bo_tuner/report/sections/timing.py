@@ -24,14 +24,10 @@ def timing(analysis: Analysis) -> Section | None:
     share = 100.0 * float(proposing.sum()) / total
     after = {
         "checks of candidates": sum(
-            r.evaluation.seconds
-            for r in analysis.record.evaluations
-            if r.evaluation.stage in CHECKS
+            r.seconds for r in analysis.record.evaluations if r.stage in CHECKS
         ),
         "validation": sum(
-            r.evaluation.seconds
-            for r in analysis.record.evaluations
-            if r.evaluation.stage is Stage.VALIDATION
+            r.seconds for r in analysis.record.evaluations if r.stage is Stage.VALIDATION
         ),
     }
     said = "".join(f", {name} {quantity(s, 's')}" for name, s in after.items() if s > 0.0)

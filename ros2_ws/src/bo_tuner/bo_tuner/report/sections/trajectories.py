@@ -18,7 +18,7 @@ from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Pa
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, values
-from bo_tuner.trials import EvaluationState, Value
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 
 TIME = "time"
 MOST_SAMPLES = 2000
@@ -151,7 +151,8 @@ def _run(
     context: Mapping[str, float],
 ) -> Trace:
     seed = noise_seed(analysis.study.seed, Stream.VALIDATION_NOISE, 0)
-    outcome = backend.run_cut(analysis.study.assignments(parameters, context, seed))
+    planned = Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
+    outcome = backend.outcome(planned)
     if outcome.state is not EvaluationState.COMPLETE:
         raise NoTraceError(f"the evaluation failed: {outcome.reason}")
     return backend.trace()

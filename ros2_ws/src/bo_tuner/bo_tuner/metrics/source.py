@@ -1,0 +1,54 @@
+"""Where the value of a metric comes from."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from bo_tuner.study.study import Study
+
+Results = Mapping[str, Mapping[str, object]]
+"""What the nodes reported of an evaluation, by node key of the study, then by key."""
+
+
+class MissingMetricError(ValueError):
+    """What an evaluation left behind does not give the metric."""
+
+
+class MetricSource(Protocol):
+    """Finds the value of one metric in what an evaluation left behind."""
+
+    def value(self, results: Results) -> object:
+        """Return the value; it is judged to be a finite number elsewhere.
+
+        Raises
+        ------
+        MissingMetricError
+            If there is none, with the reason in one line.
+        """
+
+
+class ResultMessage:
+    """A key of a node's result message.
+
+    Parameters
+    ----------
+    node
+        Key of the node in the study.
+    key
+        Key of the value in its message.
+    """
+
+    def __init__(self, node: str, key: str) -> None:
+        self._node = node
+        self._key = key
+
+    def value(self, results: Results) -> object:
+        """Return the value as the node reported it."""
+        found = results.get(self._node, {}).get(self._key)
+        if found is None:
+            raise MissingMetricError(f"{self._node}: metric {self._key} is missing")
+        return found
+
+
+def sources_of(study: Study) -> dict[str, MetricSource]:
+    """Make the source of each metric of a study, by the metric's name."""
+    return {name: ResultMessage(m.node, m.key) for name, m in study.metrics.items()}

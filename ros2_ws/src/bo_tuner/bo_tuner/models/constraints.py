@@ -1,0 +1,118 @@
+"""Limits of responses, judged by their models.
+
+A constraint is known by the name that it has in the study.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.special import ndtri
+
+from bo_tuner.models.protocol import Model
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.special import log_normal_cdf
+
+
+@dataclass(frozen=True, eq=False)
+class SurrogateConstraint:
+    """Upper limit on a response, judged by its Gaussian process; build it by a class method.
+
+    Attributes
+    ----------
+    model : Model
+        Surrogate of the response.
+    limit : float
+        Upper limit of the latent response, in its unit.
+    """
+
+    model: Model
+    limit: float
+
+    @classmethod
+    def on_expectation(cls, model: Model, limit: float) -> Self:
+        """Constrain the latent response itself: f(x) ≤ limit.
+
+        For a response whose noise is no property of the parameter set, such as the worst case
+        over contexts estimated from noisy evaluations: the noise of the estimate must not count.
+
+        Parameters
+        ----------
+        model : Model
+        limit : float
+            In the unit of the response.
+        """
+        return cls(model, limit)
+
+    @classmethod
+    def on_observation(cls, model: Model, limit: float, probability: float) -> Self:
+        """Constrain single observations: P[y(x) ≤ limit] ≥ probability (paper, Eq. 3e).
+
+        With y = f(x) + ε and ε ~ N(0, σ²) the constraint holds if and only if
+        f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the predictive noise enters through the limit,
+        and what stays uncertain is f(x).
+
+        Parameters
+        ----------
+        model : Model
+        limit : float
+            In the unit of the response.
+        probability : float
+            In (0, 1).
+
+        Raises
+        ------
+        ValueError
+            If `probability` is not in (0, 1).
+        """
+        if not 0.0 < probability < 1.0:
+            raise ValueError(f"probability: expected a value in (0, 1), found {probability}")
+        z = float(ndtri(probability))
+        return cls(model, limit - z * model.noise_variance**0.5)
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Mean and variance of the constrained latent response, each of shape (m,)."""
+        return self.model.predict(x)
+
+    def log_probability(self, x: Array) -> Array:
+        """Return the log probability that the constraint holds.
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, d)
+
+        Returns
+        -------
+        ndarray, shape (m,)
+        """
+        mean, variance = self.predict(x)
+        # Rounding can leave no variance at all; then the answer is yes or no, but still finite.
+        sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
+        with np.errstate(over="ignore"):  # log Φ stops an infinite argument
+            return log_normal_cdf((self.limit - mean) / sd)
+
+
+@dataclass(frozen=True, eq=False)
+class JointConstraint(SurrogateConstraint):
+    """Upper limit on the worst case of a metric over the contexts, by the joint model.
+
+    Attributes
+    ----------
+    model : Model
+        Over joint points (d + e columns).
+    limit : float
+        Upper limit of the latent worst case, in the metric's unit.
+    contexts : ndarray, shape (m, e)
+        Candidate contexts in the unit cube.
+    """
+
+    contexts: Array
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the metric in the worst candidate context of each x (n, d)."""
+        joint = np.hstack(
+            [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
+        )
+        mean = self.model.predict_mean(joint).reshape(len(x), -1)
+        worst = mean.argmax(axis=1)
+        return self.model.predict(np.hstack([x, self.contexts[worst]]))

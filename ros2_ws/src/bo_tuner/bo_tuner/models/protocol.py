@@ -1,0 +1,94 @@
+"""What the tuner asks of a surrogate model.
+
+Notation: n distinct points in d dimensions of the unit cube, m query points.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bo_tuner.numerics.arrays import Array
+
+
+class Model(Protocol):
+    """Posterior of a response over the unit cube.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n, d)
+        Distinct points at which the response was observed.
+    counts : ndarray, shape (n,)
+        Observations at each.
+    length_scales : ndarray, shape (d,)
+        Distance along each axis within which the response changes little.
+    scale : float
+        Spread of the responses, in their unit.
+    noise_variance : float
+        Variance of one observation's noise, in the squared unit of the response.
+    warm_start : tuple of float
+        What a later fit to similar data may start from; ends up in the record of the trial.
+    warnings : tuple of str
+        Numerical trouble of the fit, one line each.
+    """
+
+    @property
+    def points(self) -> Array: ...  # noqa: D102
+
+    @property
+    def counts(self) -> Array: ...  # noqa: D102
+
+    @property
+    def length_scales(self) -> Array: ...  # noqa: D102
+
+    @property
+    def scale(self) -> float: ...  # noqa: D102
+
+    @property
+    def noise_variance(self) -> float: ...  # noqa: D102
+
+    @property
+    def warm_start(self) -> tuple[float, ...]: ...  # noqa: D102
+
+    @property
+    def warnings(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def predict(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the latent response at x (m, d)."""
+
+    def predict_mean(self, x: ArrayLike) -> Array:
+        """Return the mean (m,) alone."""
+
+    def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the noise-free model, the latter zero at `points`."""
+
+    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
+        """Draw the latent response jointly at x (m, d), shape (count, m)."""
+
+
+class FitModel(Protocol):
+    """Fits a model to observations."""
+
+    def __call__(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        rng: np.random.Generator,
+        minimum_length_scales: ArrayLike | None = None,
+        start: Sequence[float] | None = None,
+    ) -> Model:
+        """Fit to points x (N, d), where equal rows are replicates, and responses y (N,).
+
+        Parameters
+        ----------
+        x, y
+            The observations.
+        rng
+            Source of random numbers.
+        minimum_length_scales
+            Lower bounds (d,) of the length scales.
+        start
+            `Model.warm_start` of an earlier fit.
+        """

@@ -1,0 +1,191 @@
+"""Bayesian optimization, Algorithm 1 of the paper."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.acquisition.acquisition import (
+    AcquisitionRule,
+    best_at_data,
+    constrained_improvement,
+)
+from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
+from bo_tuner.optimizers.base import (
+    ACQUISITION,
+    REFINEMENT,
+    SPACE_FILLING,
+    DesignedOptimizer,
+    Proposal,
+)
+from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, Value
+
+BELIEVED_FEASIBLE = np.log(0.5)
+"""Log probability of feasibility from which a parameter set counts as feasible."""
+
+NEGLIGIBLE = 1e-3
+"""Acquisition below this, relative to the spread of the cost, is no gain worth a trial.
+
+The interpolating model takes what lies between noisy data for known, and its improvement can vanish
+everywhere although the incumbent is known only to the noise. The trials left then refine what is
+known around it.
+"""
+
+STARTS = 8
+"""So many particles of the swarm start around the most promising points."""
+
+SPACE_FILLING_CANDIDATES = 512
+
+
+class AcquisitionSearch:
+    """Search of the point with the largest acquisition.
+
+    Parameters
+    ----------
+    surrogates
+        Models of all trials.
+    space
+        The search space.
+    rule
+        Makes the acquisition function.
+    rng
+        Moves the swarm.
+
+    Attributes
+    ----------
+    feasible : ndarray of bool, shape (n,)
+        Which of the objective's points are believed feasible.
+    incumbent
+        Lowest posterior mean of the cost at these; None without any.
+    """
+
+    def __init__(
+        self,
+        surrogates: Surrogates,
+        space: SearchSpace,
+        rule: AcquisitionRule,
+        rng: np.random.Generator,
+    ) -> None:
+        self._surrogates = surrogates
+        self._space = space
+        self._rule = rule
+        self._rng = rng
+        self.feasible: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self.incumbent: float | None = None
+        self._starts = np.empty((0, space.dimension))
+        model = surrogates.objective
+        if model is not None:
+            self.feasible = surrogates.log_feasibility(model.points) >= BELIEVED_FEASIBLE
+            self.incumbent = best_at_data(model, self.feasible)
+            # The swarm also looks around the most promising points so far.
+            cost, _ = model.predict(model.points)
+            order = np.lexsort((cost, ~self.feasible))[:STARTS]
+            around = rng.normal(0.0, 0.05, (len(order), space.dimension))
+            self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
+
+    def maximise(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> SwarmResult:
+        """Search the maximum of the acquisition function with these options of its rule."""
+        return maximise(
+            self._rule(self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate),
+            self._space.dimension,
+            self._rng,
+            repair=self._space.repair,
+            initial=self._starts,
+        )
+
+
+class BayesianOptimization(DesignedOptimizer):
+    """Models of all trials, and an acquisition function maximised by a particle swarm.
+
+    Parameters
+    ----------
+    study
+        The study.
+    options
+        Which models stand for the responses.
+    acquisition
+        Makes the acquisition function.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        options: ModelOptions = DEFAULT_MODELS,
+        acquisition: AcquisitionRule = constrained_improvement,
+    ) -> None:
+        super().__init__(study)
+        self._options = options
+        self._acquisition = acquisition
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parameter set.
+
+        A parameter set that was tried is never proposed again while others are left. Numerical
+        trouble falls back on a point far from all that was tried, with a warning.
+        """
+        proposal = self.initial()
+        if proposal is not None:
+            return proposal
+        rng = self.rng()
+        warnings: tuple[str, ...] = ()
+        warm = latest_hyperparameters(self.trials)
+        cube = None
+        try:
+            surrogates = Surrogates.fit(
+                self.study, self.trials, rng=rng, start=warm, options=self._options
+            )
+            warnings = surrogates.warnings
+            warm |= surrogates.warm_starts
+            cube, origin = self._search(surrogates, rng)
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+            warnings += (f"no acquisition: {type(error).__name__}: {error}",)
+        if cube is not None:
+            parameters = self.space.to_parameters(cube)
+            if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
+                return Proposal(parameters, origin, warnings, warm)
+        cube = space_filling(self.space, self._tried(), rng)
+        return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings, warm)
+
+    def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> tuple[Array | None, str]:
+        search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
+        avoid = 0.5
+        found = search.maximise(avoid=avoid)
+        if not np.isfinite(found.value):
+            # Nothing is left that is not near a crash; Eq. 5 as it stands says where least.
+            avoid = 1.0
+            found = search.maximise(avoid=avoid)
+        origin = ACQUISITION
+        model = surrogates.objective
+        if model is not None and search.incumbent is not None:
+            negligible = np.log(NEGLIGIBLE * model.scale)
+            if found.value < negligible:
+                found = search.maximise(avoid=avoid, reinterpolate=False)
+                origin = REFINEMENT
+        return (found.position if np.isfinite(found.value) else None), origin
+
+    def _tried(self) -> Array:
+        rows = [self.space.to_cube(t.parameters) for t in self.trials]
+        return np.array(rows).reshape(-1, self.space.dimension)
+
+    def _key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
+        return self.space.key(parameters)
+
+
+def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:
+    """Return those of the last trial that has any, from which the next fit starts."""
+    latest = (t.hyperparameters for t in reversed(trials) if t.hyperparameters)
+    return dict(next(latest, {}))
+
+
+def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
+    """Point (d,) of the cube that is farthest from all points `tried` (n, d), among random ones."""
+    candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
+    farthest: Array = candidates[0]
+    if len(tried) > 0:
+        squared = ((candidates[:, None, :] - tried[None, :, :]) ** 2).sum(axis=2)
+        farthest = candidates[int(squared.min(axis=1).argmax())]
+    return farthest

@@ -1,0 +1,15 @@
+"""Random search, Algorithm II of the paper."""
+
+from bo_tuner.optimizers.base import RANDOM, DesignedOptimizer, Proposal
+
+
+class RandomSearch(DesignedOptimizer):
+    """Random parameter sets after the initial design that all algorithms share."""
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parameter set."""
+        proposal = self.initial()
+        if proposal is None:
+            cube = self.space.latin_hypercube(1, self.rng())[0]
+            proposal = Proposal(self.space.to_parameters(cube), RANDOM)
+        return proposal

@@ -1,0 +1,28 @@
+"""The journal as an observer of the run."""
+
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.storage.journal import Journal
+from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.tuning.observer import RunObserver
+
+
+class JournalObserver(RunObserver):
+    """Records each evaluation and each trial, except what is on record already.
+
+    Parameters
+    ----------
+    journal
+        The journal, open.
+    """
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Record an evaluation."""
+        if not evaluation.recorded:
+            self._journal.record_evaluation(evaluation)
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Record a trial."""
+        self._journal.record_trial(trial)
