@@ -39,7 +39,8 @@ PIP_PACKAGES = {
 }
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}
 # Parts of Python, or of extras: imported only when they are asked for.
-NOT_DECLARED = {*sys.stdlib_module_names, "setuptools", "distributed"}
+PEERS = {"botorch", "cma", "ConfigSpace", "gpytorch", "optuna", "smac", "torch"}
+NOT_DECLARED = {*sys.stdlib_module_names, *PEERS, "setuptools", "distributed"}
 
 every_package = pytest.mark.parametrize("package", EXECUTABLES)
 

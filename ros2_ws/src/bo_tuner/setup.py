@@ -51,6 +51,7 @@ setup(
         "matplotlib>=3.8,<4",
         "numpy>=1.26,<3",
         "plotly>=6,<8",
+        "scikit-learn>=1.4,<2",
         "scipy>=1.11,<2",
         "PyYAML>=6,<7",
         "rich>=13,<16",
