@@ -510,14 +510,14 @@ class TestRefusedValues:
             (
                 "nodes/drive/parameters",
                 {"window": 3},
-                "parameters.window: parameter 'window' of node 'drive' is set by nodes.drive "
-                "already",
+                "parameters.window: parameter 'window' of node 'drive' is already set by "
+                "nodes.drive",
             ),
             (
                 "seed_parameter/parameter",
                 "window",
-                "seed_parameter: parameter 'window' of node 'drive' is set by parameters.window "
-                "already",
+                "seed_parameter: parameter 'window' of node 'drive' is already set by "
+                "parameters.window",
             ),
             (
                 "contexts/load",

@@ -11,9 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import BACKENDS, ROS, Backend
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.evidence import Evidence
-from bo_tuner.certificate.record import (
+from bo_tuner.certificate.certificate import (
     CERTIFICATE,
     DEFAULT,
     TUNED,
@@ -21,6 +19,8 @@ from bo_tuner.certificate.record import (
     make_certificate,
     write_certificate,
 )
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
 from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.certificate.record import CERTIFICATE
+from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.certificate.verdict import FAIL, PASS
 from bo_tuner.deploy.bundle import same
 from bo_tuner.errors import BoTunerError

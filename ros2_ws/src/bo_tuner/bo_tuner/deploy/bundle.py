@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner.certificate.record import CERTIFICATE
+from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
@@ -27,7 +27,7 @@ ROLLBACK = "rollback.yaml"
 DIFFERENCE = "difference.csv"
 PROVENANCE = "provenance.json"
 
-COPIED = (CERTIFICATE, "certificate_cuts.csv", "report.html")
+COPIED = (CERTIFICATE, "certificate_evaluations.csv", "report.html")
 """Files of the run that are copied if it has them."""
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.record import CERTIFICATE, DEFAULT, TUNED
+from bo_tuner.certificate.certificate import CERTIFICATE, DEFAULT, TUNED
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number, quantity

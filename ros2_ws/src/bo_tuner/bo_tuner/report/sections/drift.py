@@ -2,7 +2,12 @@
 
 import numpy as np
 
-from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, context_tolerance
+from bo_tuner.certificate.context_tolerance import (
+    CREDIBLE,
+    ContextTolerance,
+    Drift,
+    context_tolerance,
+)
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity, values

@@ -2,7 +2,11 @@
 
 import numpy as np
 
-from bo_tuner.certificate.neighbourhood import Neighbour, Neighbourhood, look_around
+from bo_tuner.certificate.parameter_sensitivity import (
+    Neighbour,
+    ParameterSensitivity,
+    parameter_sensitivity,
+)
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.optimizers.ranking import BELIEVED_FEASIBLE, TOLERABLE
 from bo_tuner.report.analysis import Analysis
@@ -14,7 +18,7 @@ def neighbours(analysis: Analysis) -> Section | None:
     if analysis.answer is None:
         return None
     study = analysis.study
-    found = look_around(study, analysis.answer.parameters, analysis.models)
+    found = parameter_sensitivity(study, analysis.answer.parameters, analysis.models)
     if found is None or not found.neighbours:
         return None
     metric = study.metrics[study.objective.metric]
@@ -68,7 +72,7 @@ def neighbours(analysis: Analysis) -> Section | None:
     )
 
 
-def _figure(found: Neighbourhood, metric: str) -> Figure:
+def _figure(found: ParameterSensitivity, metric: str) -> Figure:
     optimum = found.optimum
     steps = [_step(n, optimum) for n in found.neighbours]
     relative = np.array([100.0 * (n.objective / optimum.objective - 1.0) for n in found.neighbours])
