@@ -98,7 +98,7 @@ def attached(shared_pair, tmp_path_factory):
 def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attached):
     record, code, lines = attached
     assert code == 0
-    assert lines[0] == "measured by the clock, hence not judged: return_time"
+    assert lines[0] == "depends on measured time, not judged: return_time"
     assert lines[1:3] == ["complete, as recorded", "confirmed"]
     data = custom_data(bag_of(record))
     recorded = find_cut(record, 1, None).cut.outcome.metrics

@@ -193,7 +193,9 @@ class TestFailures:
             return {"error": 1.0, "peak": 0.5}
 
         backend = function_backend(study, function)
-        with pytest.raises(RunError, match="3 evaluations in a row were lost with their nodes: gone"):
+        with pytest.raises(
+            RunError, match="3 evaluations in a row were lost with their nodes: gone"
+        ):
             collect(study, backend, 50, default=0.5, tuned=0.2)
         assert len(backend.calls) == 6
 

@@ -104,7 +104,11 @@ class TestBundle:
         (record.path / "certificate_evaluations.csv").write_text("1,2")
         (record.path / "report.html").write_text("<html>")
         files = contents(write_bundle(record))
-        assert set(files) == FILES | {"certificate.json", "certificate_evaluations.csv", "report.html"}
+        assert set(files) == FILES | {
+            "certificate.json",
+            "certificate_evaluations.csv",
+            "report.html",
+        }
         assert files["report.html"] == b"<html>"
         assert json.loads(files["certificate.json"])["verdict"] == "PASS"
         (record.path / "certificate.json").unlink()
