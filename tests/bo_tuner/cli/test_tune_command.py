@@ -184,7 +184,7 @@ class TestInterruption:
     @pytest.mark.parametrize(
         ("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"]
     )
-    @pytest.mark.parametrize("cuts", [3, 22], ids=["tuning", "validation"])
+    @pytest.mark.parametrize("evaluations", [3, 22], ids=["tuning", "validation"])
     def test_the_record_stays(self, tune, tmp_path, signum, code, evaluations):
         """A run has 5 trials of 4 evaluations, so that evaluation 22 is one of the validation."""
         counter = tmp_path / "cuts"

@@ -316,7 +316,7 @@ class TestBadInput:
     def test_a_run_without_a_result(self, refusal, folder):
         (folder / "summary.json").unlink()
         line = refusal(folder)
-        assert "has no result: it has not ended, or every trial failed; go on by" in line
+        assert "has no result: it has not ended, or every trial failed; continue with" in line
 
     def test_a_parameter_file_of_other_values(self, refusal, folder):
         """A certificate must not be of what the file does not hold."""

@@ -135,21 +135,21 @@ class TestCertificate:
             ),
             (
                 lambda record, trial: write_certificate(record, trial, gain=0.123),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
             (
                 lambda record, trial: write_certificate(record, record.trials[2]),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
             (
                 lambda record, trial: write_certificate(
                     record, trial, study=record.study.replace(trials=4)
                 ),
-                "is of another study",
+                "belongs to another version of the study; run validate",
             ),
             (
                 lambda record, trial: write_certificate(record, trial, more=1.0),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
         ],
     )

@@ -147,7 +147,7 @@ class TestRefusals:
 
     def test_values_from_which_no_file_leads_back(self, record):
         values = {"x_drive": {"mode": "slow", "limits": [0.5], "gain": float("nan"), "n": 1}}
-        with pytest.raises(OutputError, match=r"rollback\.yaml: cannot hold what the nodes run"):
+        with pytest.raises(OutputError, match=r"rollback\.yaml: cannot hold the nodes' values"):
             write_bundle(record, rollback=values)
         assert not (record.path / "deploy").exists()
 

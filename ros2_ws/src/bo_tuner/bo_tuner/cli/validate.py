@@ -37,8 +37,8 @@ from bo_tuner.trials import Evaluation, Trial, Value
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it and the default in the same fresh draws
-of context and noise, search for the worst context again, and report PASS or FAIL
-for the constraints of the study.
+of context and noise, search for the worst context again, and report PASS or
+FAIL for the constraints of the study.
 """
 
 EPILOG = """\
