@@ -351,11 +351,12 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     # What the node did is what its object does, to the last bit.
     assert journal.evaluations
     for recorded in journal.evaluations:
-        evaluation = recorded.evaluation
         plate = hot_plate.HotPlate()
         plate.set_parameters(
-            dict(recorded.parameters) | dict(evaluation.context) | {"seed": evaluation.seed}
+            dict(recorded.parameters)
+            | dict(recorded.evaluation.context)
+            | {"seed": recorded.evaluation.seed}
         )
         metrics = plate.run_cut()
-        found = evaluation.outcome.metrics
+        found = recorded.evaluation.outcome.metrics
         assert {name: metrics[name] for name in found} == found

@@ -1,4 +1,4 @@
-"""Evaluations that were recorded in process, repeated on nodes, and their bag."""
+"""Evaluations that were recorded in process, run again on nodes, and the bag of it."""
 
 import json
 import os
