@@ -1,4 +1,4 @@
-"""Particle swarm optimisation over the unit cube, vectorised over the particles.
+"""Particle swarm optimization over the unit cube, vectorized over the particles.
 
 Each particle follows the best of its neighbours on a ring, not the best of all. The logarithm of an
 acquisition function has narrow peaks, thousands of units above the rest; on these a swarm that
@@ -90,7 +90,7 @@ def maximise(
     initial: Array | None = None,
     settings: SwarmSettings = SwarmSettings(),
 ) -> SwarmResult:
-    """Maximise a function over the unit cube.
+    """Maximize a function over the unit cube.
 
     Particles move in the continuous cube, but the objective is evaluated at repaired positions, and
     the best of these are kept. So a particle can cross the cell of an integer in several moves.

@@ -248,5 +248,5 @@ def _broken(check: ConstraintCheck, validation: Validation) -> str:
 
 
 def _better(analysis: Analysis, value: float, reference: float) -> bool:
-    minimised = analysis.study.objective.direction == MINIMIZE
-    return value < reference if minimised else value > reference
+    minimized = analysis.study.objective.direction == MINIMIZE
+    return value < reference if minimized else value > reference
