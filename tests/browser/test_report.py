@@ -46,7 +46,7 @@ def test_every_panel_is_drawn_without_an_error(chromium, feed_axis_page, theme):
     names = {name.removeprefix("figure-") for name, _, _ in drawn}
     assert names >= {
         "convergence", "worst-cases", "contexts", "trajectories", "slices", "contours",
-        "neighbours", "time",
+        "sensitivity", "time",
     }  # fmt: skip
     assert all(panels == plots > 0 for _, panels, plots in drawn)
     assert browser.errors == []

@@ -120,7 +120,7 @@ def test_set_and_back(client, record, now, capsys):
     # Again: nothing to do, and the way back stays what it is.
     code, out, _ = apply(capsys, record)
     assert code == 0
-    assert "in force already" in out
+    assert "already have these values" in out
     assert rollback_file(record) == before
     code, _, err = apply(capsys, record, "--rollback", "--yes")
     assert (code, err) == (0, "")
@@ -132,7 +132,7 @@ def test_without_a_terminal_it_only_shows(record, now, capsys):
     before = now()
     code, out, err = apply(capsys, record)
     assert code == 2
-    assert err == "error: no terminal to ask in; --yes does not ask\n"
+    assert err == "error: no terminal to confirm in; use --yes\n"
     assert f"{record.trials[1].parameters['lambda_mpc']:.6g}" in out
     assert now() == before
 
@@ -145,7 +145,7 @@ def test_without_a_certificate_only_if_told_so(record, now, capsys):
     try:
         code, out, err = apply(capsys, record, "--yes")
         assert (code, out) == (3, "")
-        assert "there is no certificate" in err
+        assert "no such certificate" in err
         assert now() == before
         code, out, err = apply(capsys, record, "--yes", "--without-certificate")
         assert code == 0
@@ -164,7 +164,7 @@ def test_one_node_refuses_and_both_stay_as_they_were(client, record, now, capsys
     assert code == 1
     (line,) = err.splitlines()
     assert line.startswith("error: mpc_controller refuses: input_upper: ")
-    assert "; milling_plant set back to what it was; " in line
+    assert "; previous values of milling_plant restored; " in line
     assert now() == before
     assert rollback_file(record) == before
 
@@ -220,7 +220,7 @@ def test_what_changes_while_it_asks_is_not_overwritten(client, record, now, caps
     monkeypatch.setattr(command, "_confirmed", confirmed)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     code, _, err = apply(capsys, record)
-    assert (code, err) == (3, "error: the nodes run something else by now\n")
+    assert (code, err) == (3, "error: the nodes' values have changed meanwhile\n")
     assert now()["lambda_mpc"] == -1.75
     assert now()["window"] != tuned(record)["window"]
 

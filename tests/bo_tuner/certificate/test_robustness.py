@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.certificate.neighbourhood import look_around
-from bo_tuner.certificate.robustness import CREDIBLE, context_tolerance
+from bo_tuner.certificate.context_tolerance import CREDIBLE, context_tolerance
+from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.kernel import latent_covariance
 from bo_tuner.models.surrogates import Surrogates
@@ -241,7 +241,7 @@ class TestNeighbourhood:
             for k, (point, figures) in enumerate(zip(points, TABLE.values(), strict=True))
         ]
         models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
-        narrow = look_around(study, points[0], models)
+        narrow = parameter_sensitivity(study, points[0], models)
         assert narrow.score > 0.0
         changed = [set(n.changed.items()) for n in narrow.narrow]
         assert {("prediction_horizon", 3)} in changed
@@ -260,7 +260,7 @@ class TestNeighbourhood:
             for k, g in enumerate(np.linspace(0.0, 1.0, 12).tolist())
         ]
         models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
-        around = look_around(study, {"gain": 0.5}, models)
+        around = parameter_sensitivity(study, {"gain": 0.5}, models)
         assert (around.score, around.narrow, around.warning) == (0.0, (), "")
         assert [n.changed["gain"] for n in around.neighbours] == pytest.approx([0.45, 0.55])
         assert around.optimum.loss == 0.0
@@ -277,7 +277,7 @@ class TestNeighbourhood:
             for k, g in enumerate(np.linspace(0.0, 1.0, 15).tolist())
         ]
         models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
-        around = look_around(study, {"gain": 0.5}, models)
+        around = parameter_sensitivity(study, {"gain": 0.5}, models)
         down, up = around.neighbours
         assert up.loss == pytest.approx(0.05 * slope, rel=0.05)
         assert down.loss == pytest.approx(-0.05 * slope, rel=0.05)
@@ -287,4 +287,4 @@ class TestNeighbourhood:
     def test_no_model(self, make_study, make_trial):
         study = make_study()
         models = Surrogates.fit(study, [make_trial(0, {"gain": 0.5})], rng=np.random.default_rng(0))
-        assert look_around(study, {"gain": 0.5}, models) is None
+        assert parameter_sensitivity(study, {"gain": 0.5}, models) is None

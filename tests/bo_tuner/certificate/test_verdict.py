@@ -103,7 +103,7 @@ class TestWorstCase:
     def test_one_draw_is_enough(self, make_study):
         found = judge(make_study(), evidence([0.5] * 99 + [1.01]), 0.95)
         assert not found.passed
-        assert found.reasons == ("peak: 1 of 100 draws violate the limit or fail, none may",)
+        assert found.reasons == ("peak: 1 of 100 draws violate the limit or fail (none may)",)
 
     def test_noise_in_the_worst_context_refutes_nothing(self, make_study):
         values = [0.9 + 0.15 * x for x in stats.norm.ppf((np.arange(20) + 0.5) / 20)]
@@ -278,7 +278,7 @@ class TestWinnersCurse:
         found = judge(study, evidence([0.5] * 300, [[0.7] * 20]), 0.95)
         objective, worst = training_gaps(study, winner, rank(study, trials), found)
         shown = np.mean(winner.observations("error"))
-        assert objective.shown == pytest.approx(shown)
+        assert objective.observed == pytest.approx(shown)
         assert objective.validated == 1.0
         assert objective.value == pytest.approx(1.0 - shown)
         # The luckiest of 30 means with a deviation of 0.2 / sqrt(5): expected 2.04 of them.
@@ -287,5 +287,5 @@ class TestWinnersCurse:
         assert objective.standard_error == pytest.approx(expected)
         # The surrogate has seen the others and is less impressed.
         assert shown < objective.predicted < 1.1
-        assert (worst.shown, worst.validated) == (0.6, pytest.approx(0.7))
+        assert (worst.observed, worst.validated) == (0.6, pytest.approx(0.7))
         assert worst.value == pytest.approx(0.1)

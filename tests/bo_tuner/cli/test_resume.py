@@ -152,8 +152,8 @@ class TestResume:
         [
             (["--resume", "nowhere"], "nowhere: no such run folder"),
             (["--resume", "."], "no run folder: it has no study.yaml"),
-            (["--resume", "whole/latest", "--seed", "3"], "--resume has --seed from the run's"),
-            (["--resume", "whole/latest", "--study", "full"], "--resume has --study from"),
+            (["--resume", "whole/latest", "--seed", "3"], "--resume takes --seed from the run's"),
+            (["--resume", "whole/latest", "--study", "full"], "--resume takes --study from"),
             (["--resume", "whole/latest", "--attach"], "--attach needs --backend ros"),
         ],
     )

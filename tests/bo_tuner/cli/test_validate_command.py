@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.certificate.record import parameters_sha256
+from bo_tuner.certificate.certificate import parameters_sha256
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.run_folder import RunFolder
@@ -156,15 +156,15 @@ class TestVerdict:
         assert found["best_yaml_sha256"] == hashlib.sha256(best).hexdigest()
         study = hashlib.sha256((folder / "study.yaml").read_bytes()).hexdigest()
         assert found["study_sha256"] == found["provenance"]["study_sha256"] == study
-        evaluations = (folder / "certificate_cuts.csv").read_bytes()
-        assert found["cuts_sha256"] == hashlib.sha256(evaluations).hexdigest()
+        evaluations = (folder / "certificate_evaluations.csv").read_bytes()
+        assert found["evaluations_sha256"] == hashlib.sha256(evaluations).hexdigest()
         rows = evaluations.decode().splitlines()[1:]
         assert len(rows) == found["default"]["evaluations"] + found["tuned"]["evaluations"]
         assert sum(row.startswith("tuned,validation") for row in rows) == 80
         # All else of the run is as it was; a reader of the journal leaves files of its own.
         names = {path.name for path in folder.iterdir() if path.is_file()}
         new = {name for name in names - set(before) if not name.startswith("journal")}
-        assert new == {"certificate.json", "certificate_cuts.csv"}
+        assert new == {"certificate.json", "certificate_evaluations.csv"}
         assert all(
             (folder / name).read_bytes() == content
             for name, content in before.items()
@@ -186,10 +186,10 @@ class TestVerdict:
             assert error["allowed"] == pytest.approx(0.04)
         (objective, worst) = found["training_gaps"]
         assert objective["validated"] == found["tuned"]["objective"]["value"]
-        assert objective["gap"] == pytest.approx(objective["validated"] - objective["shown"])
+        assert objective["gap"] == pytest.approx(objective["validated"] - objective["observed"])
         assert worst["unit"] == ""
         assert found["context_tolerance"]["variables"][0]["name"] == "load"
-        assert found["neighbourhood"]["optimum"]["parameters"]["gain"] == gain
+        assert found["parameter_sensitivity"]["optimum"]["parameters"]["gain"] == gain
 
     def test_the_same_again(self, here, folder):
         found = []
@@ -197,7 +197,7 @@ class TestVerdict:
             assert here(folder, "--draws", "80")[0] == 0
             content = certificate(folder)
             del content["finished"], content["provenance"]
-            found.append((content, (folder / "certificate_cuts.csv").read_bytes()))
+            found.append((content, (folder / "certificate_evaluations.csv").read_bytes()))
         assert found[0] == found[1]
 
     def test_fail(self, here, folder, monkeypatch):
@@ -207,8 +207,8 @@ class TestVerdict:
         assert out.splitlines()[-1] == "FAIL"
         found = certificate(folder)
         assert found["verdict"] == "FAIL"
-        assert found["reasons"] == ["peak: 80 of 80 draws violate the limit or fail, none may"]
-        assert "peak: NOT shown: 80 of 80 draws violate the limit or fail, none may" in out
+        assert found["reasons"] == ["peak: 80 of 80 draws violate the limit or fail (none may)"]
+        assert "peak: NOT shown to hold: 80 of 80 draws violate the limit or fail (none may)" in out
 
     def test_failed_evaluations(self, here, folder, monkeypatch):
         monkeypatch.setenv("FAILING", "100")
@@ -248,7 +248,7 @@ class TestInterruption:
     @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
     def test_the_old_certificate_stays(self, runs, folder, signum, code):
         old = {}
-        for name in ("certificate.json", "certificate_cuts.csv"):
+        for name in ("certificate.json", "certificate_evaluations.csv"):
             (folder / name).write_text(f"old {name}")
             old[name] = (folder / name).read_text()
         counter = folder / "cuts"
@@ -316,7 +316,7 @@ class TestBadInput:
     def test_a_run_without_a_result(self, refusal, folder):
         (folder / "summary.json").unlink()
         line = refusal(folder)
-        assert "has no result: it has not ended, or every trial failed; go on by" in line
+        assert "has no result: it has not ended, or every trial failed; continue with" in line
 
     def test_a_parameter_file_of_other_values(self, refusal, folder):
         """A certificate must not be of what the file does not hold."""

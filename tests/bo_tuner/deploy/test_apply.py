@@ -58,8 +58,8 @@ class TestSetValues:
     @pytest.mark.parametrize(
         ("trouble", "complaint"),
         [
-            ("refusing", "axis refuses: load: too much; drive set back to what it was"),
-            ("silent", "axis: does not answer within 5 s; drive, axis set back to what it was"),
+            ("refusing", "axis refuses: load: too much; previous values of drive restored"),
+            ("silent", "axis: does not answer within 5 s; previous values of drive, axis restored"),
             ("rounding", "axis: load is [0.25, 2.0000001] after it was set to [0.25, 2.0]"),
         ],
     )
@@ -83,7 +83,7 @@ class TestSetValues:
                     raise NodeError("drive: does not answer within 5 s")
                 super().set(node, values)
 
-        with pytest.raises(ApplyError, match="drive could not be set back: drive: does not answer"):
+        with pytest.raises(ApplyError, match="drive could not be restored: drive: does not answer"):
             set_values(Dying(refusing=("axis",)), OLD, NEW)
 
 
@@ -124,32 +124,32 @@ class TestCertificate:
     @pytest.mark.parametrize(
         ("write", "complaint"),
         [
-            (lambda record, trial: None, "there is no certificate; validate makes one"),
+            (lambda record, trial: None, "no such certificate; run validate"),
             (
                 lambda record, trial: write_certificate(record, trial, "FAIL"),
-                "says FAIL, not PASS",
+                "expected PASS, found FAIL",
             ),
             (
                 lambda record, trial: write_certificate(record, trial, None),
-                "says nothing, not PASS",
+                "expected PASS, found nothing",
             ),
             (
                 lambda record, trial: write_certificate(record, trial, gain=0.123),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
             (
                 lambda record, trial: write_certificate(record, record.trials[2]),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
             (
                 lambda record, trial: write_certificate(
                     record, trial, study=record.study.replace(trials=4)
                 ),
-                "is of another study",
+                "belongs to another version of the study; run validate",
             ),
             (
                 lambda record, trial: write_certificate(record, trial, more=1.0),
-                "is of another parameter set",
+                "certifies another parameter set; run validate",
             ),
         ],
     )

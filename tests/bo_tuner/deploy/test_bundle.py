@@ -101,15 +101,19 @@ class TestBundle:
     def test_what_the_run_has_is_copied_and_what_it_has_no_more_goes(self, record):
         assert set(contents(write_bundle(record))) == FILES
         write_certificate(record, record.trials[2])
-        (record.path / "certificate_cuts.csv").write_text("1,2")
+        (record.path / "certificate_evaluations.csv").write_text("1,2")
         (record.path / "report.html").write_text("<html>")
         files = contents(write_bundle(record))
-        assert set(files) == FILES | {"certificate.json", "certificate_cuts.csv", "report.html"}
+        assert set(files) == FILES | {
+            "certificate.json",
+            "certificate_evaluations.csv",
+            "report.html",
+        }
         assert files["report.html"] == b"<html>"
         assert json.loads(files["certificate.json"])["verdict"] == "PASS"
         (record.path / "certificate.json").unlink()
         files = contents(write_bundle(record))
-        assert set(files) == FILES | {"certificate_cuts.csv", "report.html"}
+        assert set(files) == FILES | {"certificate_evaluations.csv", "report.html"}
         assert "certificate.json" not in json.loads(files["provenance.json"])["sha256"]
 
     def test_again_changes_nothing(self, record):
@@ -143,7 +147,7 @@ class TestRefusals:
 
     def test_values_from_which_no_file_leads_back(self, record):
         values = {"x_drive": {"mode": "slow", "limits": [0.5], "gain": float("nan"), "n": 1}}
-        with pytest.raises(OutputError, match=r"rollback\.yaml: cannot hold what the nodes run"):
+        with pytest.raises(OutputError, match=r"rollback\.yaml: cannot hold the nodes' values"):
             write_bundle(record, rollback=values)
         assert not (record.path / "deploy").exists()
 

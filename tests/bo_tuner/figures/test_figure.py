@@ -69,7 +69,7 @@ def test_a_color_scale_has_a_range(values):
 
 @pytest.mark.parametrize("name", ["", "../up", "Big", "a b"])
 def test_the_name_of_a_figure_is_one_of_a_file(name):
-    with pytest.raises(ValueError, match="name: expected small letters"):
+    with pytest.raises(ValueError, match="name: expected lower-case letters"):
         Figure(name=name, title="", caption="", alternative="", panels=[PANEL])
 
 

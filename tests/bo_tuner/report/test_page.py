@@ -196,7 +196,7 @@ def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
     page = page_of(run, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "No result: no trial is complete" in text
-    assert len(page.tables["Evaluations that failed, in the order in which they ran"]) == 1 + 7
+    assert len(page.tables["Failed evaluations, in the order in which they ran"]) == 1 + 7
 
 
 def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):

@@ -14,11 +14,11 @@ from bo_tuner.report.grid import parameter_grid, permitted
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.contours import contours
 from bo_tuner.report.sections.convergence import convergence
-from bo_tuner.report.sections.drift import drift
-from bo_tuner.report.sections.landscape import landscape
-from bo_tuner.report.sections.neighbours import neighbours
+from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.slices import slices
+from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
+from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Stage
 
@@ -131,14 +131,14 @@ def test_contours_show_what_the_models_say(axis_run):
     analysis = Analysis(run)
     (panel,) = contours(analysis, analysis.answer).panels
     (heatmap,) = [e for e in panel.elements if isinstance(e, Heatmap)]
-    edge = named(panel, "edge of the feasible area", Contour)
+    edge = named(panel, "limit of feasibility", Contour)
     x = analysis.study.search_space().to_cube(
         {"gain": float(heatmap.x[7]), "other": float(heatmap.y[11])}
     )[None]
     assert heatmap.z[11, 7] == pytest.approx(analysis.models.objective.predict_mean(x)[0])
     assert edge.z[11, 7] == pytest.approx(np.exp(analysis.models.log_feasibility(x)[0]))
     assert edge.levels == [0.5]
-    assert "contours" in [figure.name for figure in landscape(analysis).figures]
+    assert "contours" in [figure.name for figure in surrogates(analysis).figures]
 
 
 def test_the_map_has_every_evaluation_of_both(analysis):
@@ -154,7 +154,7 @@ def test_the_map_has_every_evaluation_of_both(analysis):
 
 
 def test_neighbours_are_a_step_away(analysis):
-    section = neighbours(analysis)
+    section = sensitivity(analysis)
     (table,) = section.tables
     assert [row[0] for row in table.rows] == ["tuned", "gain -0.05", "gain +0.05"]
     for row, step in zip(table.rows, (0.0, -0.05, 0.05), strict=True):
@@ -162,8 +162,8 @@ def test_neighbours_are_a_step_away(analysis):
         assert row[1] == f"{analysis.models.objective.predict_mean(x)[0]:.4g}"
 
 
-def test_the_variable_that_hurts_is_named(analysis):
-    assert drift(analysis).lead.startswith("load hurts peak most")
+def test_the_most_critical_context_variable_is_named(analysis):
+    assert tolerance(analysis).lead.startswith("peak is most sensitive to load")
 
 
 def test_times_add_up(analysis):

@@ -51,7 +51,7 @@ def test_an_object_without_signals_is_told(section_of):
 def test_signals_without_a_time_are_told(section_of):
     _, section = section_of("Untold")
     assert section.figures == ()
-    assert "expected 'time' and other signals of its length" in section.lead
+    assert "expected 'time' and other signals of the same length" in section.lead
 
 
 def test_an_object_that_cannot_be_had_is_told(section_of, monkeypatch, analysis):

@@ -345,7 +345,7 @@ class TestStructure:
             (
                 [integer("a", (1, 3)), integer("b", (1, 3)), integer("c", (1, 3))],
                 [("a", "b"), ("b", "c"), ("c", "a")],
-                "order[2]: 'c' <= 'a' closes a circle; use tied_to for equal values",
+                "order[2]: 'c' <= 'a' closes a cycle; use tied_to for equal values",
             ),
             (
                 [integer("a", (5, 9)), integer("b", (1, 3))],

@@ -376,7 +376,7 @@ class TestRefusedValues:
             (
                 "parameters/gains.kp/minimum_correlation",
                 0.1,
-                "a double has no neighbouring values; leave it out",
+                "applies to integers only; leave it out",
             ),
             ("parameters/offset/bounds", [1, 2], "a fixed parameter has no bounds; leave it out"),
             ("parameters/offset/default", 3, "3 differs from the fixed value 2.0; leave it out"),
@@ -468,7 +468,7 @@ class TestRefusedValues:
             (
                 "constraints/second",
                 {"kind": "worst_case", "metric": "error", "upper": 1},
-                "constraints.second.kind: 'worst' is a worst_case constraint already; expected "
+                "constraints.second.kind: 'worst' is already a worst_case constraint; expected "
                 "at most one",
             ),
             (
@@ -510,14 +510,14 @@ class TestRefusedValues:
             (
                 "nodes/drive/parameters",
                 {"window": 3},
-                "parameters.window: parameter 'window' of node 'drive' is set by nodes.drive "
-                "already",
+                "parameters.window: parameter 'window' of node 'drive' is already set by "
+                "nodes.drive",
             ),
             (
                 "seed_parameter/parameter",
                 "window",
-                "seed_parameter: parameter 'window' of node 'drive' is set by parameters.window "
-                "already",
+                "seed_parameter: parameter 'window' of node 'drive' is already set by "
+                "parameters.window",
             ),
             (
                 "contexts/load",

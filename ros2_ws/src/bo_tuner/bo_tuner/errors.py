@@ -1,4 +1,4 @@
-"""Errors of this package; each is also the builtin that fits it best."""
+"""The errors of this package; each also derives from the builtin that fits it best."""
 
 KeyPath = tuple[str | int, ...]
 """Keys and list positions that lead to a value in a study file."""
@@ -9,7 +9,7 @@ class BoTunerError(Exception):
 
 
 class PackageFilesError(BoTunerError, FileNotFoundError):
-    """The files that ship with the package are not where an installation puts them."""
+    """Files that are shipped with the package are missing from the installation."""
 
 
 class ParameterError(BoTunerError, ValueError):
@@ -17,16 +17,16 @@ class ParameterError(BoTunerError, ValueError):
 
 
 class StudyError(BoTunerError, ValueError):
-    """A study that breaks a rule; its text is one line.
+    """A study that violates a rule; the message is one line.
 
     Parameters
     ----------
     problem : str
         What was expected and what was found.
     path : tuple of str and int
-        Where it was found, from the study's root, or from the object that was checked.
+        Key path to the value, from the study's root or from the object that was checked.
     source : str
-        Name of the study file; empty when the study does not come from a file.
+        Name of the study file; empty if the study does not come from a file.
     line : int, optional
         Line in the study file, from 1.
     """
@@ -57,27 +57,27 @@ def _dotted(path: KeyPath) -> str:
         if isinstance(key, int):
             text += f"[{key}]"
         else:
-            # A key comes from a file: it may be long or hold characters that break the line.
+            # A key comes from a file: it may be long or contain line breaks.
             shown = key if key.isprintable() else repr(key)[1:-1]
             text += ("." if text else "") + (shown if len(shown) <= 60 else f"{shown[:57]}...")
     return text
 
 
 class BackendError(BoTunerError, RuntimeError):
-    """The nodes or objects of a study cannot be had."""
+    """The nodes or objects of a study cannot be started, found or loaded."""
 
 
 class JournalError(BoTunerError, OSError):
-    """The record of a run cannot be written or read."""
+    """The journal of a run cannot be written or read."""
 
 
 class RunRecordError(BoTunerError, OSError):
-    """A run folder cannot be read, or cannot be gone on with."""
+    """The record of a run is missing, unreadable, or does not allow what was requested."""
 
 
 class RunError(BoTunerError, RuntimeError):
-    """A run cannot go on; what it recorded stays."""
+    """A run cannot continue; its record is kept."""
 
 
 class OutputError(BoTunerError, OSError):
-    """The folder for results cannot be used."""
+    """A file or folder of results cannot be written."""

@@ -20,7 +20,7 @@ OPTIONS = {
 
 
 def tuner(context):
-    """Make the tuner's node with the options that were given; launch stops when it ends."""
+    """Return the tuner's node with the given options; the launch ends with it."""
     given = {option: LaunchConfiguration(option).perform(context) for option in OPTIONS}
     arguments = [
         text for option, value in given.items() if value for text in (f"--{option}", value)

@@ -1,11 +1,15 @@
-"""The evaluations of a certificate: fresh draws for all alike, then the worst contexts of each."""
+"""The evaluations of a certificate: common fresh draws, then the worst contexts of each subject."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.evidence import Evidence
-from bo_tuner.certificate.worst_case_search import CANDIDATES, find_worst_contexts, most_evaluations
+from bo_tuner.certificate.independent_search import (
+    CANDIDATES,
+    find_worst_contexts,
+    most_evaluations,
+)
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
@@ -16,21 +20,21 @@ REPEATS = 20
 """Evaluations with fresh noise in each context that may be the worst."""
 
 DRAWN, SEARCHED, REPEATED = 0, 1, 2
-"""What noise is for, in its seed."""
+"""Purpose of an evaluation, as part of the key of its noise seed."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A parameter set to be looked at.
+    """A parameter set to certify.
 
     Attributes
     ----------
     name
-        What it is called in the progress.
+        Name in the progress display.
     parameters
         The parameter set.
     suspected
-        Contexts that are taken for its worst ones.
+        Contexts that are already suspected to be its worst ones.
     """
 
     name: str
@@ -65,9 +69,9 @@ class Certification:
         self._losses = Losses("evaluations")
 
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
-        """Evaluate each subject in the same independent draws, and search its worst contexts.
+        """Evaluate all subjects in the same draws, then search for the worst contexts of each.
 
-        The search needs a worst-case constraint; each subject has one of its own.
+        Without a worst-case constraint there is no search.
 
         Raises
         ------
@@ -100,7 +104,7 @@ class Certification:
         search: list[Evaluation] = []
 
         def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
-            # The same for all subjects, as far as they are evaluated in the same contexts.
+            # The key does not depend on the subject: the same noise for all.
             seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, *key)
             evaluation = self._run(
                 Evaluation(number, index, stage, subject.parameters, context, seed)

@@ -1,4 +1,4 @@
-"""What a certificate is made of: the evaluations, and what they show of each limit."""
+"""The evidence for a certificate: the evaluations, and what they show for each constraint."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from bo_tuner.certificate.risk import Mean
 from bo_tuner.trials import Evaluation, Value
 
 TAIL = 0.95
-"""Level of the conditional value at risk: it is the mean of the worst twentieth of the draws."""
+"""Level of the conditional value at risk, here the mean of the worst 5 % of the draws."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,11 @@ class Evidence:
     parameters
         The parameter set.
     drawn
-        In independent draws of context and noise.
+        Evaluations in independent draws of context and noise.
     search
-        Of the search of the worst context.
+        Evaluations of the search for the worst context.
     repeated
-        For each context that the search found, evaluations with fresh noise in it.
+        For each context that the search found, evaluations there with fresh noise.
     """
 
     parameters: Mapping[str, Value]
@@ -33,7 +33,7 @@ class Evidence:
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:
-        """All of them."""
+        """All evaluations, in the order drawn, search, repeated."""
         return (
             *self.drawn,
             *self.search,
@@ -43,18 +43,18 @@ class Evidence:
 
 @dataclass(frozen=True)
 class WorstContext:
-    """Evaluations with fresh noise in a context that may be the worst.
+    """The constrained metric in a context that may be the worst, over fresh noise.
 
     Attributes
     ----------
     context
         The context.
     mean
-        Of the metric over noise.
+        Mean of the metric over noise.
     largest
         Largest single value.
     evaluations, above, failures
-        Number of whole evaluations, of those above the limit, and of failed ones.
+        Number of complete evaluations, of those above the limit, and of failed ones.
     """
 
     context: Mapping[str, float]
@@ -67,26 +67,26 @@ class WorstContext:
 
 @dataclass(frozen=True)
 class ConstraintVerdict:
-    """How a constraint fared.
+    """The verdict on one constraint.
 
     Attributes
     ----------
     name, kind, metric, unit, limit
         As in the study; the limit in `unit`.
     allowed
-        Largest probability of a violation that the study allows; 0 for a worst case.
+        Largest permitted probability of a violation; 0 for a worst case.
     draws, violations, failures
-        Number of draws, of whole ones above the limit, and of failed ones.
+        Number of draws, of complete ones above the limit, and of failed ones.
     violation_bound
-        Upper confidence bound of the probability that a draw violates or fails.
+        Upper confidence bound of the probability that a draw violates the limit or fails.
     largest
         Largest value of the draws.
     tail
-        Conditional value at risk of the draws, see `TAIL`.
+        Conditional value at risk of the draws at level `TAIL`.
     worst
         For a worst case: the contexts that may be the worst, the largest mean first.
     passed, reason
-        The verdict, and why.
+        Whether the constraint is shown to hold, and why or why not.
     """
 
     name: str
@@ -108,7 +108,7 @@ class ConstraintVerdict:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the evaluations of a parameter set show.
+    """Statistics and verdicts from the evaluations of one parameter set.
 
     Attributes
     ----------
@@ -119,9 +119,9 @@ class Findings:
     tail
         Its conditional value at risk: the mean over the draws that are worst for the objective.
     evaluations, failures
-        Number of all evaluations, and of those that failed, draws or not.
+        Number of all evaluations, and of those that did not complete.
     first_failure
-        Why the first of them failed, and in which context.
+        Reason and context of the first failure; empty without one.
     constraints
         One for each constraint of the study.
     """
@@ -141,9 +141,10 @@ class Findings:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why this does not pass; empty if it does."""
+        """Why the parameter set does not pass; empty if it does."""
         failed = (
-            f"{self.failures} of {self.evaluations} runs failed, first: {self.first_failure}",
+            f"{self.failures} of {self.evaluations} evaluations failed, first: "
+            f"{self.first_failure}",
         )
         of_constraints = tuple(f"{c.name}: {c.reason}" for c in self.constraints if not c.passed)
         return (failed if self.failures else ()) + of_constraints

@@ -1,4 +1,4 @@
-"""What a sample of evaluations shows of a probability, of a mean, and of the tail.
+"""Estimates and confidence bounds from a sample: of a probability, a mean and a tail mean.
 
 References
 ----------
@@ -18,14 +18,14 @@ from scipy.special import betaincinv
 from bo_tuner.numerics.arrays import Array
 
 ROUNDING = 1e-12
-"""A bound that exceeds a probability by this much only is taken for equal to it."""
+"""A bound that exceeds a probability by no more than this counts as equal to it."""
 
 
 def probability_bound(events: int, draws: int, confidence: float) -> float:
     """Return the exact upper confidence bound of a probability (Clopper and Pearson 1934).
 
     It is the p with P(X <= events) = 1 - confidence for X ~ Binomial(draws, p): whatever the true
-    probability is, the bound lies below it in at most 1 - confidence of all samples.
+    probability is, the bound lies below it with probability 1 - confidence at most.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def probability_bound(events: int, draws: int, confidence: float) -> float:
     Raises
     ------
     ValueError
-        If the numbers do not fit each other.
+        Unless 0 <= events <= draws and draws >= 1.
     """
     if not (0 <= events <= draws and draws >= 1):
         raise ValueError(f"expected 0 <= events <= draws >= 1, found {events} of {draws}")
@@ -47,14 +47,14 @@ def probability_bound(events: int, draws: int, confidence: float) -> float:
 
 
 def draws_needed(allowed: float, confidence: float) -> int:
-    """Return the smallest number of draws that, without any event, bound its probability so.
+    """Return the smallest number of draws that, without any event, show a probability.
 
     Parameters
     ----------
     allowed
         The probability that the bound must not exceed, between 0 and 1.
     confidence
-        As `probability_bound`.
+        As in `probability_bound`.
     """
     needed = max(1, ceil(log(1.0 - confidence) / log(1.0 - allowed) - 1e-9))
     while not is_shown(0, needed, allowed, confidence):
@@ -63,12 +63,12 @@ def draws_needed(allowed: float, confidence: float) -> int:
 
 
 def is_shown(events: int, draws: int, allowed: float, confidence: float) -> bool:
-    """Tell whether a sample shows, with confidence, that a probability is at most `allowed`."""
+    """Return whether a sample shows with `confidence` that a probability is at most `allowed`."""
     return probability_bound(events, draws, confidence) <= allowed + ROUNDING
 
 
 def most_events(draws: int, allowed: float, confidence: float) -> int:
-    """Return the most events with which `is_shown` still holds; -1 if it never does."""
+    """Return the largest number of events for which `is_shown` is true; -1 if there is none."""
     events = 0
     while events <= draws and is_shown(events, draws, allowed, confidence):
         events += 1
@@ -77,12 +77,12 @@ def most_events(draws: int, allowed: float, confidence: float) -> int:
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean and what is known of it.
+    """A sample mean with its uncertainty.
 
     Attributes
     ----------
     value
-        Of the sample.
+        Mean of the sample.
     standard_error
         Of `value`; NaN for fewer than two values.
     upper
@@ -95,7 +95,7 @@ class Mean:
 
 
 def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
-    """Return the mean of independent values, with its error and its upper bound.
+    """Return the mean of independent values, its standard error and upper confidence bound.
 
     Parameters
     ----------
@@ -113,17 +113,17 @@ def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
 
 
 def conditional_value_at_risk(values: Sequence[float] | Array, level: float) -> float:
-    """Return the mean of the largest values, which make up the part 1 - level of the sample.
+    """Return the mean of the largest values, a fraction 1 - level of the sample.
 
-    Where that part is no whole number of values, the last one counts in part (Rockafellar and
-    Uryasev 2000, for a discrete distribution).
+    If that is not a whole number of values, the smallest of them has a fractional weight
+    (Rockafellar and Uryasev 2000, for a discrete distribution).
 
     Parameters
     ----------
     values
-        Shape (n,); the larger the worse. NaN is returned without any.
+        Shape (n,); larger is worse. An empty sample gives NaN.
     level
-        Between 0 and 1; 0.95 looks at the worst twentieth.
+        Between 0 and 1; 0.95 averages the worst 5 %.
     """
     sample = np.sort(np.asarray(values, dtype=np.float64))[::-1]
     if not len(sample):

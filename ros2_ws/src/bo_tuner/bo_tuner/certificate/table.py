@@ -4,14 +4,19 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
+from bo_tuner.certificate.certificate import Certificate
+from bo_tuner.certificate.context_tolerance import (
+    CREDIBLE,
+    ContextTolerance,
+    Drift,
+    VariableTolerance,
+)
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
-from bo_tuner.certificate.record import Certificate
 from bo_tuner.certificate.risk import Mean
-from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, VariableTolerance
 
 
 def certificate_table(certificate: Certificate) -> Table:
-    """Lay out the default against the tuned parameter set, limit by limit."""
+    """Return a table that compares the default and the tuned parameter set."""
     study = certificate.study
     both = (certificate.default, certificate.tuned)
     table = Table(
@@ -41,14 +46,14 @@ def certificate_table(certificate: Certificate) -> Table:
 
 
 def certificate_lines(certificate: Certificate) -> Iterator[str]:
-    """Tell in lines what the table leaves out: reasons, training, and robustness."""
+    """Yield lines on what the table leaves out: reasons, training and robustness."""
     for constraint in certificate.tuned.constraints:
-        shown = "shown" if constraint.passed else "NOT shown"
+        shown = "shown to hold" if constraint.passed else "NOT shown to hold"
         yield f"{constraint.name}: {shown}: {constraint.reason}"
     for gap in certificate.gaps:
         unit = f" {gap.unit}" if gap.unit else ""
         yield (
-            f"training against validation, {gap.name}: shown {gap.shown:.4g}, predicted "
+            f"training and validation, {gap.name}: observed {gap.observed:.4g}, predicted "
             f"{gap.predicted:.4g}, validated {gap.validated:.4g}{unit} "
             f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
         )
@@ -76,15 +81,15 @@ def _constraint_rows(
         yield [f"  {100.0 * confidence:g} % bound", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
         for k, name in enumerate(tuned.worst[0].context):
             yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
-        yield ["  single evaluations above there", "", *[_above(w) for w in worst]]
+        yield [f"  evaluations above {tuned.limit:g}", "", *[_above(w) for w in worst]]
 
 
 def _context(tolerance: ContextTolerance) -> Iterator[str]:
     first = tolerance.variables[0]
     unit = f" {tolerance.unit}" if tolerance.unit else ""
     yield (
-        f"hurts {tolerance.metric} most: {first.name}; at its nominal value the worst case would "
-        f"be lower by {first.relief.median:.2g}{unit} "
+        f"{tolerance.metric} is most sensitive to {first.name}: at its nominal value the worst "
+        f"case would be lower by {first.relief.median:.2g}{unit} "
         f"({first.relief.low:.2g} to {first.relief.high:.2g})"
     )
     for variable in tolerance.variables:
@@ -95,11 +100,11 @@ def _tolerated(variable: VariableTolerance) -> str:
     unit = f" {variable.unit}" if variable.unit else ""
     alone = f"from {_end(variable.down)} to {_end(variable.up)}"
     worst = f"from {_end(variable.worst_down)} to {_end(variable.worst_up)}"
-    return f"may drift{unit} {alone} alone, {worst} with all others at their worst"
+    return f"may drift{unit} {alone} alone, {worst} with all others as in the worst context"
 
 
 def _end(drift: Drift) -> str:
-    """Value that is tolerated; its band where the limit breaks on the way to the bound."""
+    """Return the last tolerated value, with its band if the limit is crossed before the bound."""
     if drift.breaks <= 0.5 * (1.0 - CREDIBLE):
         return f"{drift.bound:.4g} (end of the range)"
     return f"{drift.limit.median:.4g} ({drift.limit.low:.4g} to {drift.limit.high:.4g})"

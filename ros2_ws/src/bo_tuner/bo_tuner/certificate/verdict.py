@@ -1,26 +1,25 @@
-"""The verdict on a parameter set: what fresh evaluations show of it, and whether that is enough.
+"""The verdict on a parameter set: whether fresh evaluations show that it keeps every constraint.
 
-The burden of proof lies with the parameter set. A limit counts as kept only if the evaluations show
-it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
+The burden of proof lies with the parameter set. A constraint counts as kept only if the evaluations
+show it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
 
-- A chance constraint (Eq. 3d) is shown if the Clopper-Pearson upper bound of the probability that a
-  draw violates it is at most 1 - probability.
-- A worst-case constraint (Eq. 3e) is shown if no draw exceeds the limit, as in the validation of
-  `tune` (Sec. 5.2), and in every context that a separate search takes for the worst, the upper
-  bound of the mean over noise is within the limit. The worst case is an expectation over noise, as
-  in stage two, so a single noisy evaluation in a corner of the box refutes nothing; a draw, in a
-  context as operation brings it, does. To allow none among n draws is a success-run test: it shows
-  a violation probability below 1 - α^(1/n), and more draws are a harder test. What the tuner aims
-  at leaves room for both: a single evaluation in the worst context stays within the limit with the
-  constraint's `probability`, 0.85 if not given, so the mean there keeps a standard deviation of
-  distance.
-- A failed evaluation keeps no limit: it counts as a violation of every constraint, and one is a
-FAIL.
+- A chance constraint (Eq. 3d) is shown to hold if the Clopper-Pearson upper bound of the
+  probability that a draw violates it is at most 1 - probability.
+- A worst-case constraint (Eq. 3e) is shown to hold if no draw exceeds the limit, as in the
+  validation of `tune` (Sec. 5.2), and if, in every candidate for the worst context that a separate
+  search finds, the upper bound of the mean over noise is within the limit. The worst case is an
+  expectation over noise, as in stage two, so a single noisy evaluation in a corner of the box
+  refutes nothing; a draw, from the distribution met in operation, does. Permitting none among n
+  draws is a success-run test: it shows a violation probability below 1 - α^(1/n), so more draws are
+  a harder test. The tuner leaves a margin for both: in the worst context a single evaluation must
+  keep the limit with the constraint's `probability`, 0.85 by default, so the mean there stays about
+  one standard deviation below it.
+- A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
-PASS needs all of them to be shown. Such a test of a union of hypotheses, each at level α, has level
-α itself, whatever the dependence between them (Berger 1982): whichever limit is in truth not kept,
-it passes its own test with probability α at most. So no correction for the number of constraints
-and candidates is due. What no test covers is a worst context that the search did not find.
+PASS requires all of them. Such a test of a union of hypotheses, each at level α, has level α
+itself, whatever the dependence between them (Berger 1982): a constraint that in truth does not hold
+passes its own test with probability α at most. So no correction for the number of constraints and
+candidates is needed. What no test covers is a worst context that the search did not find.
 
 References
 ----------
@@ -49,7 +48,7 @@ PASS, FAIL = "PASS", "FAIL"
 
 
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
-    """Return how many draws a PASS takes at least, and the constraint that asks for most of them.
+    """Return the smallest number of draws for a PASS, and the constraint that requires it.
 
     With fewer, even a sample without any violation cannot show a chance constraint.
     """
@@ -66,11 +65,11 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     Parameters
     ----------
     study
-        Says what is judged.
+        The study, whose constraints are judged.
     evidence
         The evaluations; at least one draw.
     confidence
-        Of all bounds, between 0 and 1.
+        Confidence of all bounds, between 0 and 1.
     """
     metric = study.objective.metric
     values = _values(evidence.drawn, metric)
@@ -107,7 +106,7 @@ def _judge(
         found = [
             _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
         ]
-        # A context without a whole evaluation has no mean; nothing is worse.
+        # A context without a complete evaluation has no mean, and counts as the worst.
         worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(w.mean.value, nan=np.inf)))
         passed, reason = _worst_case(constraint, draws, events, worst, unit)
     else:
@@ -154,12 +153,12 @@ def _worst_case(
     unit: str,
 ) -> tuple[bool, str]:
     if events:
-        return False, f"{events} of {draws} draws violate the limit or fail, none may"
+        return False, f"{events} of {draws} draws violate the limit or fail (none may)"
     if not worst:
-        return False, "no context was looked at closely"
+        return False, "no candidate for the worst context was evaluated"
     if failures := sum(w.failures for w in worst):
-        return False, f"{failures} evaluations failed in the worst contexts, none may"
-    # That the mean of another context is larger does not make its bound the larger one.
+        return False, f"{failures} evaluations failed in the worst contexts (none may)"
+    # The context with the largest mean need not have the largest bound.
     top = max(worst, key=lambda w: w.mean.upper)
     passed = top.mean.upper <= constraint.upper
     where = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items()) or "always"

@@ -1,8 +1,8 @@
-"""What a run believed of its winner against what fresh evaluations show (Sec. 5.2).
+"""Compares a run's own estimates of its result with fresh evaluations (Sec. 5.2).
 
-A search picks winners, so the figures that made a parameter set the winner are too good on
-average (the winner's curse). A gap of several standard errors says that the run's own figures must
-not be quoted; it is no reason for a FAIL, since only the fresh evaluations are judged.
+The result is selected for its good figures, so these are too good on average (winner's curse). A
+gap of several standard errors means that the run's own figures must not be quoted; it is no reason
+for a FAIL, since only the fresh evaluations are judged.
 """
 
 from collections.abc import Sequence
@@ -19,37 +19,38 @@ from bo_tuner.trials import Trial
 
 @dataclass(frozen=True)
 class Gap:
-    """A figure in training and in validation, in the metric's unit.
+    """A quantity in training and in validation, in the metric's unit.
 
     Attributes
     ----------
     name, unit
-        What it is.
-    shown, shown_error
-        What the trial itself showed, and its standard error; NaN where there is none.
+        Name and unit of the quantity.
+    observed, observed_error
+        Observed in the trial itself, and its standard error; NaN if not known.
     predicted
-        What the surrogates of all trials, or of the trial's own search, made of it.
+        Predicted by the surrogates of all trials, or by the model of the trial's own search.
     validated, validated_error
-        What the fresh evaluations show, and the standard error.
+        Observed in the fresh evaluations, and its standard error.
     """
 
     name: str
     unit: str
-    shown: float
-    shown_error: float
+    observed: float
+    observed_error: float
     predicted: float
     validated: float
     validated_error: float
 
     @property
     def value(self) -> float:
-        """Validated minus shown; positive if the training's figure was the smaller one."""
-        return self.validated - self.shown
+        """Validated minus observed."""
+        return self.validated - self.observed
 
     @property
     def standard_error(self) -> float:
-        """Of the gap; the error of what was shown counts as far as it is known."""
-        return hypot(self.validated_error, 0.0 if np.isnan(self.shown_error) else self.shown_error)
+        """Standard error of the gap; an unknown error of the observation counts as zero."""
+        observed = 0.0 if np.isnan(self.observed_error) else self.observed_error
+        return hypot(self.validated_error, observed)
 
 
 def training_gaps(
@@ -62,11 +63,11 @@ def training_gaps(
     study
         The study.
     trial
-        The trial in training, without checks.
+        The trial, without the evaluations that checked it as a candidate.
     ranked
-        What the surrogates make of the trials; the trial need not be among them.
+        Trials with the predictions of the surrogates; may lack this one.
     findings
-        Of the trial's parameter set.
+        Findings for the trial's parameter set.
     """
     metric = study.metrics[study.objective.metric]
     seen = np.array(trial.observations(metric.name))
@@ -74,8 +75,8 @@ def training_gaps(
         Gap(
             name=f"mean {metric.name}",
             unit=metric.unit,
-            shown=float(seen.mean()) if len(seen) else nan,
-            shown_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
+            observed=float(seen.mean()) if len(seen) else nan,
+            observed_error=float(seen.std(ddof=1)) / sqrt(len(seen)) if len(seen) > 1 else nan,
             predicted=next((c.objective for c in ranked if c.trial.number == trial.number), nan),
             validated=findings.objective.value,
             validated_error=findings.objective.standard_error,
@@ -87,8 +88,8 @@ def training_gaps(
                 Gap(
                     name=f"worst {constraint.metric}",
                     unit=constraint.unit,
-                    shown=trial.worst_case.observed,
-                    shown_error=nan,
+                    observed=trial.worst_case.observed,
+                    observed_error=nan,
                     predicted=trial.worst_case.value,
                     validated=constraint.worst[0].mean.value,
                     validated_error=constraint.worst[0].mean.standard_error,

@@ -1,4 +1,4 @@
-"""``apply``: set the result of a run on live nodes, or what they had before."""
+"""``apply``: set the result of a run on live nodes, or their previous values."""
 
 import contextlib
 import os
@@ -38,9 +38,9 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 
 DESCRIPTION = """\
-Set the result of a run on the nodes that run now: shows what would change, asks,
-sets all or nothing, reads it back, and keeps what was there before in
-RUN/deploy/rollback.yaml. Only a result with a passed certificate is set.
+Set the result of a run on live nodes: shows what would change, asks, sets all
+values or none, reads them back, and saves the previous values in
+RUN/deploy/rollback.yaml. The certificate of the result must be a PASS.
 """
 
 EPILOG = """\
@@ -48,41 +48,41 @@ The nodes are looked for in the domain and with the discovery settings of the
 environment (ROS_DOMAIN_ID), and in the namespace of --ros-args.
 
 exit codes:
-  0    the nodes run the values, as read back from them
-  1    a node refused or did not answer; what had been set was set back
-  2    something given is wrong: run, option, nodes, no terminal to ask in
-  3    nothing was set: there is no passed certificate, the answer was no, or the
-       nodes were changed while it was waited for
+  0    the nodes have the values, as read back from them
+  1    a node refused or did not answer; the previous values were restored
+  2    bad input: run, option or nodes, or no terminal to confirm in
+  3    nothing was set: the certificate is missing or not a PASS, you did not
+       confirm, or the nodes' values changed before you did
   130  interrupted by Ctrl-C before anything was set (143: by SIGTERM)
 
 examples:
   apply runs/latest                              show the difference, ask, set
   apply runs/latest --yes                        without asking
-  apply runs/latest --rollback                   back to what was there before
+  apply runs/latest --rollback                   restore the previous values
   apply runs/latest --without-certificate        on your own responsibility
   apply runs/latest --ros-args -r __ns:=/x_axis  nodes in a namespace
 """
 
 
 def make_parser() -> Parser:
-    """Make the parser of the command line."""
+    """Return the parser of the command line."""
     parser = Parser("apply", DESCRIPTION, EPILOG)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that has ended")
     parser.add_argument("--yes", action="store_true", help="set without asking")
     parser.add_argument(
-        "--rollback", action="store_true", help=f"set what deploy/{ROLLBACK} of the run holds"
+        "--rollback", action="store_true", help=f"set the values of the run's deploy/{ROLLBACK}"
     )
     parser.add_argument(
         "--without-certificate",
         action="store_true",
-        help="set a result that has no certificate, or failed it",
+        help="set the result even if its certificate is missing or not a PASS",
     )
     return parser
 
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
+    """Run the command and return its exit code; exits on a wrong option.
 
     Parameters
     ----------
@@ -98,10 +98,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if not arguments.rollback:
         problem = certificate_problem(record, trial)
         if problem and not arguments.without_certificate:
-            return _refuse(f"{problem} (or --without-certificate)", EXIT_INFEASIBLE)
+            return _refuse(f"{problem} (or use --without-certificate)", EXIT_INFEASIBLE)
         if problem:
-            _warn(f"{problem}; goes on without")
-    # Nobody else writes the bundle meanwhile.
+            _warn(f"{problem}; continuing without")
+    # The lock keeps other processes from writing the bundle.
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
         write_bundle(record)
@@ -117,16 +117,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 rows = differences(record.study, now, new)
                 _show(rows, f"{record.study.name}: {title}")
                 if all(row.equal for row in rows):
-                    say("these values are in force already; nothing to set")
+                    say("the nodes already have these values; nothing to set")
                     return EXIT_OK
                 if not arguments.yes:
                     if not sys.stdin.isatty():
-                        return _refuse("no terminal to ask in; --yes does not ask", EXIT_USAGE)
+                        return _refuse("no terminal to confirm in; use --yes", EXIT_USAGE)
                     if not _confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
                         say("nothing was set")
                         return EXIT_INFEASIBLE
                     if read_values(nodes, new) != now:
-                        return _refuse("the nodes run something else by now", EXIT_INFEASIBLE)
+                        return _refuse("the nodes' values have changed meanwhile", EXIT_INFEASIBLE)
             except NodeError as error:
                 raise BackendError(str(error)) from error
             return _set(record, nodes, now, new, interruption, is_rollback=arguments.rollback)
@@ -141,7 +141,7 @@ def _set(
     *,
     is_rollback: bool,
 ) -> int:
-    # The folder itself: `latest` will be another run one day.
+    # Resolved, since `latest` will point to another run later.
     folder = record.path.resolve()
     rollback = folder / DEPLOY / ROLLBACK
     if not is_rollback:
@@ -152,11 +152,11 @@ def _set(
     try:
         set_values(nodes, now, new)
     except ApplyError as error:
-        kept = "" if is_rollback else f"; {rollback} has what was there before"
-        return _refuse(f"{error}{kept}", EXIT_FAULT)
+        saved = "" if is_rollback else f"; the previous values are in {rollback}"
+        return _refuse(f"{error}{saved}", EXIT_FAULT)
     say(f"set and read back on {', '.join(new)}")
     if not is_rollback:
-        say(f"what was there before: {rollback}; back by: apply {folder} --rollback")
+        say(f"previous values: {rollback}; restore them with: apply {folder} --rollback")
     return EXIT_OK
 
 
@@ -174,7 +174,7 @@ def _show(rows: list[Difference], title: str) -> None:
 
 
 def _shown(row: Difference) -> tuple[str, str]:
-    """Show both values as briefly as tells them apart."""
+    """Format both values, with more digits if they would look equal but are not."""
     now, new = (f"{v:.6g}" if isinstance(v, float) else str(v) for v in (row.now, row.new))
     if now == new and not row.equal:
         now, new = repr(row.now), repr(row.new)
@@ -182,10 +182,10 @@ def _shown(row: Difference) -> tuple[str, str]:
 
 
 def _confirmed(question: str, interruption: Interruption) -> bool:
-    """Ask; only yes is a yes."""
+    """Return whether the user answers y or yes."""
     sys.stdout.write(question)
     sys.stdout.flush()
-    # Reading would go on after a signal, so it waits until there is something to read.
+    # A read would continue after a signal, so wait until there is input.
     while not select.select([sys.stdin], [], [], 0.1)[0]:
         interruption.check()
     return sys.stdin.readline().strip().lower() in ("y", "yes")

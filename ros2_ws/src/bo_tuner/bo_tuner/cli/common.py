@@ -1,4 +1,4 @@
-"""What all commands share: their parser, and one line for each mistake."""
+"""Shared by all commands: the argument parser, and errors as one line and an exit code."""
 
 import argparse
 import os
@@ -20,7 +20,7 @@ Run = Callable[[Sequence[str], Interruption], int]
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser of a command line that keeps the line breaks of its texts.
+    """An argument parser that keeps the line breaks of its texts.
 
     Parameters
     ----------
@@ -40,37 +40,36 @@ class Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong in one line, without the usage."""
-        self.exit(EXIT_USAGE, f"error: {message} ({self.prog} --help tells more)\n")
+        """Exit with one line on the error, without the usage."""
+        self.exit(EXIT_USAGE, f"error: {message} (see {self.prog} --help)\n")
 
 
 def guarded(run: Run) -> Run:
-    """Make of each foreseen error of a command one line and exit code 2, and of a signal its code.
+    """Decorate a command: its expected errors become one line and exit code 2, a signal its code.
 
     Parameters
     ----------
     run
-        Takes the command line without the command, and what ends it on a signal; returns the exit
-        code.
+        Takes the command line without the command, and the interruption; returns the exit code.
     """
 
     def guard(argv: Sequence[str], interruption: Interruption) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):
-                # A terminal that cannot show a sign of ours gets a question mark, not an error.
+                # A character that the terminal cannot show becomes a question mark, not an error.
                 stream.reconfigure(errors="replace")
         try:
-            # More threads than one only slow down the small matrices of the surrogates.
+            # More than one thread only slows down the small matrices of the surrogates.
             with threadpool_limits(1):
                 code = run(argv, interruption)
-            # Here, where it is known what to do about a reader that has gone.
+            # Flushed here, where a closed pipe is handled.
             sys.stdout.flush()
             return code
         except (StudyError, OutputError, BackendError, JournalError, RunRecordError) as error:
             sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
             return EXIT_USAGE
         except BrokenPipeError:
-            # Whoever read the output has had enough; nothing may be flushed to it any more.
+            # The reader closed the pipe; the interpreter must not flush to it at exit.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return EXIT_SIGNAL + signal.SIGPIPE
         except Interrupted as interrupt:
@@ -81,12 +80,12 @@ def guarded(run: Run) -> Run:
 
 
 def recorded_backend(record: RunRecord) -> str:
-    """Return the backend that a run is on.
+    """Return the name of a run's backend.
 
     Raises
     ------
     RunRecordError
-        If there is no such backend.
+        If the record names an unknown backend.
     """
     if record.backend not in BACKENDS:
         raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
@@ -94,7 +93,7 @@ def recorded_backend(record: RunRecord) -> str:
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Part the own arguments from those between ``--ros-args`` and ``--``, or the end."""
+    """Separate the own arguments from those between ``--ros-args`` and ``--`` or the end."""
     own: list[str] = []
     ros: list[str] = []
     inside = False

@@ -1,4 +1,4 @@
-"""What is made of a run's record for people and machines: the report and the bundle."""
+"""The files derived from a run's record: the report and the bundle."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -13,16 +13,16 @@ Tell = Callable[[str], None]
 
 
 def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
-    """Write the report of a run and, if it has a result, its bundle, or bring them up to date.
+    """Write or update the report of a run and, if it has a result, its bundle.
 
-    What they are made of is on record by then, so a failure is told and nothing more.
+    Both can be made again from the record, so a failure is only a warning.
 
     Parameters
     ----------
     folder
-        Of the run.
+        The run folder.
     tell, warn
-        Called with a line on what was written, or on what could not be.
+        Called with a line on each file written, or on a failure.
     """
     try:
         record = read_run(folder)

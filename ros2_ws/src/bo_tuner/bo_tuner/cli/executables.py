@@ -8,12 +8,12 @@ from bo_tuner.interruption import Interruption
 
 
 def tune() -> NoReturn:
-    """Run a study, or go on with a run."""
+    """Run a study, or resume a run."""
     run("bo_tuner.cli.tune", sys.argv[1:])
 
 
 def report() -> NoReturn:
-    """Show a run as a page."""
+    """Write the report of a run."""
     run("bo_tuner.cli.report", sys.argv[1:])
 
 
@@ -28,12 +28,12 @@ def replay() -> NoReturn:
 
 
 def apply() -> NoReturn:
-    """Set the result of a run on a live controller."""
+    """Set the result of a run on live nodes."""
     run("bo_tuner.cli.apply", sys.argv[1:])
 
 
 def run(module: str, argv: list[str]) -> NoReturn:
-    """Run the command that a module holds, and exit with its code."""
+    """Run the command in a module and exit with its code."""
     interruption = Interruption()
     # This import takes a second or two, in which Ctrl-C must not end in a traceback.
     command = importlib.import_module(module)

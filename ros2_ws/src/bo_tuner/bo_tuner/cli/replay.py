@@ -1,4 +1,4 @@
-"""``replay``: run a recorded evaluation again, confirm its metrics, record default and tuned."""
+"""``replay``: repeat a recorded evaluation, compare its metrics, record default and tuned."""
 
 import contextlib
 import dataclasses
@@ -17,7 +17,6 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.bag import Message
 from bo_tuner.recording.topic_listener import TopicListener
-from bo_tuner.replay.bag import Inbox, write_side_by_side
 from bo_tuner.replay.replay import (
     BEST,
     WORST,
@@ -28,6 +27,7 @@ from bo_tuner.replay.replay import (
     find_trial,
     replay,
 )
+from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.trials import Evaluation
@@ -35,20 +35,20 @@ from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
 DESCRIPTION = """\
-Run a recorded evaluation again, with its parameters, context and seed, and
-compare its metrics with the record, to the last bit. On ROS the messages of the
-evaluation, and of the default parameters in the same context with the same
-noise, go side by side into one bag, as /tuned/... and /default/...
+Repeat a recorded evaluation with its parameters, context and seed, and compare
+its metrics with the record, bit for bit. On ROS the messages of this evaluation,
+and of the default parameters in the same context with the same noise, are
+recorded side by side in one bag, as /tuned/... and /default/...
 """
 
 EPILOG = """\
-A metric that the study calls not reproducible, because a clock measures it, is
-shown but judged only where record and replay are both in process.
+A metric that the study marks as not reproducible, since it depends on measured
+time, is shown, but judged only if record and replay are both in process.
 
 exit codes:
-  0    the evaluation came out as recorded
-  2    something given is wrong: run, trial, evaluation, option, nodes
-  3    it came out differently; the table shows where
+  0    the result is as recorded
+  2    bad input: run, trial, evaluation, option or nodes
+  3    the result differs; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM)
 
 examples:
@@ -62,17 +62,15 @@ DEFAULT, TUNED = "default", "tuned"
 
 
 def make_parser() -> Parser:
-    """Make the parser of the command line."""
+    """Return the parser of the command line."""
     parser = Parser("replay", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run")
-    parser.add_argument(
-        "which", nargs="?", metavar="TRIAL", help="the same as --trial, which may then be left out"
-    )
+    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("which", nargs="?", metavar="TRIAL", help="short for --trial TRIAL")
     parser.add_argument(
         "--trial",
         metavar=f"N|{BEST}|{WORST}",
-        help=f"number of the trial; {BEST} is the run's result, {WORST} the trial that exceeds "
-        f"most (default: {BEST})",
+        help=f"number of the trial; {BEST} is the run's result, {WORST} the trial with the largest "
+        f"worst case (default: {BEST})",
     )
     parser.add_argument(
         "--evaluation",
@@ -82,7 +80,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument("--backend", choices=BACKENDS, help="where to run it (default: the run's)")
     parser.add_argument(
-        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+        "--attach", action="store_true", help="use running nodes instead of starting them"
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
@@ -92,7 +90,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
+    """Run the command and return its exit code; exits on a wrong option.
 
     Parameters
     ----------
@@ -138,7 +136,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if write_side_by_side(path, sides, notes):
             say(f"bag of {' and '.join(sides)}: {path}")
         else:
-            console.print("no bag: no message was heard", soft_wrap=True)
+            console.print("no bag: no message was received", soft_wrap=True)
     else:
         with _opened(backend, interruption):
             result = replay(record, recorded, backend)
@@ -170,7 +168,7 @@ def _opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
         backend.open()
         yield
     finally:
-        # The nodes come down first, whatever else.
+        # The nodes are stopped before anything else can interrupt.
         interruption.ignore()
         backend.close()
 
@@ -178,14 +176,14 @@ def _opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
 def _run_both(
     record: RunRecord, recorded: Evaluation, ros: RosBackend
 ) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
-    """Run the evaluation, and the same with the default parameters; take the messages of both."""
+    """Run the evaluation, then with the default parameters; return both with their messages."""
     inbox = Inbox()
     listener = TopicListener(ros.context, ros.nodes, inbox)
     try:
         inbox.collect(listener.take)
         result = replay(record, recorded, ros)
         sides = {TUNED: inbox.collect(listener.take)}
-        # Nodes that were lost are others now, and may have other topics.
+        # Nodes that were lost have been restarted, and may have other topics.
         listener.refresh()
         defaults = record.study.search_space().defaults
         default = evaluate(
@@ -243,7 +241,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     plain_console().print(table)
     measured = [row.metric.name for row in result.metrics if not row.judged]
     if measured:
-        say(f"measured by the clock, hence not judged: {', '.join(measured)}")
+        say(f"depends on measured time, not judged: {', '.join(measured)}")
     before, after = result.recorded.outcome, result.replayed.outcome
     if result.same_end:
         how = f"{after.state}, as recorded"
@@ -255,7 +253,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     now = provenance(record.study, backend, record.algorithm)
     changed = changed_provenance(record, now)
     if changed and not result.confirmed:
-        say(f"recorded with something else: {'; '.join(changed)}")
+        say(f"changed since the record: {'; '.join(changed)}")
 
 
 def _word(row: Comparison) -> str:

@@ -1,4 +1,4 @@
-"""``report``: one page that explains a run, and its figures as files."""
+"""``report``: write the report of a run, and its figures as files."""
 
 import argparse
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ from bo_tuner.storage.run_folder import LATEST
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,
-trajectories, surrogates, the neighbourhood of the optimum, times and failures.
-The file needs no network; the run may be going on.
+trajectories, surrogates, sensitivity to the parameters, times and failures.
+The file needs no network; the run may still be in progress.
 """
 
 EPILOG = """\
 exit codes:
   0    the report is written
-  2    something given is wrong: run folder, option, a file that cannot be written
+  2    bad input: run folder, option, or a file that cannot be written
   130  interrupted by Ctrl-C (143: by SIGTERM)
 
 examples:
-  report latest                           the last run in runs/
+  report latest                           the latest run in runs/
   report runs/benchmark-20260801-101500   into its folder, as report.html
   report latest --output answer.html      elsewhere
   report latest --figures plots --format png,svg
@@ -37,7 +37,7 @@ FORMATS = ("png", "svg")
 
 
 def make_parser() -> Parser:
-    """Make the parser of the command line."""
+    """Return the parser of the command line."""
     parser = Parser("report", DESCRIPTION, EPILOG)
     parser.add_argument(
         "run", type=Path, metavar="RUN", help=f"run folder, or '{LATEST}' for {RUNS / LATEST}"
@@ -46,7 +46,7 @@ def make_parser() -> Parser:
         "--output", type=Path, metavar="FILE", help=f"HTML file (default: RUN/{NAME})"
     )
     parser.add_argument(
-        "--figures", type=Path, metavar="DIR", help="write the figures into this folder, too"
+        "--figures", type=Path, metavar="DIR", help="also write the figures to this folder"
     )
     parser.add_argument(
         "--format",
@@ -60,7 +60,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
+    """Run the command and return its exit code; exits on a wrong option.
 
     Parameters
     ----------
@@ -87,10 +87,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
 
 def _folder(given: Path) -> Path:
-    """Find the run folder; the word ``latest`` alone means the last run in ``runs/``."""
+    """Return the run folder; ``latest`` alone means the latest run in ``runs/``."""
     if given == Path(LATEST) and not given.exists():
         if not (RUNS / LATEST).exists():
-            raise RunRecordError(f"{RUNS / LATEST}: no such run folder; name one")
+            raise RunRecordError(f"{RUNS / LATEST}: no such run folder; give its path")
         return RUNS / LATEST
     return given
 

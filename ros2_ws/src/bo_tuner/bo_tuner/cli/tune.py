@@ -1,4 +1,4 @@
-"""``tune``: run a study, or go on with a run, and report what was found."""
+"""``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
 from collections.abc import Sequence
@@ -24,22 +24,22 @@ Bayesian optimization, and validate them on fresh draws.
 
 EPILOG = """\
 exit codes:
-  0    a feasible parameter set was found and held in the validation
-  1    the run could not go on (nodes lost three times in a row, disk full);
-       its record stays
-  2    something given is wrong: study, option, folder, nodes
-  3    the run is complete, but nothing feasible was found
-  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); nodes are
-       down, the record stays and --resume goes on from there
+  0    a feasible parameter set was found, and kept all limits in the validation
+  1    the run had to stop (nodes lost three times in a row, disk full); its
+       record is kept
+  2    bad input: study, option, folder or nodes
+  3    the run is complete, but no feasible parameter set was found
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); the nodes
+       are stopped, the record is kept, and --resume continues the run
 
 examples:
   tune                                 the benchmark study on nodes of its own
   tune --study full --trials 80        four parameters
-  tune --study my_axis.yaml --attach   your study, on nodes that run already
-  tune --backend inprocess --seed 7    without ROS, repeatable to the last bit
-  tune --resume runs/latest            go on with a run that was cut short
-  tune --stop-early                    end when further trials are not worth it
-  tune --json-lines | jq .event        each step for another program
+  tune --study my_axis.yaml --attach   your study, on nodes that are running
+  tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --resume runs/latest            resume an interrupted run
+  tune --stop-early                    stop when further trials are not worth it
+  tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
 
@@ -47,11 +47,11 @@ STUDY = "benchmark"
 ALGORITHM = "IV"
 OUTPUT = Path("runs")
 FROM_THE_RECORD = ("study", "trials", "seed", "output", "backend", "algorithm")
-"""Options that a run which goes on has on record."""
+"""Options that a resumed run takes from its record."""
 
 
 def make_parser() -> Parser:
-    """Make the parser of the command line."""
+    """Return the parser of the command line."""
     parser = Parser("tune", DESCRIPTION, EPILOG)
     parser.add_argument(
         "--study",
@@ -69,7 +69,7 @@ def make_parser() -> Parser:
         "--output",
         type=Path,
         metavar="DIR",
-        help=f"where run folders are made (default: {OUTPUT})",
+        help=f"where run folders are created (default: {OUTPUT})",
     )
     parser.add_argument(
         "--backend",
@@ -77,7 +77,7 @@ def make_parser() -> Parser:
         help=f"run on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
     )
     parser.add_argument(
-        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+        "--attach", action="store_true", help="use running nodes instead of starting them"
     )
     parser.add_argument(
         "--record",
@@ -85,14 +85,14 @@ def make_parser() -> Parser:
         choices=tuple(Policy),
         metavar="{" + ",".join(Policy) + "}",
         help="bags of trials to keep, on ROS: all, none, or notable ones, which were the best so "
-        "far, are the worst, or failed (default: notable)",
+        "far, are the worst one, or failed (default: notable)",
     )
     parser.add_argument(
         "--record-limit",
         type=_megabytes,
         default=RecordOptions.limit,
         metavar="MB",
-        help="size of all bags together; beyond it the oldest go, but never the best one's "
+        help="total size of all bags; beyond it the oldest are deleted, but never the best one's "
         f"(default: {RecordOptions.limit // MEGABYTE})",
     )
     parser.add_argument(
@@ -105,8 +105,7 @@ def make_parser() -> Parser:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="go on with the run in this folder, where it was cut short; what is on record is not "
-        "run again",
+        help="resume the interrupted run in this folder; recorded evaluations are not repeated",
     )
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
@@ -115,27 +114,27 @@ def make_parser() -> Parser:
         action="store_const",
         const=Output.QUIET,
         default=Output.PROGRESS,
-        help="show the result only, and what is amiss",
+        help="show only the result and warnings",
     )
     shown.add_argument(
         "--json-lines",
         dest="output_mode",
         action="store_const",
         const=Output.JSON_LINES,
-        help="show the run as JSON on stdout, an object per line and event, for other programs",
+        help="write each event as one line of JSON to stdout, for other programs",
     )
     parser.add_argument(
         "--stop-early",
         action="store_true",
-        help="end the tuning as soon as the trials left are expected to gain less than the noise; "
-        "the best candidates are checked and validated as ever",
+        help="stop the tuning when the expected gain of the remaining trials is below the noise; "
+        "the best candidates are checked and validated as usual",
     )
     return parser
 
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
+    """Run the command and return its exit code; exits on a wrong option.
 
     Parameters
     ----------
@@ -150,7 +149,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if arguments.resume is not None:
         given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
         if given:
-            parser.error(f"--resume has --{given[0]} from the run's record; leave it out")
+            parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
         record = read_run(arguments.resume)
         study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
         stop_early = arguments.stop_early or STOP_EARLY in record.provenance

@@ -1,4 +1,4 @@
-"""``validate``: a certificate for the parameter set that a run found."""
+"""``validate``: certify the result of a run."""
 
 import argparse
 import contextlib
@@ -11,9 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import BACKENDS, ROS, Backend
-from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.evidence import Evidence
-from bo_tuner.certificate.record import (
+from bo_tuner.certificate.certificate import (
     CERTIFICATE,
     DEFAULT,
     TUNED,
@@ -21,6 +19,8 @@ from bo_tuner.certificate.record import (
     make_certificate,
     write_certificate,
 )
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
 from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
@@ -35,31 +35,31 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.tuning.observer import Observers, RunObserver
+from bo_tuner.tuning.observer import Observers
 
 DESCRIPTION = """\
-Certify what a run found: run its parameters and the default in the same fresh
-draws of context and noise, search the worst context again, and say PASS or FAIL
-against the limits of the study.
+Certify the result of a run: evaluate it and the default in the same fresh draws
+of context and noise, search for the worst context again, and report PASS or
+FAIL for the constraints of the study.
 """
 
 EPILOG = """\
-PASS takes all of these; what the evaluations do not show counts as not kept:
+PASS requires all of these; a constraint not shown to hold counts as violated:
   chance constraint   the exact (Clopper-Pearson) upper bound of the probability
                       that a draw violates it is at most 1 - probability
   worst-case          no draw exceeds the limit, and in each of the worst
   constraint          contexts of the search the upper bound of the mean over
                       noise is within it
-  failed evaluations         none
+  failed evaluations  none
 
 writes RUN/certificate.json, or with another trial RUN/certificate_trial_N.json,
-and beside it the evaluations as CSV
+and the evaluations as CSV beside it
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost three times in a row, disk full); a certificate
-       that was there before stays
-  2    something given is wrong: run, option, nodes
+  1    no verdict (nodes lost three times in a row, disk full); an existing
+       certificate is kept
+  2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM); as 1
 
@@ -67,7 +67,7 @@ examples:
   validate runs/latest                     300 draws on the backend of the run
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
-  validate runs/latest --attach            on nodes that run already
+  validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
   validate runs/latest && echo fit for use
 """
@@ -78,9 +78,9 @@ FEWEST_DRAWS = 2
 
 
 def make_parser() -> Parser:
-    """Make the parser of the command line."""
+    """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
+    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
     parser.add_argument(
         "--draws",
         type=int,
@@ -93,7 +93,7 @@ def make_parser() -> Parser:
         type=_fraction,
         default=CONFIDENCE,
         metavar="P",
-        help=f"of every bound, between 0 and 1 (default: {CONFIDENCE})",
+        help=f"confidence of each bound, between 0 and 1 (default: {CONFIDENCE})",
     )
     parser.add_argument(
         "--trial",
@@ -107,14 +107,14 @@ def make_parser() -> Parser:
         help="run on ROS nodes, or on the same objects in this process (default: as in the run)",
     )
     parser.add_argument(
-        "--attach", action="store_true", help="use nodes that run already instead of starting them"
+        "--attach", action="store_true", help="use running nodes instead of starting them"
     )
     return parser
 
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
+    """Run the command and return its exit code; exits on a wrong option.
 
     Parameters
     ----------
@@ -227,11 +227,11 @@ class _Bar(RunObserver):
 
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:
-    """Find the trial to validate, and the digest of the run's parameter file if it holds that."""
+    """Return the trial to validate, and the digest of the run's parameter file if it holds it."""
     best = None if record.summary is None else record.summary.get("trial")
     if number is None and best is None:
         raise RunRecordError(
-            f"{record.path}: has no result: it has not ended, or every trial failed; go on by "
+            f"{record.path}: has no result: it has not ended, or every trial failed; continue with "
             "tune --resume, or name a --trial"
         )
     wanted = best if number is None else number
@@ -244,7 +244,7 @@ def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:
 
 
 def _digest(record: RunRecord, trial: Trial) -> str:
-    """Return the digest of the parameter file, once it is known to hold the trial's values."""
+    """Return the digest of the parameter file after checking that it holds the trial's values."""
     path = record.path / BEST
     try:
         content = path.read_bytes()
@@ -255,7 +255,7 @@ def _digest(record: RunRecord, trial: Trial) -> str:
         raise RunRecordError(f"{path}: {error}") from error
     if found != node_values(record.study, trial.parameters):
         raise RunRecordError(
-            f"{path}: does not hold the values of trial {trial.number}, which the run ended with"
+            f"{path}: does not hold the values of trial {trial.number}, the result of the run"
         )
     return hashlib.sha256(content).hexdigest()
 

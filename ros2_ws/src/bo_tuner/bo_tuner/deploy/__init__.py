@@ -1,5 +1,5 @@
-"""From a run's result to the machine: the bundle that carries it, and the way onto live nodes.
+"""Deployment of a run's result: the bundle of files, and setting it on live nodes.
 
-`parameter_file` writes what nodes load, `bundle` puts it together with the evidence, `apply`
-decides and checks, `live_parameters` talks to the nodes.
+`bundle` collects the parameter file and the evidence, `apply` checks the certificate and sets the
+values on all nodes or none, `live_parameters` calls the nodes' services.
 """

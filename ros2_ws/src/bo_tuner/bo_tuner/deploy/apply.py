@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.certificate.record import CERTIFICATE
+from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.certificate.verdict import FAIL, PASS
 from bo_tuner.deploy.bundle import same
 from bo_tuner.errors import BoTunerError
@@ -19,19 +19,19 @@ from bo_tuner.trials import Trial
 
 
 class ApplyError(BoTunerError, RuntimeError):
-    """Nodes did not take what they were told; the text says what they run now."""
+    """The values could not be set; the text says which values the nodes have now."""
 
 
 class NodeError(BoTunerError, RuntimeError):
-    """A node refused, is not there, or does not answer."""
+    """A node refused, is missing, or does not answer."""
 
 
 class RefusedError(NodeError):
-    """A node refused its parameters, and keeps those it had."""
+    """A node refused its parameters and keeps its previous ones."""
 
 
 class Nodes(Protocol):
-    """Live nodes, by their names."""
+    """Access to the parameters of live nodes, by node name."""
 
     def get(self, node: str, names: list[str]) -> dict[str, object]:
         """Read parameters of a node.
@@ -50,33 +50,33 @@ class Nodes(Protocol):
         RefusedError
             If the node refuses them.
         NodeError
-            If the node does not answer: it may have taken them.
+            If the node does not answer; it may have set them.
         """
 
 
 def certificate_problem(record: RunRecord, trial: Trial) -> str:
-    """Tell in a line why a parameter set is not certified; an empty text if it is."""
+    """Return in one line why a parameter set is not certified; empty if it is."""
     path = record.path / CERTIFICATE
     try:
         certificate = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return f"{path}: there is no certificate; validate makes one"
+        return f"{path}: no such certificate; run validate"
     except (OSError, ValueError, RecursionError) as error:
         return f"{path}: cannot be read: {error}"
     if not isinstance(certificate, dict):
-        return f"{path}: is no certificate; validate makes one"
+        return f"{path}: not a certificate; run validate"
     if certificate.get("parameters") != dict(trial.parameters):
-        return f"{path}: is of another parameter set; validate makes one of this"
+        return f"{path}: certifies another parameter set; run validate"
     if certificate.get("study_sha256") != study_sha256(record.study):
-        return f"{path}: is of another study, as to its limits or nodes; validate makes one of this"
+        return f"{path}: belongs to another version of the study; run validate"
     verdict = certificate.get("verdict")
     if verdict == PASS:
         return ""
-    return f"{path}: says {FAIL if verdict == FAIL else checks.show(verdict)}, not {PASS}"
+    return f"{path}: expected {PASS}, found {FAIL if verdict == FAIL else checks.show(verdict)}"
 
 
 def study_sha256(study: Study) -> str:
-    """Digest of a study, as in the provenance of a run."""
+    """Return the digest of a study, as in the provenance of a run."""
     return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
 
 
@@ -94,21 +94,22 @@ def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
 def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
     """Set values on live nodes, and read them back.
 
-    If one node refuses, or does not hold what it was told, all are set back.
+    If a node refuses, does not answer or reads back another value, the previous values of all are
+    restored.
 
     Parameters
     ----------
     nodes
         The live nodes.
     before
-        What they run now.
+        Their present values.
     new
-        What they shall run; of the same nodes and parameters.
+        The values to set, of the same nodes and parameters.
 
     Raises
     ------
     ApplyError
-        If the nodes do not run the new values. One line.
+        If the nodes do not have the new values. One line.
     """
     touched: list[str] = []
     try:
@@ -130,13 +131,13 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
 
 
 def _set_back(nodes: Nodes, before: NodeValues, touched: list[str]) -> str:
-    """Give nodes what they had; returns what came of it, in words."""
+    """Restore the previous values of nodes; return the outcome in words."""
     failed = []
     for node in touched:
         try:
             nodes.set(node, before[node])
         except NodeError as error:
-            failed.append(f"{node} could not be set back: {error}")
+            failed.append(f"{node} could not be restored: {error}")
     if failed:
         return "; ".join(failed)
-    return f"{', '.join(touched)} set back to what it was" if touched else "nothing was changed"
+    return f"previous values of {', '.join(touched)} restored" if touched else "nothing was changed"

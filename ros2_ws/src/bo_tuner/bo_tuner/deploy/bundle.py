@@ -1,7 +1,7 @@
-"""The bundle of a run, ``RUN/deploy/``: all that takes its result to the machine, and back.
+"""The bundle of a run, ``RUN/deploy/``: the files to deploy its result and to roll it back.
 
-Each file is replaced as a whole, the provenance last; it has the SHA-256 of all others, so that
-whoever gets the bundle can tell whether it is whole.
+Each file is written atomically, the provenance last; it has the SHA-256 of all others, so a
+recipient can verify that the bundle is complete.
 """
 
 import csv
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner.certificate.record import CERTIFICATE
+from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
@@ -27,13 +27,13 @@ ROLLBACK = "rollback.yaml"
 DIFFERENCE = "difference.csv"
 PROVENANCE = "provenance.json"
 
-COPIED = (CERTIFICATE, "certificate_cuts.csv", "report.html")
-"""Files of the run that are copied if it has them."""
+COPIED = (CERTIFICATE, "certificate_evaluations.csv", "report.html")
+"""Files of the run that are copied if they exist."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A parameter of a node, and its values on two sides."""
+    """A parameter of a node with its present and its new value."""
 
     node: str
     parameter: str
@@ -43,17 +43,17 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether nothing would change."""
+        """Whether the values are equal, see `same`."""
         return same(self.now, self.new)
 
 
 def same(one: object, other: object) -> bool:
-    """Whether two parameter values are equal; 1 and 1.0 are, as a node may hold either."""
+    """Return whether two parameter values are equal; 1 and 1.0 are, and so are two NaNs."""
     return one == other or repr(one) == repr(other)
 
 
 def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Difference]:
-    """Set values side by side, those that a node does not have on one side as None."""
+    """Return present and new values side by side; None for a value that a node does not have."""
     units = {
         (study.nodes[item.node].node, item.parameter): item.unit
         for item in study.parameters.values()
@@ -66,12 +66,12 @@ def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Differen
 
 
 def result_of(record: RunRecord) -> Trial:
-    """Return the trial that a run ended with.
+    """Return the trial that is the result of a run.
 
     Raises
     ------
     RunRecordError
-        If it has not ended, or nothing could be recommended.
+        If the run has not ended, or every trial failed.
     """
     if record.summary is None:
         raise RunRecordError(
@@ -86,15 +86,15 @@ def result_of(record: RunRecord) -> Trial:
 
 
 def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
-    """Write the bundle of a run that has ended, or bring it up to date.
+    """Write or update the bundle of a run that has ended.
 
     Parameters
     ----------
     record
         The run.
     rollback
-        What the nodes ran before the result was set on them. Without it the file for the way back
-        stays as it is; a new one has the study's defaults.
+        Values of the nodes before the result was set. Without it an existing rollback file is kept;
+        a new one has the study's defaults.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     RunRecordError
         If the run has no result.
     OutputError
-        If the files cannot be written, or a file could not be read back with these values.
+        If the files cannot be written, or `rollback` has values that a parameter file cannot hold.
     """
     trial = result_of(record)
     if rollback is not None:
@@ -138,12 +138,12 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
-    """Read what to set to get back to where the nodes were.
+    """Read the values to which to roll back.
 
     Raises
     ------
     RunRecordError
-        If there is no such file, or it is not of this run's nodes and parameters.
+        If there is no such file, or it has other nodes or parameters than this run.
     """
     path = record.path / DEPLOY / ROLLBACK
     expected = node_values(record.study, record.study.search_space().defaults)
@@ -162,11 +162,11 @@ def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
 
 
 def _check_readable(values: NodeValues) -> None:
-    """Refuse values, such as NaN, that a parameter file does not hold: no way would lead back."""
+    """Refuse values, such as NaN, that a parameter file cannot hold: they could not be restored."""
     try:
         from_yaml(to_yaml(values))
     except ValueError as error:
-        raise OutputError(f"{ROLLBACK}: cannot hold what the nodes run: {error}") from error
+        raise OutputError(f"{ROLLBACK}: cannot hold the nodes' values: {error}") from error
 
 
 def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> str:
@@ -197,7 +197,7 @@ def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
 
 
 def _replace(path: Path, content: bytes) -> None:
-    """Write a file so that whoever reads it, at any moment, finds the old one or the new one."""
+    """Replace a file atomically."""
     if path.is_file() and path.read_bytes() == content:
         return
     temporary = path.with_name(f".{path.name}-{os.getpid()}")
@@ -205,7 +205,7 @@ def _replace(path: Path, content: bytes) -> None:
         with temporary.open("wb") as file:
             file.write(content)
             file.flush()
-            # What was on the machine must outlive a loss of power right after it was changed.
+            # The rollback values must survive a power loss right after the nodes were changed.
             os.fsync(file.fileno())
         temporary.replace(path)
     finally:

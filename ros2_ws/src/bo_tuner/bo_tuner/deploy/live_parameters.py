@@ -1,4 +1,4 @@
-"""Parameters of nodes that run already, by the standard services."""
+"""Parameters of running nodes, through the standard services."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -23,16 +23,16 @@ NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
 CALL_TIMEOUT = 5.0
 ATTEMPT = 1.0
-"""Time [s] after which a question that changes nothing is asked again: a server may take it before
-it has discovered where the answer goes."""
+"""Time [s] after which a request that changes nothing is repeated: a server may receive it before
+it has discovered the client's response reader."""
 SPIN_PERIOD = 0.1
 
 
 class LiveParameters:
-    """A ROS node that reads and sets parameters of others; use it in a ``with`` block.
+    """A ROS node that reads and sets the parameters of others; a context manager.
 
-    Domain and discovery are those of the environment. A tuner of this machine keeps out of the
-    domain meanwhile.
+    Domain and discovery are those of the environment. Meanwhile no tuner on this machine uses the
+    domain.
 
     Parameters
     ----------
@@ -41,14 +41,13 @@ class LiveParameters:
     ros_arguments
         ``--ros-args`` of this node.
     watch
-        Called at least every `SPIN_PERIOD` seconds while waiting for the nodes to appear; raises
-        what shall end the wait.
+        Called at least every `SPIN_PERIOD` seconds while waiting for the nodes; an exception ends
+        the wait.
 
     Raises
     ------
     BackendError
-        If ROS does not take the arguments, a tuner is at work in this domain, or a node is not
-        there.
+        If ROS refuses the arguments, a tuner uses this domain, or a node is missing.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class LiveParameters:
             self._node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
         except (RuntimeError, ValueError) as error:
             self._context.try_shutdown()
-            # rcl adds where in its own sources it found the mistake.
+            # rcl appends the place in its own source.
             reason = str(error).split(", at /")[0]
             raise BackendError(f"cannot use --ros-args or ROS_DOMAIN_ID: {reason}") from error
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -99,7 +98,7 @@ class LiveParameters:
         self.close()
 
     def close(self) -> None:
-        """Leave ROS."""
+        """Destroy the node, shut down its context, and release the domain."""
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
@@ -116,7 +115,7 @@ class LiveParameters:
         """
         values = self._values(node, names)
         if len(values) != len(names) or None in values:
-            # A node may answer nothing at all for the want of one.
+            # A node may return an empty list if a single parameter is missing.
             missing = [name for name in names if self._values(node, [name]) in ([], [None])]
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
         return dict(zip(names, values, strict=True))
@@ -129,7 +128,7 @@ class LiveParameters:
         RefusedError
             If the node refuses them.
         NodeError
-            If the node does not answer: it may have taken them.
+            If the node does not answer; it may have set them.
         """
         request = SetParametersAtomically.Request(
             parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
@@ -142,7 +141,7 @@ class LiveParameters:
             raise RefusedError(f"{node} refuses: {reason}")
 
     def _values(self, node: str, names: list[str]) -> list[object]:
-        """Ask for parameters; None stands for one that is not set, or not declared."""
+        """Read parameters; None for one that is not set or not declared."""
         response = self._ask(node, self._getters[node], GetParameters.Request(names=names))
         return [parameter_value_to_python(value) for value in response.values]
 
@@ -157,7 +156,7 @@ class LiveParameters:
                     )
                 watch()
                 self._executor.spin_once(timeout_sec=SPIN_PERIOD)
-            # What shall change something is sent once only, so its way is tried out first.
+            # A request that changes values is sent only once, so test the connection first.
             try:
                 self._ask(node, setter, SetParametersAtomically.Request())
             except NodeError as error:

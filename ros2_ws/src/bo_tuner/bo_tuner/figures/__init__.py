@@ -1,1 +1,1 @@
-"""Figures described once, without a plotting library, and their renderers."""
+"""Figures described independently of a plotting library, and their renderers."""

@@ -1,4 +1,4 @@
-"""What is drawn on the axes of a panel: lines, points, fields, limits, and their looks.
+"""The elements of a panel: lines, points, fields and limits, with their styles.
 
 Series (n,) are sequences or arrays of floats; NaN leaves a gap. Grids z (rows, columns) have a
 row for each y and a column for each x.
@@ -22,8 +22,8 @@ TEXTS = ("hover", "labels")
 class Color(StrEnum):
     """Colours by name, after Okabe and Ito (2008), "Color Universal Design".
 
-    Ink is that of text. Paper is the ground: what is shaded with it looks faded. Black is the same
-    on light and dark ground, for what lies on a field of colours, which are the same as well.
+    Ink is the text colour, paper the background, with which a region is faded. Black is the same on
+    light and dark backgrounds, for elements on a heatmap, whose colours are the same as well.
     """
 
     BLUE = "blue"
@@ -68,17 +68,17 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ColorScale:
-    """Values as colours, with a bar that explains them.
+    """A colour scale with its colour bar.
 
     Attributes
     ----------
     label, unit
-        Of the bar, shown as ``label [unit]``.
+        Title of the colour bar, shown as ``label [unit]``.
     low, high
-        Values at the ends; those beyond have the colour of the end.
+        Values at the ends; values beyond have the colour of the end.
     middle
-        A value between them, such as a limit, at which the colour turns from blue to red; if not
-        given, the colours go from dark to bright.
+        Centre of a diverging scale from blue to red, such as a limit; without it the scale is
+        sequential, from dark to bright.
     scale
         Linear or logarithmic; with a `middle`, linear.
     """
@@ -109,7 +109,7 @@ class ColorScale:
 class Line:
     """A line through the points x (n,), y (n,); as steps if `step`.
 
-    A `name` gives an entry in the legend. `hover` (n,) is what a pointer on a point shows.
+    `name` is its entry in the legend, `hover` (n,) the tooltip of each point.
     """
 
     x: Values
@@ -150,13 +150,13 @@ class Points:
     name
         Entry in the legend.
     color, marker, size, filled
-        How they look; the size is a diameter [pt].
+        Style; the size is a diameter [pt].
     values, colors
-        Values (n,) shown by `colors` in place of `color`.
+        Values (n,) shown by the colour scale `colors` instead of `color`.
     low, high
-        Ends (n,) of vertical error bars, on the axis.
+        Ends (n,) of vertical error bars, in the axis' unit.
     hover
-        What a pointer on a point shows (n,).
+        Tooltips (n,).
     labels
         Texts (n,) beside the points.
     """
@@ -176,7 +176,7 @@ class Points:
     labels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check the lengths, and that parts that need each other are there."""
+        """Check the lengths, and that values come with colours and error bars with both ends."""
         _same_length(
             self,
             len(self.x),
@@ -195,9 +195,9 @@ class Points:
 
 @dataclass(frozen=True, kw_only=True)
 class Bars:
-    """Bars of height y (n,) at x (n,), standing on `base` (n,), or on 0.
+    """Bars of height y (n,) at x (n,), starting at `base` (n,) or 0.
 
-    Bars of one panel stand beside each other unless they have a base.
+    Several bars of one panel are grouped side by side unless they have a base.
     """
 
     x: Values
@@ -227,7 +227,7 @@ class Bars:
 
 @dataclass(frozen=True, kw_only=True)
 class Heatmap:
-    """A field z (rows, columns) over x (columns,) and y (rows,), by colour; a log axis is fine."""
+    """A field z (rows, columns) over x (columns,) and y (rows,), shown by colour."""
 
     x: Values
     y: Values

@@ -1,10 +1,10 @@
-"""What a figure shows, in the terms of neither plotting library.
+"""The description of a figure, independent of the plotting libraries.
 
-A `Figure` is a grid of panels, a panel two axes and what is drawn on them, in that order. The
-renderers turn one into a PNG or SVG file (`matplotlib_renderer`) or into an interactive part of a
-page (`plotly_renderer`). Colours are names: a renderer knows which shade of one can be read on
-light and on dark ground. They are told apart by people who see no red or green, and whoever uses
-several also gives different markers or dashes.
+A `Figure` is a grid of panels; a panel has two axes and elements in drawing order. The renderers
+turn a figure into a PNG or SVG file (`matplotlib_renderer`) or into an interactive part of a page
+(`plotly_renderer`). Colours are names, for which each renderer has shades that are readable on
+light and dark backgrounds. They can be distinguished with red-green colour blindness, and series
+of different colours also have different markers or dashes.
 """
 
 import re
@@ -64,9 +64,9 @@ class Axis:
     scale
         Linear or logarithmic.
     limits
-        Lowest and highest value shown; as the data need if not given.
+        Range of the axis; from the data if not given.
     ticks
-        Positions and their texts, for categories; as the renderer likes if empty.
+        Positions and their texts, for categories; chosen by the renderer if empty.
     """
 
     label: str
@@ -83,7 +83,7 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """Two axes and what is drawn on them, the first element at the bottom."""
+    """Two axes and their elements, the first one at the bottom."""
 
     x: Axis
     y: Axis
@@ -98,17 +98,17 @@ class Figure:
     Attributes
     ----------
     name
-        Of its files and its place in a page: small letters, digits, ``-`` and ``_``.
+        Name of its files and identifier in a page: lower-case letters, digits, ``-`` and ``_``.
     title
-        What it shows.
+        Heading.
     caption
-        How to read it, in a sentence or three.
+        How to read it, in one to three sentences.
     alternative
-        What it says, for people who cannot see it.
+        Text alternative with its message, for screen readers.
     panels
-        Row by row.
+        Panels, row by row.
     columns
-        Panels side by side.
+        Number of panels in a row.
     panel_height
         Height of a panel [px at 96 px per inch].
     """
@@ -122,13 +122,15 @@ class Figure:
     panel_height: int = 360
 
     def __post_init__(self) -> None:
-        """Check what renderers rely on."""
+        """Check name, panels and columns."""
         if not re.fullmatch(r"[a-z0-9_-]+", self.name):
-            raise ValueError(f"name: expected small letters, digits, - and _, found '{self.name}'")
+            raise ValueError(
+                f"name: expected lower-case letters, digits, - and _, found '{self.name}'"
+            )
         if not self.panels or self.columns < 1:
             raise ValueError(f"{self.name}: expected at least one panel and one column")
 
     @property
     def rows(self) -> int:
-        """Rows of the grid of panels."""
+        """Number of rows of panels."""
         return -(-len(self.panels) // self.columns)

@@ -1,4 +1,4 @@
-"""What explains a figure beside its panels: the legend, and the bars of its colour scales."""
+"""The keys of a figure: its legend and its colour bars."""
 
 import math
 from collections.abc import Sequence
@@ -21,12 +21,12 @@ from bo_tuner.figures.figure import (
 from bo_tuner.figures.palette import DIVERGING, SEQUENTIAL
 
 STOPS = 33
-"""Colours of a scale whose steps are not even."""
+"""Number of colours for a scale that is logarithmic or diverging."""
 
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """What a page shows for all elements of a name: ``kind`` is line, area or a marker's name."""
+    """The entry for all elements of one name; ``kind`` is line, area or a marker's name."""
 
     name: str
     kind: str
@@ -37,9 +37,9 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class ColorBar:
-    """A bar of colours: its title, its colours from low to high, and texts at some places.
+    """A colour bar: its title, its colours from low to high, and its ticks.
 
-    The places of ``stops`` and ``ticks`` are between 0 and 1.
+    The positions of ``stops`` and ``ticks`` are between 0 and 1.
     """
 
     title: str
@@ -48,7 +48,7 @@ class ColorBar:
 
 
 def legend(figure: Figure) -> list[LegendEntry]:
-    """List the names in a figure, in the order of their first element."""
+    """Return the legend entries of a figure, in the order of their first elements."""
     entries: dict[str, LegendEntry] = {}
     for element in (e for panel in figure.panels for e in panel.elements):
         name = getattr(element, "name", "")
@@ -62,14 +62,14 @@ def legend(figure: Figure) -> list[LegendEntry]:
                 entry = LegendEntry(name, element.marker, color, filled=element.filled)
             case _:
                 entry = LegendEntry(name, "area", element.color)
-        # Beside the field there is the ground of the page.
+        # In the legend, black elements are on the background of the page, not on a heatmap.
         on_page = Color.INK if entry.color is Color.BLACK else entry.color
         entries[name] = replace(entry, color=on_page)
     return list(entries.values())
 
 
 def color_bars(figure: Figure) -> list[ColorBar]:
-    """List the colour scales in a figure as bars."""
+    """Return the colour bars of a figure."""
     scales = dict.fromkeys(
         scale
         for panel in figure.panels
@@ -80,7 +80,7 @@ def color_bars(figure: Figure) -> list[ColorBar]:
 
 
 def place(scale: ColorScale, value: float) -> float:
-    """Where a value is on the bar of a scale, between 0 and 1."""
+    """Return the position of a value on the colour bar, between 0 and 1."""
     if scale.middle is not None:
         if value < scale.middle:
             return 0.5 * (value - scale.low) / (scale.middle - scale.low)
@@ -91,7 +91,7 @@ def place(scale: ColorScale, value: float) -> float:
 
 
 def stops(scale: ColorScale) -> list[tuple[float, str]]:
-    """Colours at places that are even in the value, as Plotly wants them."""
+    """Return colours at positions that are evenly spaced in the value, as Plotly needs them."""
     if scale.middle is None and scale.scale is Scale.LINEAR:
         return list(SEQUENTIAL)
     even = np.linspace(scale.low, scale.high, STOPS)

@@ -47,16 +47,16 @@ PANEL_WIDTH = 5.2
 """Width of a panel [inch]."""
 
 RESOLUTION = 150
-"""Of PNG files [dots per inch]."""
+"""Resolution of PNG files [dots per inch]."""
 
 LITTLE = 4.0
 """Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
 
 LETTER = 0.08
-"""Width of a letter in the legend [inch], a broad one of `STYLE`."""
+"""Width of a wide letter in the legend [inch], in the font of `STYLE`."""
 
 LEGEND_KEY = 0.6
-"""Width of what stands before a name in the legend, and of the gap behind it [inch]."""
+"""Width of a symbol in the legend with the gap behind its name [inch]."""
 
 STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -69,7 +69,7 @@ STYLE: Any = {
     "grid.color": "#dfe3e7",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "text.parse_math": False,  # names hold $ and _ as they are
+    "text.parse_math": False,  # names may contain $ and _
     "text.usetex": False,
     "svg.hashsalt": "bo_tuner",
     "svg.fonttype": "path",
@@ -91,7 +91,7 @@ DASHES: Mapping[Dash, Any] = {
     Dash.DASH_DOT: "-.",
 }
 PLAIN = FuncFormatter(lambda value, _: f"{value:.4g}")
-"""Numbers as they are: a power of ten needs the markup that names must not have."""
+"""Plain numbers: powers of ten would need the markup that is off for names."""
 
 UNFILLED = (Marker.CROSS, Marker.PLUS)
 
@@ -118,8 +118,8 @@ def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS)
 
 
 def render(figure: Figure, kind: str) -> bytes:
-    """Draw a figure; `kind` is one of `FORMATS`."""
-    # Without a date, which would differ from call to call.
+    """Return a figure as a file of a format, one of `FORMATS`."""
+    # Without a date, so that equal figures are equal files.
     metadata = {"Date": None} if kind == "svg" else {"Software": None}
     buffer = io.BytesIO()
     with mpl.rc_context(STYLE):
@@ -129,7 +129,7 @@ def render(figure: Figure, kind: str) -> bytes:
 
 
 def draw(figure: Figure) -> Sheet:
-    """Draw a figure on a sheet of Matplotlib's."""
+    """Draw a figure on a Matplotlib figure."""
     height = figure.panel_height / 96.0
     sheet = Sheet(
         figsize=(PANEL_WIDTH * figure.columns, height * figure.rows + 0.8), layout="constrained"
@@ -165,7 +165,7 @@ def draw(figure: Figure) -> Sheet:
 
 
 def _legend_columns(names: Iterable[str], width: float) -> int:
-    """Count the columns of a legend that fit into a width [inch]."""
+    """Return the number of legend columns that fit into a width [inch]."""
     letters = [len(name) for name in names]
     return max(1, min(len(letters), int(width / (LEGEND_KEY + LETTER * max(letters)))))
 
@@ -207,7 +207,7 @@ def _axis(
 
 
 def _element(ax: Any, element: Element, together: Sequence[Bars], order: int) -> Any:
-    """Draw an element and return what stands for it in the legend."""
+    """Draw an element and return its symbol for the legend."""
     match element:
         case Line():
             style = "steps-post" if element.step else "default"
@@ -293,7 +293,7 @@ def _heatmap(ax: Any, heatmap: Heatmap) -> None:
 
 
 def _edges(centres: Values, scale: str) -> NDArray[np.float64]:
-    """Borders of the cells of a heatmap: half-way between their centres as they are drawn."""
+    """Return the cell borders of a heatmap: half-way between the centres on the axis' scale."""
     places = np.asarray(centres, dtype=np.float64)
     places = np.log(places) if scale == Scale.LOG.value else places
     if len(places) < 2:

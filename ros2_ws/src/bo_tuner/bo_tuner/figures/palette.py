@@ -1,8 +1,8 @@
-"""Shades of the named colours on light and on dark ground, and the colours of fields.
+"""Shades of the named colours on light and dark backgrounds, and the colour maps.
 
-Each shade but paper and black has a contrast of at least 3:1 against the ground of its palette, as
-WCAG 2.2 (1.4.11) asks of what is needed to read a graphic. The hues are those of Okabe and Ito
-(2008), in other lightness where that needs it.
+Each shade but paper and black has a contrast of at least 3:1 against the background of its palette,
+as WCAG 2.2 (1.4.11) requires for graphics. The hues are those of Okabe and Ito (2008), with another
+lightness where the contrast requires it.
 """
 
 from bo_tuner.figures.figure import Color
@@ -47,7 +47,7 @@ SEQUENTIAL = (
     (0.875, "#e2ca50"),
     (1.0, "#ffea46"),
 )
-"""Cividis (Nuñez, Anderton and Renslow 2018): dark to bright, the same to all eyes."""
+"""Cividis (Nuñez, Anderton and Renslow 2018): dark to bright, safe for colour blindness."""
 
 DIVERGING = (
     (0.0, "#0b4f8a"),

@@ -20,10 +20,10 @@ CHARACTER = 7.0
 """Mean width of a character [px]."""
 
 LONG = 80
-"""Texts of ticks with more characters in all do not fit beside one another."""
+"""Tick labels with more characters in total do not fit side by side."""
 
 MARGINS = 78
-"""Above and below a panel [px]."""
+"""Margins above and below a panel [px]."""
 
 
 def panel_data(panel: Panel, height: int) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def panel_data(panel: Panel, height: int) -> dict[str, Any]:
     }
     title, label = text_of(panel.title), text_of(panel.y.title)
     if len(panel.y.title) * CHARACTER > height - MARGINS:
-        # Beside so low a panel the label of y would be cut off.
+        # In such a low panel the label of the y axis would be cropped.
         title, label = ": ".join(part for part in (title, label) if part), ""
     layout["title"] = {"text": title, "x": 0.01, "y": 0.98, "yanchor": "top", "font": {"size": 12}}
     layout["yaxis"]["title"] = {"text": label, "standoff": 4}
@@ -62,7 +62,7 @@ def panel_data(panel: Panel, height: int) -> dict[str, Any]:
 
 
 def resolve(data: Mapping[str, Any], shades: Mapping[Color, str]) -> dict[str, Any]:
-    """Put the shades of a palette in the place of the names of colours."""
+    """Replace the names of colours by the shades of a palette."""
 
     def shade(match: re.Match[str]) -> str:
         name, opacity = match.groups()

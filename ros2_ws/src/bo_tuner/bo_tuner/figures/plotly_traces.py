@@ -1,4 +1,4 @@
-"""Elements of a panel as traces of Plotly; colours stay names, see `plotly_renderer`."""
+"""Elements of a panel as Plotly traces; colours remain names, see `plotly_renderer`."""
 
 import html
 import math
@@ -26,7 +26,7 @@ from bo_tuner.figures.figure import (
 from bo_tuner.figures.keys import stops
 
 DIGITS = 6
-"""Significant digits of the data: more than an eye can see, less than a page can bear."""
+"""Significant digits of the data: more than is visible, few enough to keep the page small."""
 
 MARKERS = {
     Marker.CIRCLE: "circle",
@@ -81,7 +81,7 @@ def _line(line: Line) -> Trace:
 
 
 def _band(band: Band) -> Trace:
-    # One closed outline: forth along the lower edge and back along the upper one.
+    # One closed outline: forward along the lower edge and back along the upper one.
     x, low, high = _numbers(band.x), _numbers(band.lower), _numbers(band.upper)
     return {
         "type": "scatter",
@@ -101,7 +101,7 @@ def _points(points: Points) -> Trace:
         "size": points.size * PIXELS_PER_POINT,
         "symbol": MARKERS[points.marker],
         "color": f"@{points.color}",
-        # Sets it off from fields and other points.
+        # An outline makes it visible on heatmaps and other points.
         "line": {"width": 1, "color": f"@{Color.PAPER}"},
     }
     if points.values is not None and points.colors is not None:
@@ -200,7 +200,7 @@ def _region(region: Region) -> Trace:
         "x": _numbers(region.x),
         "y": _numbers(region.y),
         "z": _rows(region.z),
-        # Plotly shades what breaks the constraint.
+        # Plotly shades the region where the constraint is violated.
         "contours": {"type": "constraint", "operation": "<=", "value": region.above},
         "fillcolor": f"@{region.color}/0.6",
         "line": {"width": 0},
@@ -229,7 +229,7 @@ def _errors(y: Values, low: Values, high: Values, color: str) -> dict[str, Any]:
 
 
 def text_of(text: str) -> str:
-    """Escape what Plotly would read as markup; line breaks stay."""
+    """Escape what Plotly would interpret as markup; line breaks become its own."""
     return html.escape(text, quote=False).replace("\n", "<br>")
 
 

@@ -1,1 +1,1 @@
-"""Numerical building blocks that know nothing of tuning."""
+"""Numerical building blocks, independent of tuning."""

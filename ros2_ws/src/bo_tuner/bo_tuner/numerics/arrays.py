@@ -1,4 +1,4 @@
-"""The array type of this package."""
+"""The array type of the package's numerics."""
 
 import numpy as np
 from numpy.typing import NDArray

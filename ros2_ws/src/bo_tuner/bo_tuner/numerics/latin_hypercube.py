@@ -5,10 +5,9 @@ from numpy.typing import NDArray
 
 
 def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw points of which, in each dimension, one lies in each of `count` equal strata.
+    """Draw points such that, in each dimension, one lies in each of `count` equal strata.
 
-    Written here because the keyword for the generator of scipy's version changed its name between
-    the releases that we support.
+    Not SciPy's: the keyword for its generator has different names in the supported releases.
 
     Parameters
     ----------
@@ -17,7 +16,7 @@ def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> NDA
     dimension : int
         Dimension d of the cube.
     rng : numpy.random.Generator
-        Draws the order of the strata and the places within.
+        Draws the order of the strata and the position within each.
 
     Returns
     -------

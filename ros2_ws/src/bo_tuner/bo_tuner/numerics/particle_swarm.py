@@ -1,8 +1,8 @@
-"""Particle swarm optimisation over the unit cube, vectorised over the particles.
+"""Particle swarm optimization over the unit cube, vectorized over the particles.
 
 Each particle follows the best of its neighbours on a ring, not the best of all. The logarithm of an
-acquisition function has narrow peaks thousands of units above its plains; there a swarm that
-follows one leader often settles on the wrong peak.
+acquisition function has narrow peaks, thousands of units above the rest; on these a swarm that
+follows a single leader often converges to the wrong peak.
 
 References
 ----------
@@ -24,11 +24,11 @@ from bo_tuner.numerics.latin_hypercube import latin_hypercube
 Objective = Callable[[Array], Array]
 Repair = Callable[[Array], Array]
 
-# Clerc and Kennedy's constriction for φ1 = φ2 = 2.05: the swarm contracts for certain.
+# Clerc and Kennedy's constriction for φ1 = φ2 = 2.05, which ensures convergence.
 INERTIA = 0.7298
 ATTRACTION = 1.49618
 MAXIMUM_VELOCITY = 0.5
-# A particle hears this fraction of the swarm on either side of the ring.
+# A particle's neighbours on each side of the ring, as a fraction of the swarm.
 RING_FRACTION = 0.1
 
 
@@ -69,9 +69,9 @@ class SwarmResult:
     Attributes
     ----------
     position : ndarray, shape (d,)
-        Best repaired position.
+        Best admissible position.
     value : float
-        Objective there; -inf if it is -inf wherever the swarm has been.
+        Objective there; -inf if no evaluated position has a larger value.
     evaluations : int
         Number of points evaluated.
     """
@@ -90,10 +90,10 @@ def maximise(
     initial: Array | None = None,
     settings: SwarmSettings = SwarmSettings(),
 ) -> SwarmResult:
-    """Maximise a function over the unit cube.
+    """Maximize a function over the unit cube.
 
-    Particles move in the continuous cube; the objective sees, and the swarm remembers, only
-    repaired positions. So a particle can cross a cell of an integer in several small moves.
+    Particles move in the continuous cube, but the objective is evaluated at repaired positions, and
+    the best of these are kept. So a particle can cross the cell of an integer in several moves.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Every random draw of a run, derived from the study's seed and from what it is for.
+"""Random generators and noise seeds, derived from the study's seed and the purpose of a draw.
 
-A draw depends on the trial and the evaluation that it serves, never on the order of evaluation.
+A draw depends on its trial and evaluation, never on the order of work.
 """
 
 from enum import IntEnum
@@ -27,11 +27,11 @@ class Stream(IntEnum):
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:
-    """Random generator for one purpose; `key` holds for example trial and evaluation."""
+    """Return a generator for one purpose; `key` is for example the trial and the evaluation."""
     return np.random.default_rng(np.random.SeedSequence(study_seed, spawn_key=(stream, *key)))
 
 
 def noise_seed(study_seed: int, stream: Stream, *key: int) -> int:
-    """Seed for a node's own noise, below 2^31 so that every node can take it."""
+    """Return a seed for a node's noise, below 2^31 so that it fits a 32-bit integer."""
     sequence = np.random.SeedSequence(study_seed, spawn_key=(stream, *key))
     return int(sequence.generate_state(1, np.uint32)[0]) >> 1

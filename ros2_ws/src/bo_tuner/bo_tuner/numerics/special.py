@@ -1,7 +1,7 @@
-"""Logarithms of densities, probabilities and expected improvement that survive extreme inputs.
+"""Logarithms of densities, probabilities and expected improvement, stable for extreme inputs.
 
-Acquisition functions are compared far out in their tails, where the plain values underflow to
-zero; their logarithms still tell which point is better.
+Acquisition functions are compared far out in their tails, where the values themselves underflow to
+zero; their logarithms still rank the points.
 
 References
 ----------
@@ -16,7 +16,7 @@ from bo_tuner.numerics.arrays import Array
 
 LOG_SQRT_2PI = 0.5 * float(np.log(2.0 * np.pi))
 SQRT_HALF_PI = float(np.sqrt(0.5 * np.pi))
-# Beyond this many standard deviations z² overflows; nothing is lost by stopping there.
+# Beyond this many standard deviations z² would overflow.
 LARGEST_Z = 1e150
 # From here on the closed form of log h loses digits to cancellation; its series is exact.
 SERIES_FROM = 100.0
@@ -101,7 +101,7 @@ def log_expected_improvement(mean: Array, variance: Array, best: float) -> Array
     -------
     ndarray, shape (m,)
         Logarithm of the expected improvement in the unit of the mean; -inf where the variance is
-        zero: a known value is not worth an evaluation, whatever it is.
+        zero, since a known value is not worth an evaluation.
     """
     known = variance <= 0.0
     sd = np.sqrt(np.where(known, 1.0, variance))

@@ -1,4 +1,4 @@
-"""Running a recorded cut again, and telling whether it comes out the same."""
+"""Repeat a recorded evaluation and compare it with the record."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,16 +22,16 @@ BEST, WORST = "best", "worst"
 
 @dataclass(frozen=True)
 class Comparison:
-    """A metric of an evaluation, on record and run again.
+    """A metric in the record and in the replay.
 
     Attributes
     ----------
     metric
         The metric.
     recorded, replayed
-        Its values; None for an evaluation that is not complete.
+        Its values; None if the evaluation is not complete.
     judged
-        Whether they have to be equal.
+        Whether the values must be equal.
     """
 
     metric: Metric
@@ -41,12 +41,12 @@ class Comparison:
 
     @property
     def equal(self) -> bool:
-        """Whether they are equal to the last bit."""
+        """Whether the values are equal, bit for bit."""
         return self.recorded == self.replayed
 
     @property
     def difference(self) -> float | None:
-        """By how much the replay exceeds the record."""
+        """Replayed minus recorded value; None if one is missing."""
         if self.recorded is None or self.replayed is None:
             return None
         return self.replayed - self.recorded
@@ -54,14 +54,14 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Replay:
-    """A recorded evaluation and what came of it when it was run again.
+    """A recorded evaluation and its replay.
 
     Attributes
     ----------
     recorded, replayed
-        The evaluation.
+        The evaluation in the record, and when repeated.
     metrics
-        Of both.
+        Comparison of each metric of the study.
     """
 
     recorded: Evaluation
@@ -70,21 +70,21 @@ class Replay:
 
     @property
     def same_end(self) -> bool:
-        """Whether both ended in the same way, for the same reason if they failed."""
+        """Whether both ended in the same state, for the same reason if they failed."""
         one, other = self.recorded.outcome, self.replayed.outcome
         return (one.state, one.reason) == (other.state, other.reason)
 
     @property
     def confirmed(self) -> bool:
-        """Whether the replay is equal to the record in all that has to be."""
+        """Whether the state and all judged metrics are as recorded."""
         return self.same_end and all(row.equal for row in self.metrics if row.judged)
 
 
 def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """Run a recorded cut again: the same parameter set, context and seed.
 
-    What a clock measures differs from run to run. Such a metric is judged only where nothing is
-    measured, which is when both the record and the replay are in process.
+    A metric that is not reproducible depends on measured time, and is judged only if both the
+    record and the replay are in process, where no time is measured.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     recorded
         One of its evaluations.
     backend
-        Runs the evaluation; open.
+        Runs the evaluation; already open.
     """
     old = recorded
     new = evaluate(record.study, backend, old, NOBODY)
@@ -118,8 +118,8 @@ def find_trial(record: RunRecord, which: str) -> int:
     record
         The run.
     which
-        Its number; or `BEST`, the result, or what would be the result so far; or `WORST`, the
-        complete trial with the largest worst case (in a study without one: objective).
+        Its number; `BEST`, the result of the run or the best trial so far; or `WORST`, the complete
+        trial with the largest worst case (in a study without one: the worst mean objective).
 
     Raises
     ------
@@ -159,15 +159,15 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
     trial
         Number of the trial.
     index
-        Of the evaluation within the trial; None for its worst one: the one that failed, or else has
-        the largest value of the worst-case metric (in a study without one: the worst objective).
+        Index of the evaluation in the trial; None for the worst one: one that failed, or else the
+        one with the largest worst-case metric (in a study without one: the worst objective).
 
     Raises
     ------
     RunRecordError
         If there is no such evaluation.
     """
-    # A later one of the same place takes the place of one that a kill left behind.
+    # With the same index the later one counts; a killed process may have left the earlier one.
     evaluations = {
         item.index: item
         for item in record.evaluations
@@ -184,7 +184,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
 
 
 def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
-    """List what else the record was made with, as ``name then -> now``."""
+    """List the changes of provenance since the record, as ``name then -> now``."""
     of_the_moment = ("started", "process", "backend", "salvaged", "salvaged_from")
     return [
         f"{name} {then} -> {now[name]}"

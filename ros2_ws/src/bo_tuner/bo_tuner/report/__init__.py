@@ -1,1 +1,1 @@
-"""The report of a run: one page that explains its result in pictures."""
+"""The report of a run: one HTML page that explains its result with figures."""

@@ -1,4 +1,4 @@
-"""What a report says of a run is taken from here: trials, models, and the answer."""
+"""The data behind a report: the trials of a run, the models of them, and the answer."""
 
 import math
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
-from bo_tuner.report.sections.certified import CertificateFile, certificate
+from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
@@ -24,7 +24,7 @@ CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
 
 class Outcome:
-    """How a trial is shown."""
+    """Outcome of a trial, as displayed."""
 
     WITHIN = "within limits"
     VIOLATES = "violating"
@@ -46,7 +46,7 @@ class Analysis:
 
     @property
     def study(self) -> Study:
-        """The study as run."""
+        """The study of the run, with its command-line options."""
         return self.record.study
 
     @cached_property
@@ -64,7 +64,7 @@ class Analysis:
 
     @cached_property
     def models(self) -> Surrogates:
-        """Surrogates of all trials, those by which `rank` decides."""
+        """Surrogates of all trials, the same as in `rank`."""
         rng = generator(self.study.seed, Stream.ACQUISITION, 2**31, len(self.trials))
         options = ALGORITHMS[self.record.algorithm].models
         return Surrogates.fit(self.study, self.trials, rng=rng, options=options)
@@ -76,12 +76,12 @@ class Analysis:
 
     @cached_property
     def certificate(self) -> CertificateFile | None:
-        """What `validate` found, if it was asked."""
+        """The certificate, if `validate` has written one."""
         return certificate(self.record)
 
     @cached_property
     def answer(self) -> Trial | None:
-        """The trial of the result; while there is none, the one recommended so far."""
+        """The trial of the result; before there is one, the trial recommended so far."""
         if self.record.summary is None:
             return self.ranked[0].trial if self.ranked else None
         number = self.record.summary.get("trial")
@@ -92,7 +92,7 @@ class Analysis:
 
     @property
     def believed_feasible(self) -> bool:
-        """Whether the answer is believed to keep the limits, and did so in the validation."""
+        """Whether the answer is believed to keep the limits and, once validated, kept them."""
         if self.record.summary is not None:
             return self.record.summary.get("feasible") is True
         return bool(self.ranked) and self.ranked[0].believed_feasible
@@ -104,7 +104,7 @@ class Analysis:
 
     @cached_property
     def validations(self) -> tuple[Validation, Validation] | None:
-        """Default and tuned parameter set on the same fresh draws; None without a result."""
+        """Validation of the default and the tuned parameter set; None without a result."""
         if self.record.summary is None:
             return None
         try:
@@ -116,7 +116,7 @@ class Analysis:
         return default, tuned
 
     def outcome(self, trial: Trial) -> str:
-        """Tell by one of `Outcome` how a trial is shown."""
+        """Return the `Outcome` of a trial."""
         if trial.state is TrialState.FAILED:
             return Outcome.FAILED
         if trial.number in self.models.outliers:
@@ -125,7 +125,7 @@ class Analysis:
         return Outcome.WITHIN if within else Outcome.VIOLATES
 
     def mean_objective(self, trial: Trial) -> float:
-        """Mean of the objective's metric over the evaluations that estimate it; NaN without any."""
+        """Return the mean of the objective's metric over the drawn contexts; NaN without any."""
         seen = trial.observations(self.study.objective.metric)
         return sum(seen) / len(seen) if seen else math.nan
 
@@ -145,7 +145,7 @@ class Analysis:
                 and evaluation.outcome.state is EvaluationState.COMPLETE
             ):
                 value = evaluation.outcome.metrics[self.study.objective.metric]
-                # Of a validation, 0 is the default and 1 the tuned parameter set.
+                # In the validation, trial 0 is the default and trial 1 the tuned parameter set.
                 seen.setdefault(evaluation.index, {})[evaluation.trial] = value
         pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
         if len(pairs) < 2:
@@ -153,7 +153,7 @@ class Analysis:
         return float(pairs.mean()), float(pairs.std(ddof=1) / np.sqrt(len(pairs)))
 
     def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
-        """Whole evaluations of a parameter set, whatever they were run for."""
+        """Return the complete evaluations of a parameter set, of any stage."""
         space = self.study.search_space()
         key = space.key(self.tuned_values(parameters))
         return [

@@ -1,4 +1,4 @@
-"""What a report consists of: sections with text, tables and figures, in no markup."""
+"""The content of a report without markup: sections with text, tables and figures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,15 +14,15 @@ class Table:
     Attributes
     ----------
     caption
-        What it shows.
+        Caption, in plain text.
     header
-        A text for each column.
+        Heading of each column.
     rows
-        Texts, as many as columns; the first one names the row.
+        Texts, one for each column; the first is the heading of the row.
     numeric
-        Columns of numbers, which are set to the right.
+        Indices of the columns to align right.
     folded
-        Whether it is shown only on demand.
+        Whether the table is collapsed at first.
     """
 
     caption: str
@@ -34,20 +34,20 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of the report.
+    """A section of the report.
 
     Attributes
     ----------
     name
-        Its place in the page.
+        Its identifier in the page and its entry in the navigation.
     title
-        What it answers.
+        Heading.
     lead
-        The answer, in a sentence or two.
+        The message, in a sentence or two.
     figures, tables
-        What shows it.
+        Its figures and tables, in order.
     notes
-        What one should know of it.
+        Remarks at the end.
     """
 
     name: str
@@ -59,24 +59,24 @@ class Section:
 
 
 def number(value: float | None) -> str:
-    """Show a number by four digits."""
+    """Format a number with four digits; a dash for None and NaN."""
     if value is None or math.isnan(value):
         return "–"
     return f"{value:.4g}"
 
 
 def quantity(value: float | None, unit: str) -> str:
-    """Show a number with its unit."""
+    """Format a number with its unit."""
     return f"{number(value)} {unit}".rstrip()
 
 
 def values(mapping: Mapping[str, float]) -> str:
-    """Show named numbers in one line."""
+    """Format named numbers in one line."""
     return ", ".join(f"{name} {number(value)}" for name, value in mapping.items())
 
 
 def change(value: float, reference: float) -> str:
-    """Show how far a value is from a positive reference, in percent."""
+    """Format the change of a value relative to a positive reference, in percent."""
     if not (math.isfinite(value) and math.isfinite(reference) and reference > 0.0):
         return "–"
     return f"{100.0 * (value / reference - 1.0):+.1f} %"

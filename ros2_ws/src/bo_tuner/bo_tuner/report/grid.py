@@ -12,15 +12,15 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 
 POINTS = 41
-"""Most points along an axis of a contour plot."""
+"""Largest number of points along an axis of a contour plot."""
 
 FINE = 81
-"""Most points along a slice."""
+"""Largest number of points along a slice."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterGrid:
-    """Values of one tuned parameter, all others as they are.
+    """A grid of values of one tuned parameter.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ParameterGrid:
 
 
 def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) -> ParameterGrid:
-    """Make a grid of at most `most` values between the bounds; `at` has the tuned parameters."""
+    """Return a grid of at most `most` values between the bounds; `at` is a parameter set."""
     space = study.search_space()
     item = study.parameters[name]
     column = space.names.index(name)
@@ -67,7 +67,7 @@ def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) 
 
 
 def permitted(study: Study, points: Array) -> np.ndarray:
-    """Tell which points (n, d) of the cube keep the study's order of parameters, shape (n,)."""
+    """Return which points (n, d) of the cube satisfy the study's order, shape (n,)."""
     moved = np.abs(study.search_space().repair(points) - points)
     kept: np.ndarray = moved.max(axis=1) < 1e-9
     return kept

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no network, no other file."""
+"""The report as one self-contained HTML file, which needs no network and no other file."""
 
 import base64
 import hashlib
@@ -17,14 +17,14 @@ from bo_tuner.figures.plotly_renderer import panel_data
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.answer import answer
+from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
-from bo_tuner.report.sections.drift import drift
-from bo_tuner.report.sections.faults import faults
-from bo_tuner.report.sections.landscape import landscape
-from bo_tuner.report.sections.listing import all_trials, provenance
-from bo_tuner.report.sections.neighbours import neighbours
+from bo_tuner.report.sections.failures import failures
+from bo_tuner.report.sections.sensitivity import sensitivity
+from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
+from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.record import RunRecord
 
@@ -33,17 +33,17 @@ NAME = "report.html"
 
 
 def sections(analysis: Analysis) -> list[Section]:
-    """Make the sections of a run's report, in order; what a run cannot show is left out."""
+    """Return the sections of a run's report in order, without those that do not apply."""
     made = [
         None if analysis.certificate is None else analysis.certificate.section,
         convergence(analysis),
         contexts(analysis),
-        drift(analysis),
+        tolerance(analysis),
         trajectories(analysis),
-        landscape(analysis),
-        neighbours(analysis),
+        surrogates(analysis),
+        sensitivity(analysis),
         timing(analysis),
-        faults(analysis),
+        failures(analysis),
         all_trials(analysis),
         provenance(analysis),
     ]
@@ -51,7 +51,7 @@ def sections(analysis: Analysis) -> list[Section]:
 
 
 def figures(parts: Sequence[Section]) -> list[Figure]:
-    """List the figures of sections."""
+    """Return the figures of all sections."""
     return [figure for section in parts for figure in section.figures]
 
 
@@ -61,9 +61,9 @@ def write_report(run: RunRecord, path: Path) -> Path:
     Parameters
     ----------
     run
-        The run, which may be going on.
+        The run, which may still be in progress.
     path
-        The HTML file, replaced if it exists; its folder is made.
+        The HTML file, replaced if it exists; its folder is created.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def write_report(run: RunRecord, path: Path) -> Path:
 
 
 def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path:
-    """Write a page with given sections.
+    """Write the page with these sections to `path` and return it.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
         If the file cannot be written.
     """
     text = render(analysis, parts)
-    # Whole or not at all: a reader may reload while a run writes it again.
+    # Atomically: a browser may reload the page while it is written again.
     temporary = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
 
 
 def render(analysis: Analysis, parts: Sequence[Section]) -> str:
-    """Return the page as text."""
+    """Return the HTML of the page."""
     environment = Environment(
         loader=PackageLoader("bo_tuner.report"),
         autoescape=True,
@@ -127,7 +127,7 @@ def _panels(figure: Figure) -> list[dict[str, Any]]:
 
 
 def _plotly() -> str:
-    """Return Plotly's library, by its file: all of the package takes a second to import."""
+    """Return Plotly's script from its file: importing the package takes a second."""
     path = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
     return path.read_text(encoding="utf-8").strip()
 

@@ -1,7 +1,7 @@
-"""Checks of single values that come from a study file.
+"""Checks of single values from a study file.
 
-Each returns the value in its Python type or raises a `StudyError`; `path` leads from the object
-that is checked to the value.
+Each returns the value in its Python type or raises a `StudyError`; `path` is the key path to the
+value, relative to the object that is checked.
 """
 
 import difflib
@@ -27,7 +27,7 @@ OBJECT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_
 
 
 def show(value: object) -> str:
-    """Return a short one-line description of a value for an error text."""
+    """Return a short one-line description of a value for an error message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -46,12 +46,12 @@ def show(value: object) -> str:
 
 
 def quoted(value: str) -> str:
-    """Return text in quotation marks, on one line and not too long, for an error text."""
+    """Return text in quotation marks, on one line and shortened, for an error message."""
     return repr(value) if len(value) <= 60 else f"{value[:57]!r}..."
 
 
 def suggestion(value: str, allowed: Iterable[str]) -> str:
-    """Return "did you mean ..." for a slip of the pen, otherwise what is allowed."""
+    """Return "did you mean ..." for a likely typo, otherwise the allowed names."""
     names = list(allowed)
     near = [name for name in names if len(value) > 2 and value in name]
     near += difflib.get_close_matches(value[:80], names, n=1, cutoff=0.7)
@@ -106,7 +106,7 @@ def text(value: object, *path: str | int) -> str:
 
 
 def matching(value: object, pattern: re.Pattern[str], expected: str, *path: str | int) -> str:
-    """Return `value` if it is text of the form `pattern`, which `expected` puts into words."""
+    """Return `value` if it is text that matches `pattern`, which `expected` describes."""
     if not isinstance(value, str) or not pattern.fullmatch(value):
         raise StudyError(f"expected {expected}, found {show(value)}", path)
     return value
@@ -118,7 +118,7 @@ def parameter_name(value: object, *path: str | int) -> str:
 
 
 def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:
-    """Return `value` if it is one of the words `allowed`."""
+    """Return `value` if it is one of `allowed`."""
     if not isinstance(value, str):
         raise StudyError(f"expected one of {', '.join(allowed)}, found {show(value)}", path)
     if value not in allowed:
@@ -127,7 +127,7 @@ def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:
 
 
 def reference(value: object, kind: str, known: Iterable[str], *path: str | int) -> str:
-    """Return `value` if it names a known `kind` of thing, such as a node."""
+    """Return `value` if it names a known object of a `kind`, such as a node."""
     names = list(known)
     if not isinstance(value, str):
         raise StudyError(f"expected the name of a {kind}, found {show(value)}", path)
@@ -160,9 +160,9 @@ def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]
 
 
 def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
-    """Refuse bounds that are reversed, or whose width cannot be computed with.
+    """Refuse bounds that are equal or reversed, or whose width overflows or underflows.
 
-    `instead` says what to write for a value that does not vary.
+    `instead` tells the user what to write for a value that does not vary.
     """
     if lower > upper:
         raise StudyError(f"lower bound {lower} is not below upper bound {upper}", path)

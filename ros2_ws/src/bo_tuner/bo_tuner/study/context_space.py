@@ -1,4 +1,4 @@
-"""The context: a box for the worst-case search, a distribution for the draws."""
+"""The context space: a box for the worst-case search, a distribution for random draws."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,7 @@ CANDIDATES = 24
 class ContextSpace:
     """Independent context variables in a fixed order.
 
-    In the shapes below, d is the number of variables (0 is allowed: nothing to perturb) and n any
+    In the shapes below, d is the number of variables (0 is allowed: no context varies) and n any
     number of contexts.
 
     Parameters
@@ -41,7 +41,7 @@ class ContextSpace:
         return len(self.names)
 
     def nominal(self) -> Array:
-        """Return the context that the controller's model assumes, shape (d,), own units."""
+        """Return the context of all nominal values, shape (d,), in their own units."""
         return np.array([item.nominal for item in self.distributions])
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
@@ -64,18 +64,18 @@ class ContextSpace:
         return self._at_quantiles(rng.random((count, self.dimension)))
 
     def draw_stratified(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw contexts that together cover their distribution evenly.
+        """Draw a Latin hypercube sample of contexts (McKay, Beckman and Conover 1979).
 
-        Each single one follows the distribution, but of n values of a variable one lies in each
-        of its n quantile ranges, independently arranged for each variable (Latin hypercube; McKay,
-        Beckman and Conover 1979). A mean over them varies less than over independent draws.
+        Each context follows the distribution, and of the n values of a variable exactly one lies in
+        each of its n equally probable ranges. A mean over them has a smaller variance than one over
+        independent draws.
 
         Parameters
         ----------
         count : int
             Number of contexts, n.
         rng : numpy.random.Generator
-            Source of the arrangement and the places within the ranges.
+            Draws the order of the ranges and the position within each.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class ContextSpace:
         Parameters
         ----------
         cube : array_like, shape (n, d)
-            Points; what lies outside [0, 1] is clipped.
+            Points; coordinates outside [0, 1] are clipped.
 
         Returns
         -------
@@ -100,7 +100,7 @@ class ContextSpace:
         Raises
         ------
         ParameterError
-            If the shape is another or a point is not finite.
+            If the shape is wrong or a point is not finite.
         """
         points = np.clip(self._rows(cube, "cube"), 0.0, 1.0)
         return self.clip(self.lower + points * (self.upper - self.lower))
@@ -111,7 +111,7 @@ class ContextSpace:
         Raises
         ------
         ParameterError
-            If the shape is another or a context is not finite.
+            If the shape is wrong or a context is not finite.
         """
         rows = self._rows(contexts, "contexts")
         cube: Array = (rows - self.lower) / (self.upper - self.lower)
@@ -123,7 +123,7 @@ class ContextSpace:
         Raises
         ------
         ParameterError
-            If the shape is another or a context is not finite.
+            If the shape is wrong or a context is not finite.
         """
         rows = self._rows(contexts, "contexts").copy()
         for column, item in enumerate(self.distributions):
@@ -136,7 +136,7 @@ class ContextSpace:
         Raises
         ------
         ParameterError
-            If the shape is another or a value is not finite.
+            If the shape is wrong or a value is not finite.
         """
         row = self._rows(np.asarray(context, dtype=np.float64)[None], "context")[0]
         return dict(zip(self.names, row.tolist(), strict=True))
@@ -160,7 +160,7 @@ class ContextSpace:
         return self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
 
     def _at_quantiles(self, probability: Array) -> Array:
-        """Return the contexts (n, d) below which each variable stays with these probabilities."""
+        """Return the contexts at the quantiles of each variable, both of shape (n, d)."""
         contexts = np.empty_like(probability)
         for column, item in enumerate(self.distributions):
             contexts[:, column] = item.ppf(probability[:, column])

@@ -1,7 +1,7 @@
-"""Distributions of the context, all with bounded support, and the space they span.
+"""Distributions of a context variable, all with bounded support.
 
-Bounded, because the worst case over an unbounded context does not exist. Each distribution is one
-frozen class whose fields are the keys of the study file.
+Bounded, because over an unbounded context there may be no worst case. Each distribution is a frozen
+class whose fields are the keys of the study file.
 """
 
 from abc import ABC, abstractmethod
@@ -17,17 +17,17 @@ from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 
-# Stands for a nominal value that was not given; `__post_init__` replaces it.
+# Placeholder for a nominal value that was not given; `__post_init__` replaces it.
 _DEFAULT = cast(float, None)
 
 
 class Distribution(ABC):
-    """A distribution on a bounded support.
+    """A distribution with bounded support.
 
     Attributes
     ----------
     nominal : float
-        The value that the controller's designer assumed.
+        The value that the design of the controller assumes.
     """
 
     kind: ClassVar[str]
@@ -71,23 +71,6 @@ class Distribution(ABC):
             quantiles = np.asarray(self._quantile(q), dtype=np.float64)
         return np.clip(quantiles, self.lower, self.upper)
 
-    def sample(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> Array:
-        """Draw independent values by inversion: one uniform number for each.
-
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of the uniform numbers.
-        size : int or tuple of int
-            Shape of the result.
-
-        Returns
-        -------
-        ndarray, shape `size`
-            Values in the support, in the variable's unit.
-        """
-        return self.ppf(rng.random(size))
-
     def clip(self, values: ArrayLike) -> Array:
         """Return the nearest value of the support for each of `values`, shape (...)."""
         return np.clip(np.asarray(values, dtype=np.float64), self.lower, self.upper)
@@ -95,7 +78,7 @@ class Distribution(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class _Continuous(Distribution):
-    """What the continuous distributions share: an interval and a nominal value in it."""
+    """Base of the continuous distributions: an interval and a nominal value in it."""
 
     bounds: tuple[float, float]
     nominal: float = _DEFAULT
@@ -142,7 +125,7 @@ class _Continuous(Distribution):
 
 @dataclass(frozen=True, kw_only=True)
 class TruncatedNormal(_Continuous):
-    """Normal distribution cut off at the bounds.
+    """Normal distribution truncated at the bounds.
 
     `mean` and `standard_deviation` are those of the normal distribution before the evaluation; the
     nominal value is the mean, or the bound nearest to it.
@@ -237,7 +220,7 @@ class Triangular(_Continuous):
 class Discrete(Distribution):
     """Finitely many `values`, strictly increasing, each with its probability.
 
-    The nominal value is the most probable one, the smallest of several.
+    The nominal value is the most probable one, or the smallest of several such values.
     """
 
     kind: ClassVar[str] = "discrete"
@@ -288,7 +271,7 @@ class Discrete(Distribution):
         return self.values[-1]
 
     def _quantile(self, probability: Array) -> Array:
-        # The last value takes what rounding leaves of the sum.
+        # The last value absorbs the rounding error of the sum.
         cumulative = np.cumsum(self.probabilities)[:-1]
         return np.asarray(self.values)[np.searchsorted(cumulative, probability, side="left")]
 

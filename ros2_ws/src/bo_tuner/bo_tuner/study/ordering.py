@@ -33,7 +33,7 @@ class PartialOrder:
         return bool(self._below[i, j])
 
     def tighten(self, lower: Array, upper: Array) -> tuple[Array, Array]:
-        """Return the bounds that the constraints leave of `lower` and `upper`, each of shape (d,).
+        """Tighten `lower` and `upper` to what the constraints permit; all have shape (d,).
 
         The order can be satisfied if and only if no returned lower bound exceeds its upper bound;
         clipping an ordered row to the returned bounds keeps it ordered.
@@ -54,9 +54,9 @@ class PartialOrder:
     def project(self, values: Array) -> Array:
         """Return ordered rows close to `values`, shape (n, d); ordered rows stay as they are.
 
-        Each value becomes the mean of the largest value that should lie below it and the smallest
-        that should lie above it, both of which are ordered. Two values in the wrong order meet in
-        their middle, which is the nearest ordered pair.
+        Each value becomes the mean of the largest value that must not exceed it and the smallest
+        that it must not exceed, itself included; both of these are ordered. Two values in the wrong
+        order both become their mean, which is the nearest ordered pair.
         """
         if not self.pairs:
             return values
@@ -69,8 +69,8 @@ class PartialOrder:
     def swap(self, values: Array) -> Array:
         """Return rows of `values`, shape (n, d), with values exchanged until they are ordered.
 
-        Unlike `project` this keeps a random design spread out: no two values become equal. Values
-        inside bounds from `tighten` stay inside them.
+        Unlike `project`, this makes no two values equal, so a random design stays spread out.
+        Values within the bounds of `tighten` stay within them.
         """
         ordered = values.copy()
         while not np.all(self.satisfied(ordered)):

@@ -1,4 +1,4 @@
-"""One parameter of the parameter set: tuned, tied to another one, or fixed."""
+"""A parameter of a study: tuned, tied to another one, or fixed."""
 
 from dataclasses import dataclass
 
@@ -7,38 +7,38 @@ from bo_tuner.study import checks
 
 Number = int | float
 
-# Above, neighbouring integers are the same double, with which the unit cube is computed.
+# Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A ROS parameter that belongs to the parameter set; `bounds`, `tied_to` or `fixed`.
+    """A ROS parameter of the study; has `bounds`, `tied_to` or `fixed`.
 
     Attributes
     ----------
     name : str
         Name in the study.
     node : str
-        Node in the study whose parameter this is.
+        Node of the study that has the parameter.
     type : str
         `integer` or `double`, as ROS calls the type.
     bounds : tuple of two numbers, optional
-        Lowest and highest value; makes the parameter a tuned one.
+        Smallest and largest value; makes the parameter a tuned one.
     tied_to : str, optional
         Tuned or fixed parameter whose value this one takes.
     fixed : int or float, optional
         Value in every trial.
     default : int or float, optional
-        Hand-tuned value, the point of comparison. Needed for a tuned parameter; follows for the
-        others, see `SearchSpace.defaults`.
+        Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; derived
+        for the others, see `SearchSpace.defaults`.
     scale : str
-        `linear`, or `log` for a positive parameter whose ratios matter rather than differences:
+        `linear`, or `log` for a positive parameter whose ratios matter rather than its differences:
         the surrogates then see its logarithm.
     unit : str
-        Unit, for people.
+        Unit, for display only.
     minimum_correlation : float, optional
-        Correlation of the surrogates between neighbouring integers is at least this.
+        Lower bound of the surrogates' correlation between neighbouring integers.
     parameter : str
         Name of the parameter in the node; `name` unless given.
     """
@@ -121,9 +121,7 @@ class Parameter:
         object.__setattr__(self, "default", default)
         if self.minimum_correlation is not None:
             if not self.is_integer:
-                raise StudyError(
-                    "a double has no neighbouring values; leave it out", ("minimum_correlation",)
-                )
+                raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
             correlation = checks.fraction(self.minimum_correlation, "minimum_correlation")
             object.__setattr__(self, "minimum_correlation", correlation)
 

@@ -1,6 +1,6 @@
 """The parts of a study. Each class checks its own fields.
 
-A broken rule is a `StudyError` whose path leads from the object to the value.
+A violated rule raises a `StudyError` with the key path from the object to the value.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ CHANCE, WORST_CASE = "chance", "worst_case"
 
 @dataclass(frozen=True, kw_only=True)
 class NodeSpec:
-    """A node that takes parameters or gives metrics.
+    """A node that takes parameters or reports metrics.
 
     Attributes
     ----------
@@ -35,13 +35,13 @@ class NodeSpec:
     result : str
         Topic with the metrics of an evaluation; `~/` stands for the node's own name.
     package, executable : str, optional
-        What to start; needed unless the node runs already.
+        Executable to start; required unless the node is already running.
     object : str, optional
-        `module:name` of the same without ROS; needed for the in-process backend.
+        `module:name` of the same system without ROS; required for the in-process backend.
     parameters : mapping from str to value
         Set once, before the first trial.
     inprocess_parameters : mapping from str to value
-        Set over `parameters` on the in-process backend.
+        Override `parameters` on the in-process backend.
     """
 
     name: str
@@ -78,18 +78,18 @@ class NodeSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class ContextVariable:
-    """A double parameter that changes from cut to evaluation.
+    """A double parameter that varies from evaluation to evaluation.
 
     Attributes
     ----------
     name : str
         Name in the study.
     node : str
-        Node in the study that has the parameter.
+        Node of the study that has the parameter.
     distribution : Distribution
-        Which values occur how often.
+        Distribution of its values in operation.
     unit : str
-        Unit, for people.
+        Unit, for display only.
     parameter : str
         Name of the parameter in the node; `name` unless given.
     """
@@ -142,10 +142,10 @@ class Trigger:
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A number that `node` gives after an evaluation, under `key` (its `name` unless given).
+    """A number that `node` reports after an evaluation, under `key` (its `name` unless given).
 
-    One that a node measures by the clock is not `reproducible`: over ROS it differs when the same
-    evaluation is run again, and `replay` does not judge it.
+    A metric that depends on measured time is not `reproducible`: over ROS it differs when the same
+    evaluation is repeated, and `replay` does not judge it.
     """
 
     name: str
@@ -170,7 +170,7 @@ class Metric:
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """The metric whose expectation over the contexts is to become small or large.
+    """The metric whose expectation over the contexts is optimized.
 
     Attributes
     ----------
@@ -194,11 +194,11 @@ class Objective:
 
     @property
     def sign(self) -> float:
-        """Factor that makes a metric the better the smaller it is: 1, or -1 to maximize."""
+        """Factor that turns the metric into a cost: 1 to minimize, -1 to maximize."""
         return 1.0 if self.direction == MINIMIZE else -1.0
 
     def to_cost(self, values: ArrayLike) -> Array:
-        """Return costs, the smaller the better, for metric values, both of shape (...).
+        """Return costs, smaller is better, for metric values, both of shape (...).
 
         On the log scale a value that is not positive gives NaN.
         """
@@ -213,17 +213,17 @@ class Objective:
         return np.exp(values) if self.scale == LOG else values
 
 
-SINGLE_CUT_PROBABILITY = 0.85
-"""With this probability an evaluation in the worst context shall stay within the limit (Eq. 3f).
+SINGLE_EVALUATION_PROBABILITY = 0.85
+"""Probability with which a single evaluation in the worst context must keep the limit (Eq. 3f).
 
-On the machine a single run does the damage, so its noise counts, although the worst case itself
-is an expectation over it. The paper's maximum of observations has the noise in it already.
+The worst case is an expectation over noise, but on the machine a single run does the damage, so
+its noise counts as well. The paper's maximum of observations already contains the noise.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constraint:
-    """An upper limit of a metric.
+    """An upper limit on a metric.
 
     Attributes
     ----------
@@ -238,8 +238,8 @@ class Constraint:
     upper : float
         The limit, in the metric's unit.
     probability : float
-        Between 0 and 1. A `chance` constraint needs one. Of a `worst_case` one, 0.5 leaves only
-        the expectation, and less is not permitted; `SINGLE_CUT_PROBABILITY` if left out.
+        Between 0 and 1. Required for a `chance` constraint. For a `worst_case` one at least 0.5,
+        which leaves the expectation alone; default `SINGLE_EVALUATION_PROBABILITY`.
     """
 
     name: str
@@ -259,7 +259,7 @@ class Constraint:
             raise StudyError(
                 "missing; a chance constraint needs one, such as 0.96", ("probability",)
             )
-        given = SINGLE_CUT_PROBABILITY if left_out else self.probability
+        given = SINGLE_EVALUATION_PROBABILITY if left_out else self.probability
         probability = checks.fraction(given, "probability")
         if self.kind == WORST_CASE and probability < 0.5:
             raise StudyError(
@@ -270,31 +270,31 @@ class Constraint:
 
     @property
     def allowed(self) -> float:
-        """Share of draws from the contexts' distribution that may exceed the limit."""
+        """Largest permitted probability of a violation; 0 for a worst case."""
         return 0.0 if self.kind == WORST_CASE else 1.0 - self.probability
 
     @property
     def deviations(self) -> float:
-        """Standard deviations between mean and limit of a normal metric that keeps it so often."""
+        """Standard deviations between the mean of a normal metric and a limit kept so often."""
         return float(ndtri(self.probability))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Budget:
-    """How much may be tried.
+    """Number of trials and evaluations.
 
     Attributes
     ----------
     trials : int
-        Parameter sets in all, with the initial design.
+        Trials, each of one parameter set, including the initial design.
     initial_trials : int
-        Parameter sets of the initial design.
+        Trials of the initial design.
     drawn_contexts : int
-        Evaluations of a trial in contexts drawn from their distribution.
+        Evaluations per trial in contexts drawn from their distribution.
     search_evaluations : int
-        Most evaluations of a trial in the search of the worst context.
+        Largest number of evaluations per trial in the search for the worst context.
     validation_draws : int
-        Fresh draws for the validation of a result.
+        Fresh draws of context and noise for the validation of the result.
     """
 
     trials: int

@@ -1,10 +1,10 @@
-"""The search space: the unit cube that the optimizer sees, and the parameters that nodes take.
+"""The search space: maps the optimizer's unit cube to parameter sets, and back.
 
-Scaling. A tuned parameter v with bounds [lower, upper] lies at the cube coordinate
+Scaling. A tuned parameter v with bounds [lower, upper] has the cube coordinate
 z = (s(v) - s(lower)) / (s(upper) - s(lower)), where s is the logarithm for a parameter on the log
-scale and the identity otherwise. An integer is represented by its own coordinate, so that repaired
-positions are constant within an integer; the surrogates therefore see what the node gets
-(Garrido-Merchan and Hernandez-Lobato 2020).
+scale and the identity otherwise. All positions that round to the same integer are repaired to the
+coordinate of that integer, so the surrogates see the value that the node gets (Garrido-Merchán and
+Hernández-Lobato 2020).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,15 +16,15 @@ from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.parameter import Number, Parameter
-from bo_tuner.study.parametrization import Parametrization
+from bo_tuner.study.parameter_space import ParameterSpace
 
-# Doubles that differ by less than this part of their range count as the same parameter set.
+# Parameter sets whose doubles differ by less than this fraction of their range count as the same.
 RESOLUTION = 1e-6
 
 STEP = 0.05
-"""A step to a neighbour in a double is this part of its range, on its scale; in an integer it is 1.
+"""Step to a neighbour, as a fraction of a double's range on its scale; an integer's step is 1.
 
-The same in all runs, so that what is said of neighbours can be compared between them.
+Fixed, so that the sensitivity to a step can be compared between runs.
 """
 
 
@@ -36,7 +36,7 @@ class SearchSpace:
     Parameters
     ----------
     parameters : iterable of Parameter
-        All parameters of a parameter set; tuned ones become the columns, in this order.
+        All parameters of the study; the tuned ones become the columns, in this order.
     order : sequence of (str, str)
         Names (a, b) of parameters with a <= b in every parameter set.
 
@@ -49,32 +49,32 @@ class SearchSpace:
     names : tuple of str
         Tuned parameters, one for each column.
     lower, upper : ndarray, shape (d,)
-        Bounds of the tuned parameters, in own units.
+        Bounds of the tuned parameters, in their own units.
 
     Raises
     ------
     StudyError
-        If a reference leads nowhere, nothing is tuned, or the order cannot be satisfied or is
+        If a reference is unknown, no parameter is tuned, or the order cannot be satisfied or is
         violated by the defaults.
     """
 
     def __init__(
         self, parameters: Iterable[Parameter], order: Sequence[tuple[str, str]] = ()
     ) -> None:
-        self._parametrization = Parametrization(parameters, order)
-        self.parameters = self._parametrization.parameters
-        self.order = self._parametrization.order
-        self.names = self._parametrization.names
-        self.lower = self._parametrization.lower
-        self.upper = self._parametrization.upper
-        self._tuned = self._parametrization.tuned
+        self._space = ParameterSpace(parameters, order)
+        self.parameters = self._space.parameters
+        self.order = self._space.order
+        self.names = self._space.names
+        self.lower = self._space.lower
+        self.upper = self._space.upper
+        self._tuned = self._space.tuned
         self.integer = np.array([item.is_integer for item in self._tuned])
         self._log = np.array([item.scale == "log" for item in self._tuned])
         self._scaled_lower = self._scaled(self.lower)
         self._scaled_width = self._scaled(self.upper) - self._scaled_lower
-        self._order = self._parametrization.partial_order
-        # What the order leaves of the bounds.
-        self._low, self._high = self._parametrization.permitted
+        self._order = self._space.partial_order
+        # The bounds, tightened by the order.
+        self._low, self._high = self._space.permitted
 
     @property
     def dimension(self) -> int:
@@ -83,8 +83,8 @@ class SearchSpace:
 
     @property
     def defaults(self) -> dict[str, Number]:
-        """The hand-tuned parameter set, with tied and fixed parameters."""
-        return dict(self._parametrization.defaults)
+        """The hand-tuned parameter set, including tied and fixed parameters."""
+        return dict(self._space.defaults)
 
     def to_parameters(self, cube: ArrayLike) -> dict[str, Number]:
         """Return the repaired parameter set at a point of the unit cube.
@@ -97,20 +97,20 @@ class SearchSpace:
         Returns
         -------
         dict from str to int or float
-            All parameters, tied and fixed ones too, in own units and in the study's order.
+            All parameters, including tied and fixed ones, in own units and in the study's order.
 
         Raises
         ------
         ParameterError
-            If the shape is another or the point is not finite.
+            If the shape is wrong or the point is not finite.
         """
         point = np.asarray(cube, dtype=np.float64)
         if point.shape != (self.dimension,):
             raise ParameterError(f"cube: expected shape ({self.dimension},), found {point.shape}")
-        return self._parametrization.complete(self._values(point[None])[0])
+        return self._space.complete(self._values(point[None])[0])
 
     def to_cube(self, parameters: Mapping[str, Number]) -> Array:
-        """Return the point of the unit cube, shape (d,), where a parameter set lies.
+        """Return the point of the unit cube, shape (d,), for a parameter set.
 
         Parameters
         ----------
@@ -122,13 +122,13 @@ class SearchSpace:
         ParameterError
             If a tuned parameter is missing, of a wrong type or out of bounds, or a name is unknown.
         """
-        return self._to_unit(self._parametrization.row(parameters))
+        return self._to_unit(self._space.row(parameters))
 
     def repair(self, positions: ArrayLike) -> Array:
-        """Move positions to points that stand for a permitted parameter set.
+        """Move positions to points that represent a permitted parameter set.
 
-        Clips to the cube, moves parameters in the wrong order to their middle, and integers to
-        their nearest representative. A second repair changes nothing (to rounding).
+        Clips to the cube, moves parameters in the wrong order to their mean, and rounds integers.
+        A second repair changes nothing (to rounding).
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class SearchSpace:
         Raises
         ------
         ParameterError
-            If the shape is another or a position is not finite.
+            If the shape is wrong or a position is not finite.
         """
         rows = np.asarray(positions, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.dimension:
@@ -153,17 +153,17 @@ class SearchSpace:
         return self._to_unit(self._values(rows))
 
     def key(self, parameters: Mapping[str, Number]) -> tuple[Number, ...]:
-        """Return what two parameter sets share when they count as the same one.
+        """Return a hashable key that equal parameter sets share.
 
-        The tuned values in own units: integers as they are, doubles rounded to the decimal place
-        at or below one millionth of their range.
+        The tuned values in own units: integers unchanged, doubles rounded to the decimal place at
+        or below `RESOLUTION` times their range.
 
         Raises
         ------
         ParameterError
             As `to_cube`.
         """
-        row = self._parametrization.row(parameters)
+        row = self._space.row(parameters)
         places = -np.floor(np.log10(RESOLUTION * (self.upper - self.lower))).astype(int)
         return tuple(
             int(value) if integer else round(value, int(digits))
@@ -173,21 +173,21 @@ class SearchSpace:
     def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
-        Each parameter's permitted range is cut into n equal strata with one point in each; all
-        integers are equally likely, also the outermost. Values in the wrong order are exchanged,
-        equal parameter sets are moved to the nearest integers that are still free.
+        Each parameter's permitted range is divided into n equal strata with one point in each; all
+        integers are equally likely, including the outermost. Values in the wrong order are swapped,
+        and repeated parameter sets are moved to the nearest integers that are still free.
 
         Parameters
         ----------
         count : int
             Number of points, n, at least 1.
         rng : numpy.random.Generator
-            Source of the strata's order and the places within.
+            Draws the order of the strata and the position within each.
 
         Returns
         -------
         ndarray, shape (n, d)
-            Repaired points of the unit cube, all different as long as the space has enough.
+            Repaired points of the unit cube, all different if the space has enough.
         """
         if count < 1:
             raise ParameterError(f"count: expected at least 1 point, found {count}")
@@ -202,8 +202,8 @@ class SearchSpace:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
 
         A squared-exponential kernel correlates integers that are d apart in the cube by at least
-        c = `minimum_correlation` if l >= d / sqrt(-2 ln c), here for the neighbours that are
-        farthest apart: 1 / (upper - lower) on the linear scale, the lowest two on the log scale.
+        c = `minimum_correlation` if l >= d / sqrt(-2 ln c). Here d is the largest distance between
+        neighbours: 1 / (upper - lower) on the linear scale, that of the two lowest on a log scale.
         The paper's 0.22 is this bound in its own scaling of the horizons, for c = 0.1 (Sec. 3).
         0 where the study sets no minimum.
         """
@@ -226,7 +226,7 @@ class SearchSpace:
         Returns
         -------
         list of dict from str to int or float
-            For each tuned integer, one below and one above, as far as bounds and order permit;
+            For each tuned integer, one below and one above where bounds and order permit it;
             doubles as in `parameters`, tied parameters follow.
 
         Raises
@@ -234,7 +234,7 @@ class SearchSpace:
         ParameterError
             As `to_cube`.
         """
-        row = self._parametrization.row(parameters)
+        row = self._space.row(parameters)
         neighbours = []
         for column in np.flatnonzero(self.integer):
             for step in (-1.0, 1.0):
@@ -242,7 +242,7 @@ class SearchSpace:
                 moved[column] += step
                 inside = self._low[column] <= moved[column] <= self._high[column]
                 if inside and self._order.satisfied(moved[None])[0]:
-                    neighbours.append(self._parametrization.complete(moved))
+                    neighbours.append(self._space.complete(moved))
         return neighbours
 
     def neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
@@ -256,8 +256,8 @@ class SearchSpace:
         Returns
         -------
         list of dict from str to int or float
-            The integer neighbours, then for each tuned double one below and one above, moved into
-            bounds and order; whole parameter sets.
+            The integer neighbours, then for each tuned double one below and one above, repaired to
+            bounds and order; all parameters of each.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class SearchSpace:
             As `to_cube`.
         """
         found = self.integer_neighbours(parameters)
-        row = self._parametrization.row(parameters)
+        row = self._space.row(parameters)
         at = self.repair(self.to_cube(parameters)[None])
         for column in np.flatnonzero(~self.integer):
             for step in (-STEP, STEP):
@@ -273,9 +273,9 @@ class SearchSpace:
                 moved[0, column] += step
                 moved = self.repair(moved)
                 if np.any(moved != at):
-                    # A value that stays does so to the last digit.
+                    # Values that do not move are kept bit for bit.
                     values = np.where(moved == at, row, self._values(moved))
-                    found.append(self._parametrization.complete(values[0]))
+                    found.append(self._space.complete(values[0]))
         return found
 
     def _values(self, positions: Array) -> Array:

@@ -1,8 +1,8 @@
-"""A strict reading of YAML for files that people write by hand.
+"""A strict YAML reader and writer for files that people edit by hand.
 
-Built on the parser's events, so that no object is ever constructed: a document of mappings,
-lists and scalars, without tags, anchors and repeated keys. Plain scalars follow the core schema
-of YAML 1.2, in which 1e-3 is a number and `on` is text, unlike in the loader of PyYAML.
+Reads the parser's events, so no Python object is ever constructed: a document of mappings, lists
+and scalars, without tags, anchors or repeated keys. Plain scalars follow the core schema of
+YAML 1.2, in which 1e-3 is a number and `on` is text, unlike PyYAML's loader.
 """
 
 import re
@@ -33,14 +33,14 @@ _MAX_DIGITS = 25
 
 @dataclass
 class Document:
-    """What a YAML text holds.
+    """A parsed YAML document.
 
     Attributes
     ----------
     value : object
-        Dictionaries, lists and scalars.
+        Nested dictionaries, lists and scalars.
     lines : dict from path to int
-        Line of each key and list item, from 1, by the keys and positions that lead to it.
+        Line of each key and list item, from 1, by its key path.
     """
 
     value: object = None
@@ -55,15 +55,10 @@ def parse(text: str) -> Document:
     text : str
         The document.
 
-    Returns
-    -------
-    Document
-        Its value and the line of each part.
-
     Raises
     ------
     StudyError
-        If the text is no YAML or uses what this reading does not permit; carries the line.
+        If the text is not valid YAML or uses an unsupported feature; carries the line.
     """
     try:
         return _Reader(text).read()
@@ -150,7 +145,7 @@ def _line(event: Any) -> int:
 
 
 def plain_scalar(text: str) -> Scalar:
-    """Return what a scalar without quotes stands for."""
+    """Return the value of an unquoted scalar."""
     if _NULL.fullmatch(text):
         return None
     if _TRUE.fullmatch(text):
@@ -167,7 +162,7 @@ def plain_scalar(text: str) -> Scalar:
 
 
 def dump(value: object) -> str:
-    """Return dictionaries, lists and scalars as YAML text that `parse` reads back unchanged."""
+    """Return nested dictionaries, lists and scalars as YAML that `parse` reads back unchanged."""
     return str(
         yaml.serialize(_represent(value), Dumper=yaml.SafeDumper, allow_unicode=True, width=100)
     )
@@ -182,8 +177,8 @@ def _represent(value: object) -> Any:
             "tag:yaml.org,2002:seq", [_represent(item) for item in value], flow_style=True
         )
     if isinstance(value, str):
-        # Quoted wherever this reading, not only PyYAML's, would take it for something else; and
-        # escaped, as only double quotes do, where a line break could be folded away.
+        # Quoted wherever this reader, not only PyYAML's, would not read it as text; in double
+        # quotes, which alone escape, where a line break could be folded away.
         quoted = _FLOAT.fullmatch(value) or not isinstance(plain_scalar(value), str)
         style = '"' if quoted or not value.isprintable() else None
         return yaml.ScalarNode("tag:yaml.org,2002:str", value, style=style)

@@ -1,4 +1,4 @@
-"""A study: what is tuned, on which nodes, in which contexts, for what, and for how long."""
+"""A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -38,41 +38,41 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """A whole study, checked; the fields are the sections of the study file, in its order.
+    """A checked study; the fields are the sections of the study file.
 
     Attributes
     ----------
     name : str
-        Short name, also of the result folder.
+        Short name; the run folder is named after it.
     nodes : mapping from str to NodeSpec
-        Nodes that take parameters or give metrics.
+        Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
-        The parameter set: tuned, tied and fixed parameters.
+        Tuned, tied and fixed parameters.
     trigger : Trigger
         How an evaluation is started.
     metrics : mapping from str to Metric
-        Numbers that come out of an evaluation.
+        Results of an evaluation.
     objective : Objective
         What is optimized.
     budget : Budget
-        How much may be tried.
+        Number of trials and evaluations.
     contexts : mapping from str to ContextVariable
-        What changes from cut to evaluation; may be empty.
+        What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
-        Limits of metrics; at most one is a worst case.
+        Limits on metrics; at most one is a worst case.
     order : tuple of (str, str)
-        Parameters (a, b) with a <= b.
+        Names (a, b) of parameters with a <= b.
     seed_parameter : SeedParameter, optional
         Where an evaluation's noise is seeded.
     seed : int
         Seed of everything random in a run.
     description : str
-        For people.
+        Free text.
 
     Raises
     ------
     StudyError
-        If a rule is broken; its path leads to the value as in the study file.
+        If a rule is violated; its path is the key path in the study file.
     """
 
     name: str
@@ -90,7 +90,7 @@ class Study:
     description: str = ""
 
     def __post_init__(self) -> None:
-        """Check what the parts say of one another."""
+        """Check the references between the parts."""
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -", "name")
         checks.text(self.description, "description")
         checks.integer(self.seed, "seed", at_least=0)
@@ -112,7 +112,7 @@ class Study:
         worst = [name for name, item in self.constraints.items() if item.kind == WORST_CASE]
         if len(worst) > 1:
             raise StudyError(
-                f"'{worst[0]}' is a worst_case constraint already; expected at most one",
+                f"'{worst[0]}' is already a worst_case constraint; expected at most one",
                 ("constraints", worst[1], "kind"),
             )
         self._check_targets()
@@ -128,19 +128,19 @@ class Study:
 
     @property
     def chance_constraints(self) -> tuple[Constraint, ...]:
-        """Constraints that hold with a probability."""
+        """Constraints that must hold with a probability."""
         return tuple(item for item in self.constraints.values() if item.kind == CHANCE)
 
     @property
     def worst_case_constraint(self) -> Constraint | None:
-        """The constraint that holds in every context, if there is one."""
+        """The constraint that must hold in every context, if there is one."""
         worst = [item for item in self.constraints.values() if item.kind == WORST_CASE]
         return worst[0] if worst else None
 
     def assignments(
         self, parameters: Mapping[str, Number], context: Mapping[str, float], seed: int
     ) -> dict[str, dict[str, Number]]:
-        """Return what each node is told before an evaluation.
+        """Return the parameters to set on each node before an evaluation.
 
         Parameters
         ----------
@@ -149,12 +149,12 @@ class Study:
         context : mapping from str to float
             Values of the context variables, in own units.
         seed : int
-            Noise seed of the evaluation; goes nowhere without a `seed_parameter`.
+            Noise seed of the evaluation; unused without a `seed_parameter`.
 
         Returns
         -------
         dict from str to dict
-            Values by node of the study, then by the node's own parameter name.
+            Values by the node's name in the study, then by the node's own parameter name.
         """
         values: dict[str, dict[str, Number]] = {}
         for name, value in parameters.items():
@@ -179,12 +179,12 @@ class Study:
     ) -> "Study":
         """Return the study with another seed or budget, checked again; None keeps a value.
 
-        With `trials` alone, the initial design shrinks to it if need be.
+        With `trials` alone, the initial design shrinks to that number if necessary.
 
         Raises
         ------
         StudyError
-            If a value breaks a rule.
+            If a value violates a rule.
         """
         given = {
             "trials": trials,
@@ -229,7 +229,7 @@ class Study:
             other = sources.setdefault((node_key, parameter), here)
             if other != here:
                 raise StudyError(
-                    f"parameter '{parameter}' of node '{node_key}' is set by {other} already", path
+                    f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
                 )
 
 

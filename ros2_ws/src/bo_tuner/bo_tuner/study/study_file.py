@@ -28,7 +28,7 @@ LONGEST_PROBLEM = 1000
 
 T = TypeVar("T")
 
-# Sections of one object each, and sections of objects by name.
+# Sections that hold one object, and sections of objects by name.
 _SINGLE: dict[str, type[Any]] = {
     "trigger": Trigger,
     "seed_parameter": SeedParameter,
@@ -65,8 +65,8 @@ def load_study(name_or_path: str | Path) -> Study:
     Raises
     ------
     StudyError
-        If there is no such study, the file cannot be read, or it breaks a rule. One line with
-        the file, the line, the path of keys, what was expected and what was found.
+        If there is no such study, the file cannot be read, or it violates a rule. One line with
+        the file, the line, the key path, what was expected and what was found.
     """
     if isinstance(name_or_path, str) and not _is_path(name_or_path):
         names = shipped_studies()
@@ -86,7 +86,7 @@ def parse_study(text: str, source: str = "study") -> Study:
     Raises
     ------
     StudyError
-        If the text is no YAML or breaks a rule.
+        If the text is not valid YAML or violates a rule.
     """
     lines: Mapping[KeyPath, int] = {}
     try:
@@ -99,7 +99,7 @@ def parse_study(text: str, source: str = "study") -> Study:
         while line is None and path:
             line = lines.get(path)
             path = path[:-1]
-        # A problem may list names of the file, which can be long.
+        # A problem may list names from the file, which can be long.
         problem = error.problem
         if len(problem) > LONGEST_PROBLEM:
             problem = f"{problem[: LONGEST_PROBLEM - 3]}..."
@@ -112,7 +112,7 @@ def study_from_mapping(mapping: object) -> Study:
     Raises
     ------
     StudyError
-        If they break a rule; its path leads to the value.
+        If they violate a rule; carries the key path to the value.
     """
     values = _arguments(Study, mapping)
     for key, cls in _SINGLE.items():
@@ -140,7 +140,7 @@ def study_to_mapping(study: Study) -> dict[str, object]:
 
 
 def study_to_yaml(study: Study) -> str:
-    """Return a study file's text; `parse_study` makes an equal study of it."""
+    """Return the text of a study file, which `parse_study` reads as an equal study."""
     return strict_yaml.dump(study_to_mapping(study))
 
 
@@ -169,7 +169,7 @@ def _read(path: Path, source: str) -> str:
 
 @contextmanager
 def _under(*keys: str | int) -> Iterator[None]:
-    """Put `keys` in front of the path of an error from within."""
+    """Prefix the key path of an error raised inside with `keys`."""
     try:
         yield
     except StudyError as error:
@@ -177,7 +177,7 @@ def _under(*keys: str | int) -> Iterator[None]:
 
 
 def _build(cls: type[T], value: object, **given: object) -> T:
-    """Make an object of the fields in `value`; `given` ones are no keys of the file."""
+    """Build an object from the fields in `value`; those in `given` are not keys of the file."""
     return cls(**_arguments(cls, value, skip=tuple(given)), **given)
 
 
@@ -197,7 +197,7 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
 
 
 def _build_context(name: str, value: object) -> ContextVariable:
-    """Part the keys of the variable from those of its distribution, which lie side by side."""
+    """Separate the keys of the variable from those of its distribution, on the same level."""
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping, found {checks.show(value)}")
     if "distribution" not in value:
@@ -214,9 +214,9 @@ def _build_context(name: str, value: object) -> ContextVariable:
 def _arguments(
     cls: type[Any], value: object, skip: Sequence[str] = (), also: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Return the keys in `value` if they are fields of `cls` and none is missing.
+    """Return the mapping `value` if its keys are fields of `cls` and none is missing.
 
-    `skip` are fields that are no keys, `also` further keys to suggest for an unknown one.
+    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one.
     """
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping, found {checks.show(value)}")
@@ -246,7 +246,7 @@ def _plain_part(part: Any) -> dict[str, object]:
 
 
 def _plain_fields(settings: Any) -> dict[str, Any]:
-    """Return the fields that say something, with lists for tuples."""
+    """Return the fields that are not empty, with lists for tuples."""
     fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     return {
         key: _plain(value)

@@ -1,4 +1,4 @@
-"""The answer of a run: what a reader needs who reads nothing else."""
+"""The answer at the top of a report: the result of the run, or its state so far."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from bo_tuner.tuning.validation import Validation
 
 
 class Status(StrEnum):
-    """How good the news is."""
+    """Whether a result is good; open while the run has none."""
 
     GOOD = "good"
     WARNING = "warning"
@@ -23,7 +23,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Tile:
-    """A number at a glance: the tuned value, what it compares with, and whether it is fine."""
+    """A key figure: the tuned value, a remark with its reference, and its status."""
 
     label: str
     value: str
@@ -34,18 +34,18 @@ class Tile:
 
 @dataclass(frozen=True)
 class Answer:
-    """What stands at the top of a report.
+    """The content of the top of a report.
 
     Attributes
     ----------
     status
-        How good the news is.
+        Status of the result.
     title
-        The news, in a line.
+        The result in one line.
     sentences
-        What it means.
+        The explanation.
     tiles
-        Numbers at a glance.
+        Key figures.
     table
         Default and tuned parameter set, side by side.
     """
@@ -58,7 +58,7 @@ class Answer:
 
 
 def answer(analysis: Analysis) -> Answer:
-    """Tell what came out, or how it stands."""
+    """Return the answer of a run, or its state so far."""
     if analysis.validations is None:
         return _so_far(analysis)
     default, tuned = analysis.validations
@@ -66,26 +66,26 @@ def answer(analysis: Analysis) -> Answer:
     metric = study.metrics[study.objective.metric]
     found_feasible = analysis.believed_feasible
     if found_feasible and default.feasible:
-        status, title = Status.GOOD, "The tuned parameter set holds its limits, like the default"
+        status, title = Status.GOOD, "The tuned parameter set keeps all limits, as does the default"
     elif found_feasible:
         status = Status.GOOD
-        title = "The tuned parameter set holds its limits; the default does not"
+        title = "The tuned parameter set keeps all limits; the default does not"
     elif tuned.feasible:
-        status, title = Status.BAD, "No parameter set is feasible, as far as the checks can tell"
+        status, title = Status.BAD, "No parameter set was found to be feasible"
     else:
-        status, title = Status.BAD, "No parameter set held its limits in validation"
+        status, title = Status.BAD, "No parameter set kept all limits in the validation"
     sentences = [
         f"Mean {metric.name} {quantity(tuned.objective, metric.unit)}, "
-        f"{change(tuned.objective, default.objective)} against the default, on the same "
+        f"{change(tuned.objective, default.objective)} relative to the default, on the same "
         f"{tuned.draws} fresh draws of context and noise{_paired(analysis, metric.unit)}.",
         _holds("The tuned parameter set", tuned),
         _holds("The default", default),
     ]
     if not found_feasible:
-        sentences.append("The parameter file holds the one nearest to it; do not use it as it is.")
+        sentences.append("best.yaml holds the least violating one; do not use it as it is.")
     elif default.feasible and not _better(analysis, tuned.objective, default.objective):
         status = Status.WARNING
-        sentences.append("The default is feasible as well and not worse: there is little to gain.")
+        sentences.append("The default is feasible as well and not worse: tuning gained nothing.")
     tiles = _tiles(analysis, default, tuned)
     certificate = analysis.certificate
     if certificate is not None:
@@ -98,7 +98,7 @@ def answer(analysis: Analysis) -> Answer:
         tiles.insert(0, Tile("certificate", verdict, "", scope, passed))
         if not certificate.passed and not of_another:
             status = Status.BAD
-            sentences += [f"The certificate is refused: {why}." for why in certificate.reasons]
+            sentences += [f"The certificate failed: {why}." for why in certificate.reasons]
     return Answer(
         status=status,
         title=title,
@@ -115,14 +115,14 @@ def _so_far(analysis: Analysis) -> Answer:
     if done < planned:
         title = f"No result yet: {done} of {planned} trials"
     elif complete:
-        title = f"No result yet: all {planned} trials done, not validated"
+        title = f"No result yet: all {planned} trials are done but not validated"
     else:
         title = "No result: no trial is complete"
-    sentences = ["The run goes on, or ended before its validation."] if complete else []
+    sentences = ["The run is in progress, or ended before its validation."] if complete else []
     tiles: list[Tile] = []
     if not complete:
         failed = sum(analysis.outcome(trial) == "failed" for trial in analysis.trials)
-        sentences.append(f"{failed} trials failed; the list of failures tells why.")
+        sentences.append(f"{failed} trials failed; see the section on failures.")
     else:
         leader = analysis.ranked[0]
         metric = study.metrics[study.objective.metric]
@@ -226,19 +226,19 @@ def _allowed(constraint: Constraint) -> str:
 
 
 def _paired(analysis: Analysis, unit: str) -> str:
-    """Tell the difference draw by draw, which the spread between draws does not blur."""
+    """Return the paired difference, from which the spread between draws cancels."""
     difference = analysis.paired_difference()
     if difference is None:
         return ""
     mean, error = difference
-    return f": draw by draw {mean:+.3g} ± {error:.2g} {unit}".rstrip()
+    return f" (paired difference {mean:+.3g} ± {error:.2g}{f' {unit}' if unit else ''})"
 
 
 def _holds(who: str, validation: Validation) -> str:
     parts = [_broken(s) for s in validation.constraints.values() if not s.holds]
     if validation.failures:
         parts.append(f"{validation.failures} of {validation.draws} evaluations failed")
-    return f"{who} keeps all limits." if not parts else f"{who} does not hold: {', '.join(parts)}."
+    return f"{who} keeps all limits." if not parts else f"{who} fails: {', '.join(parts)}."
 
 
 def _broken(sample: Sample) -> str:
@@ -246,5 +246,5 @@ def _broken(sample: Sample) -> str:
 
 
 def _better(analysis: Analysis, value: float, reference: float) -> bool:
-    minimised = analysis.study.objective.direction == MINIMIZE
-    return value < reference if minimised else value > reference
+    minimized = analysis.study.objective.direction == MINIMIZE
+    return value < reference if minimized else value > reference

@@ -1,4 +1,4 @@
-"""Where the worst case lies: default and tuned evaluations over the contexts."""
+"""The worst case: evaluations of the default and the tuned parameter set over the contexts."""
 
 import itertools
 from collections.abc import Sequence
@@ -27,11 +27,11 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
 FEWEST_FOR_A_FIELD = 8
-"""With fewer evaluations a field between them would be guesswork."""
+"""With fewer evaluations no model is fitted."""
 
 FIELD_POINTS = 31
 MOST_VARIABLES = 3
-"""Pairs are drawn of so many context variables, the first ones of the study."""
+"""Pairs of the first context variables of the study are drawn, up to this number."""
 
 
 def contexts(analysis: Analysis) -> Section | None:
@@ -47,10 +47,10 @@ def contexts(analysis: Analysis) -> Section | None:
         return None
     metric, limit = _metric(study)
     worst = [
-        (name, max(evaluations, key=lambda c: c.outcome.metrics[metric.name]))
+        (name, max(evaluations, key=lambda e: e.outcome.metrics[metric.name]))
         for name, evaluations in sides
     ]
-    said = "; ".join(
+    largest = "; ".join(
         f"{name}: {quantity(evaluation.outcome.metrics[metric.name], metric.unit)} at "
         f"{values(evaluation.context)}"
         for name, evaluation in worst
@@ -60,11 +60,11 @@ def contexts(analysis: Analysis) -> Section | None:
         above = "; ".join(
             f"{name} {_above(evaluations, metric, limit)}" for name, evaluations in sides
         )
-        bound = f" Single evaluations above the limit of {quantity(limit, metric.unit)}: {above}."
+        bound = f" Evaluations above the limit of {quantity(limit, metric.unit)}: {above}."
     return Section(
         name="contexts",
         title="Which contexts are the worst",
-        lead=f"Largest {metric.name} seen: {said}.{bound}",
+        lead=f"Largest {metric.name} observed: {largest}.{bound}",
         figures=[_map(study, sides, metric, limit)],
     )
 
@@ -89,7 +89,7 @@ def _map(study: Study, sides: Sequence[Side], metric: Metric, limit: float | Non
     names = study.context_space().names
     colors = _colors(metric, seen, limit)
     if len(names) == 1:
-        # The same range on both sides, for a fair look.
+        # The same range on both sides, so that they can be compared.
         ends = [*seen, *([] if limit is None else [limit])]
         margin = 0.05 * ((max(ends) - min(ends)) or abs(max(ends)) or 1.0)
         y = Axis(
@@ -103,11 +103,11 @@ def _map(study: Study, sides: Sequence[Side], metric: Metric, limit: float | Non
         ]
     return Figure(
         name="contexts",
-        title=f"Every evaluation of default and tuned over the contexts, by {metric.name}",
-        caption="A point is one run, in any stage of the tuning. The field between the points is a "
-        "Gaussian process through them; the line is the limit. The search looks for the worst "
-        "case, so evaluations crowd where the metric is large.",
-        alternative="; ".join(_said(side, metric) for side in sides),
+        title=f"{metric.name} over the contexts, default and tuned parameter set",
+        caption="Each point is an evaluation, of any stage. The colours between them are the "
+        "posterior mean of a Gaussian process; the line is the limit. Points cluster where the "
+        "metric is large because the search looks for the worst case.",
+        alternative="; ".join(_summary(side, metric) for side in sides),
         panels=panels,
         columns=min(2, len(panels)),
         panel_height=380,
@@ -121,10 +121,10 @@ def _panel_1d(study: Study, side: Side, metric: Metric, limit: float | None, y: 
         Points(
             x=[evaluation.context[variable] for evaluation in evaluations],
             y=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
-            name="cut",
+            name="evaluation",
             color=Color.BLUE,
             filled=False,
-            hover=[_cut_said(evaluation, metric) for evaluation in evaluations],
+            hover=[_describe(evaluation, metric) for evaluation in evaluations],
         )
     ]
     if limit is not None:
@@ -159,12 +159,12 @@ def _panel_2d(
         Points(
             x=[evaluation.context[a] for evaluation in evaluations],
             y=[evaluation.context[b] for evaluation in evaluations],
-            name="cut",
+            name="evaluation",
             color=Color.INK,
             marker=Marker.CIRCLE,
             values=[evaluation.outcome.metrics[metric.name] for evaluation in evaluations],
             colors=colors,
-            hover=[_cut_said(evaluation, metric) for evaluation in evaluations],
+            hover=[_describe(evaluation, metric) for evaluation in evaluations],
         )
     )
     return Panel(
@@ -201,7 +201,7 @@ def _field(
 def _colors(metric: Metric, seen: Sequence[float], limit: float | None) -> ColorScale:
     low, high = min(seen), max(seen)
     if limit is not None:
-        # Equal steps to both sides, so that equal distances have equal colours.
+        # Symmetric about the limit, so that equal distances from it are equally saturated.
         reach = max(limit - low, high - limit) or abs(limit) or 1.0
         low, high = limit - reach, limit + reach
     elif not low < high:
@@ -214,14 +214,14 @@ def _above(evaluations: Sequence[Evaluation], metric: Metric, limit: float) -> s
     return f"{above} of {len(evaluations)}"
 
 
-def _said(side: Side, metric: Metric) -> str:
+def _summary(side: Side, metric: Metric) -> str:
     name, evaluations = side
     seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
     low, high = quantity(min(seen), metric.unit), quantity(max(seen), metric.unit)
     return f"{name}: {len(evaluations)} evaluations from {low} to {high}"
 
 
-def _cut_said(evaluation: Evaluation, metric: Metric) -> str:
+def _describe(evaluation: Evaluation, metric: Metric) -> str:
     found = quantity(evaluation.outcome.metrics[metric.name], metric.unit)
-    drawn = f"{evaluation.stage} run, seed {evaluation.seed}"
-    return f"{metric.name} {found}\n{values(evaluation.context)}\n{drawn}"
+    origin = f"stage {evaluation.stage}, seed {evaluation.seed}"
+    return f"{metric.name} {found}\n{values(evaluation.context)}\n{origin}"

@@ -1,4 +1,4 @@
-"""Contours of the objective's surrogate over pairs of parameters, with the feasible area."""
+"""Contours of the objective's surrogate over pairs of parameters, with the feasible region."""
 
 import itertools
 import math
@@ -29,11 +29,11 @@ from bo_tuner.study.parts import LOG
 from bo_tuner.trials import Trial
 
 MOST_PARAMETERS = 4
-"""Pairs are drawn of so many parameters, those with the shortest length scales."""
+"""Pairs of the parameters with the shortest length scales are drawn, up to this number."""
 
 
 def contours(analysis: Analysis, answer: Trial) -> Figure:
-    """Show the objective and the feasible area over pairs of parameters."""
+    """Show the objective and the feasible region over pairs of parameters."""
     study = analysis.study
     at = analysis.tuned_values(answer.parameters)
     names = most_sensitive(analysis)
@@ -48,11 +48,11 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
     metric = study.metrics[study.objective.metric]
     return Figure(
         name="contours",
-        title=f"Mean {metric.name} and feasible area, for pairs of parameters",
-        caption="Colour: posterior mean of the objective, the other parameters as tuned. Faded: "
-        "the limits are believed to be violated (probability of feasibility below one half). "
-        "Dotted: crashes or outliers are likely. Points are trials, projected.",
-        alternative=_contours_said(pairs, fields, analysis),
+        title=f"Mean {metric.name} and feasible region, for pairs of parameters",
+        caption="Colour: posterior mean of the objective, with the other parameters as tuned. "
+        "Faded: probability of feasibility below 0.5. Inside the dotted line: a failure or an "
+        "outlier is likely. Points are trials, projected onto the pair.",
+        alternative=_feasible_shares(pairs, fields, analysis),
         panels=panels,
         columns=min(len(panels), 2 if len(panels) in (2, 4) else 3) if len(panels) > 1 else 1,
         panel_height=340 if len(panels) > 1 else 460,
@@ -60,7 +60,7 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
 
 
 Field = tuple[Array, Array, Array]
-"""Objective, probability of feasibility, and probability of no good end (rows, columns)."""
+"""Objective, probability of feasibility, and that of a failure or an outlier (rows, columns)."""
 
 
 def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid) -> Field:
@@ -93,7 +93,7 @@ def _contour_panel(
     a, b = grids
     objective, feasible, bad = field
     x, y = a.values, b.values
-    # What the order forbids is no better, and without it the edge would be ragged.
+    # Points that violate the order are shaded as well; gaps would make the edge ragged.
     infeasible = np.where(np.isnan(feasible), 1.0, 1.0 - feasible)
     elements: list[Element] = [Heatmap(x=x, y=y, z=objective, colors=colors)]
     if analysis.models.constraints:
@@ -105,14 +105,14 @@ def _contour_panel(
         )  # fmt: skip
         elements.append(
             Contour(
-                x=x, y=y, z=feasible, levels=[BELIEVED_FEASIBLE], name="edge of the feasible area",
+                x=x, y=y, z=feasible, levels=[BELIEVED_FEASIBLE], name="limit of feasibility",
                 color=Color.INK, width=2.0,
             )
         )  # fmt: skip
     if np.nanmax(bad) > 0.5:
         elements.append(
             Contour(
-                x=x, y=y, z=bad, levels=[0.5], name="crash or outlier likely",
+                x=x, y=y, z=bad, levels=[0.5], name="failure or outlier likely",
                 color=Color.VERMILION, dash=Dash.DOTTED,
             )
         )  # fmt: skip
@@ -145,7 +145,7 @@ def _contour_panel(
 
 
 def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
-    """Spread the colours over the better nine tenths of all fields; the rest has the last one."""
+    """Return a scale over the lowest 90 % of all values; those above have the last colour."""
     study = analysis.study
     metric = study.metrics[study.objective.metric]
     seen = np.concatenate([field[np.isfinite(field)] for field in fields])
@@ -159,7 +159,7 @@ def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
 
 
 def most_sensitive(analysis: Analysis) -> list[str]:
-    """Tuned parameters with the shortest length scales of the objective, in the study's order."""
+    """Return the parameters with the shortest length scales, in the study's order."""
     names, model = analysis.study.search_space().names, analysis.models.objective
     if model is None:
         return list(names[:MOST_PARAMETERS])
@@ -167,7 +167,7 @@ def most_sensitive(analysis: Analysis) -> list[str]:
     return [names[k] for k in sorted(order)]
 
 
-def _contours_said(
+def _feasible_shares(
     pairs: Sequence[tuple[str, str]], fields: Sequence[Field], analysis: Analysis
 ) -> str:
     if not analysis.models.constraints:
@@ -176,5 +176,5 @@ def _contours_said(
         100.0 * float(np.mean(feasible[np.isfinite(feasible)] >= BELIEVED_FEASIBLE))
         for _, feasible, _ in fields
     ]
-    said = [f"{a} and {b}: {s:.0f} %" for (a, b), s in zip(pairs, shares, strict=True)]
-    return f"Share of the area that is believed feasible, {'; '.join(said)}."
+    texts = [f"{a} and {b}: {s:.0f} %" for (a, b), s in zip(pairs, shares, strict=True)]
+    return f"Share of the area believed feasible: {'; '.join(texts)}."

@@ -1,4 +1,4 @@
-"""How the run came to its result: every trial, and the incumbent after each."""
+"""Convergence: every trial, and the incumbent after each."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from bo_tuner.study.parts import LOG
 from bo_tuner.trials import EvaluationState, Trial, TrialState
 
 MOST_INCUMBENTS = 40
-"""The incumbent is found anew for at most so many numbers of trials: each takes some 0.1 s."""
+"""The incumbent is computed after at most this many numbers of trials, at some 0.1 s each."""
 
 LOOKS = {
     Outcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
@@ -35,7 +35,7 @@ LOOKS = {
     Outcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
     Outcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
 }
-"""Colour, marker, and whether it is filled, of a trial by its outcome."""
+"""Colour, marker and whether the marker is filled, by the outcome of a trial."""
 
 
 def convergence(analysis: Analysis) -> Section:
@@ -46,20 +46,20 @@ def convergence(analysis: Analysis) -> Section:
     if complete and study.worst_case_constraint is not None:
         figures.append(_worst_case(analysis))
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
-    said = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
+    outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
     evaluations = sum(len(trial.evaluations) for trial in trials)
     lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
     return Section(
         name="convergence",
-        title="How the run came to its result",
-        lead=f"{lead}: {said}." if said else f"{lead}.",
+        title="Convergence",
+        lead=f"{lead}: {outcomes}." if outcomes else f"{lead}.",
         figures=figures,
         notes=_notes(analysis),
     )
 
 
 def describe(analysis: Analysis, trial: Trial) -> str:
-    """Tell a trial in some lines, for a pointer on it."""
+    """Return some lines on a trial, to show when the pointer is on it."""
     study = analysis.study
     unit = study.metrics[study.objective.metric].unit
     lines = [
@@ -105,10 +105,11 @@ def _objective(analysis: Analysis) -> Figure:
     return Figure(
         name="convergence",
         title=f"Mean {metric.name} of each trial, and of the incumbent",
-        caption="The incumbent is the parameter set that would be used if the run ended there; "
-        "its line is the posterior mean of the surrogate, which takes no lucky sample for a good "
-        "one. Failed trials, which have no value, and values far above the others are at the top.",
-        alternative=_said(analysis, incumbents),
+        caption="The incumbent is the parameter set that would be the result if the run ended "
+        "there; its line is the posterior mean of the surrogate, which a single lucky sample "
+        "hardly changes. Failed trials, which have no value, and values far above the others are "
+        "at the top.",
+        alternative=_summary(analysis, incumbents),
         panels=panels,
         columns=2,
     )
@@ -127,9 +128,9 @@ def _worst_case(analysis: Analysis) -> Figure:
     return Figure(
         name="worst-cases",
         title=f"Worst {metric.name} found for each trial",
-        caption="The largest value over all contexts as the search in stage two estimates it. "
-        "Below the line the limit holds; failed trials and far larger values are at the top.",
-        alternative=f"{within} of {len(found)} trials stay below the limit of "
+        caption="The largest value over all contexts, as estimated by the search of stage two. "
+        "Below the line the limit is kept; failed trials and far larger values are at the top.",
+        alternative=f"{within} of {len(found)} trials keep the limit of "
         f"{quantity(constraint.upper, metric.unit)}.",
         panels=[
             Panel(
@@ -180,7 +181,7 @@ def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
 
 
 def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
-    """Incumbents after some numbers of trials, with the place of the last of these trials."""
+    """Return incumbents, each with the index of the last trial known at that point."""
     trials = analysis.record.trials
     options = ALGORITHMS[analysis.record.algorithm].models
     count = min(len(trials), MOST_INCUMBENTS)
@@ -193,7 +194,7 @@ def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
 
 
 def _incumbent_lines(incumbents: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:
-    """Two lines: of incumbents believed feasible, and of the least violating ones."""
+    """Return two lines: incumbents believed feasible, and the least violating ones."""
     lines: list[Element] = []
     places = [x[k] for k, _ in incumbents]
     for feasible, name, color, dash in (
@@ -224,7 +225,7 @@ def _default_line(analysis: Analysis) -> list[Element]:
 
 
 def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
-    """Bring what has no value, or a far larger one than the good trials, to a common top (n,)."""
+    """Return the values (n,) with NaN and values far above the feasible ones moved to the top."""
     good = [analysis.outcome(trial) == Outcome.WITHIN for trial in analysis.trials]
     finite = np.isfinite(seen)
     if not finite.any():
@@ -237,12 +238,12 @@ def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
         top = high + ((high - low) or abs(high) or 1.0)
     largest = float(seen[finite].max())
     if largest <= top:
-        # Nothing is out of sight, so the top is just above all.
+        # No value is cropped, so the top is just above all.
         top = largest * 1.1 if scale is Scale.LOG else largest + 0.1 * (largest - low)
     return np.where(finite, np.minimum(seen, top), top)
 
 
-def _said(analysis: Analysis, incumbents: Sequence[tuple[int, Candidate]]) -> str:
+def _summary(analysis: Analysis, incumbents: Sequence[tuple[int, Candidate]]) -> str:
     unit = analysis.study.metrics[analysis.study.objective.metric].unit
     feasible = [(k, c) for k, c in incumbents if c.believed_feasible]
     if not feasible:
@@ -258,7 +259,7 @@ def _said(analysis: Analysis, incumbents: Sequence[tuple[int, Candidate]]) -> st
 def _notes(analysis: Analysis) -> list[str]:
     notes = []
     if len(analysis.record.trials) > MOST_INCUMBENTS:
-        notes.append(f"The incumbent's line has {MOST_INCUMBENTS} places, not one for each trial.")
+        notes.append(f"The incumbent is shown at {MOST_INCUMBENTS} points, not after each trial.")
     if analysis.record.summary is not None and analysis.record.summary.get("stopped_early"):
         notes.append("The run stopped early: what was left would have gained less than the noise.")
     lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)

@@ -28,14 +28,14 @@ from bo_tuner.study.parts import CHANCE, LOG, Constraint
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1
-"""A trial is drawn into a slice if its other coordinates in the unit cube are this close."""
+"""A slice shows the trials whose other coordinates in the unit cube are this close."""
 
 MOST_COLUMNS = 4
 TWO_SIGMA = 2.0
 
 
 def slices(analysis: Analysis, answer: Trial) -> Figure:
-    """Show how objective and constraints depend on each parameter alone."""
+    """Show how objective and constraints depend on each parameter, with the others fixed."""
     study = analysis.study
     at = analysis.tuned_values(answer.parameters)
     grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().names]
@@ -50,11 +50,11 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     return Figure(
         name="slices",
         title="Slices through the tuned parameter set",
-        caption="Each row varies one parameter, the others stay. Line: posterior mean; band: "
-        "two standard deviations of the belief, without the noise of a run. Where the line breaks "
-        "off, the order of the parameters forbids the values. A limit with a probability is drawn "
-        "lower by the noise of single evaluations.",
-        alternative=_slices_said(analysis, grids, answer),
+        caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
+        "two standard deviations of the posterior, without the noise of an evaluation. Where the "
+        "line ends, the values would violate the order of the parameters. A limit with a "
+        "probability is drawn lower, by a margin for the noise of single evaluations.",
+        alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,
         panel_height=250,
@@ -102,7 +102,6 @@ def _constraint_slice(
     )
     metric = analysis.study.metrics[constraint.metric]
     kind = "mean" if constraint.kind == CHANCE else "worst"
-    # The mean has to keep away from the limit of single evaluations by their noise.
     return Panel(
         x=grid.axis,
         y=Axis(label=f"{kind} {metric.name}", unit=metric.unit),
@@ -115,7 +114,7 @@ def _constraint_slice(
 
 
 def _curve(grid: ParameterGrid, line: Array, low: Array, high: Array) -> list[Element]:
-    # NaN would break the outline of the band's area, so it covers the permitted values only.
+    # NaN would break the outline of the band, so it covers the permitted values only.
     kept = np.isfinite(line)
     return [
         Band(x=grid.values[kept], lower=low[kept], upper=high[kept], name="two sigma"),
@@ -137,7 +136,7 @@ def _near_points(
 
 
 def _markers(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Element]:
-    """Draw where the tuned and the default values are."""
+    """Return lines at the default and the tuned value."""
     return [
         Limit(
             value=float(analysis.defaults[grid.name]), name="default", vertical=True,
@@ -159,7 +158,7 @@ def _along(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> tuple[Arra
 
 
 def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]:
-    """Complete trials, outliers excepted, that are close to the slice."""
+    """Return the complete trials close to the slice, without outliers."""
     space = analysis.study.search_space()
     at = space.to_cube(analysis.tuned_values(answer.parameters))
     near = []
@@ -172,7 +171,13 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
     return near
 
 
-def _slices_said(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:
+def _constraints(analysis: Analysis) -> list[Constraint]:
+    """Return the constraints in the order of their surrogates."""
+    worst = analysis.study.worst_case_constraint
+    return [*analysis.study.chance_constraints, *([] if worst is None else [worst])]
+
+
+def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:
     study = analysis.study
     unit = study.metrics[study.objective.metric].unit
     parts = []
@@ -182,7 +187,7 @@ def _slices_said(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Tri
         if model is not None and allowed.any():
             line = study.objective.from_cost(model.predict_mean(points[allowed]))
             parts.append(
-                f"over {grid.name} the mean goes from {quantity(float(line.min()), unit)} to "
+                f"over {grid.name} the mean ranges from {quantity(float(line.min()), unit)} to "
                 f"{quantity(float(line.max()), unit)}"
             )
     return f"Along each slice: {'; '.join(parts)}."

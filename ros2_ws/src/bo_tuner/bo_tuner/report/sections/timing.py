@@ -1,4 +1,4 @@
-"""Where the time went: evaluations against the optimizer."""
+"""Computation time: evaluations and proposals."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ def timing(analysis: Analysis) -> Section | None:
     trials = analysis.record.trials
     if not trials:
         return None
-    cutting = np.array(
+    evaluating = np.array(
         [sum(evaluation.seconds for evaluation in trial.evaluations) for trial in trials]
     )
     proposing = np.array([trial.seconds for trial in trials])
-    total = float(cutting.sum() + proposing.sum())
-    title = "Where the time went"
+    total = float(evaluating.sum() + proposing.sum())
+    title = "Time of evaluations and proposals"
     if total <= 0.0:
         return Section(name="time", title=title, lead="The record holds no times.")
     share = 100.0 * float(proposing.sum()) / total
@@ -30,18 +30,17 @@ def timing(analysis: Analysis) -> Section | None:
             r.seconds for r in analysis.record.evaluations if r.stage is Stage.VALIDATION
         ),
     }
-    said = "".join(f", {name} {quantity(s, 's')}" for name, s in after.items() if s > 0.0)
+    later = "".join(f", {name} {quantity(s, 's')}" for name, s in after.items() if s > 0.0)
     lead = (
-        f"Evaluations of the trials took {quantity(float(cutting.sum()), 's')}, proposals "
-        f"{quantity(float(proposing.sum()), 's')} ({share:.0f} % of both){said}."
+        f"Evaluations of the trials took {quantity(float(evaluating.sum()), 's')}, proposals "
+        f"{quantity(float(proposing.sum()), 's')} ({share:.0f} % of both){later}."
     )
     places = np.array([trial.number for trial in trials], dtype=float)
     figure = Figure(
         name="time",
         title="Time of each trial",
-        caption="The proposal is what the optimizer needs: fits of the surrogates and the search "
-        "of the acquisition's maximum. The search of the worst context between the runs is in "
-        "neither.",
+        caption="A proposal includes fitting the surrogates and maximizing the acquisition "
+        "function. The search for the worst context between evaluations is in neither.",
         alternative=lead,
         panels=[
             Panel(
@@ -49,11 +48,11 @@ def timing(analysis: Analysis) -> Section | None:
                 y=Axis(label="time", unit="s"),
                 elements=[
                     Bars(
-                        x=places, y=cutting, base=np.zeros(len(places)), name="cuts",
+                        x=places, y=evaluating, base=np.zeros(len(places)), name="evaluations",
                         color=Color.SKY,
                     ),
                     Bars(
-                        x=places, y=proposing, base=cutting, name="proposal", color=Color.PURPLE
+                        x=places, y=proposing, base=evaluating, name="proposal", color=Color.PURPLE
                     ),
                 ],
             )

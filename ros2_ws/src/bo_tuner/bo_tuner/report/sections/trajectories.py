@@ -1,9 +1,9 @@
 """Signals of the default and the tuned parameter set, in the nominal and the worst context.
 
-They are simulated anew by the objects that the study names for its nodes, in this process. The
-trigger's object may offer ``trace()``: signals of its last evaluation, by name, each with its unit
-and its values. ``time`` is what they run over; ``group/signal`` puts signals of a group into one
-panel.
+They are simulated in this process by the objects that the study names for its nodes. The trigger's
+object may have a method ``trace()``, which returns the signals of its last evaluation by name, each
+with its unit and its values. ``time`` is their common abscissa; signals ``group/name`` of one group
+share a panel.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 
 TIME = "time"
 MOST_SAMPLES = 2000
-"""Of a signal in the page; longer ones are thinned."""
+"""Largest number of samples of a signal in the page; longer signals are decimated."""
 
 
 @dataclass(frozen=True)
@@ -37,26 +37,26 @@ Trace = Mapping[str, Signal]
 
 
 class NoTraceError(Exception):
-    """Why there are no signals, for people."""
+    """There are no signals; the text says why."""
 
 
 class TracingBackend(InProcessBackend):
-    """The study's objects, asked for the signals of their last evaluation."""
+    """An in-process backend that also returns the signals of its last evaluation."""
 
     def open(self) -> None:
-        """Make the objects.
+        """Create the objects.
 
         Raises
         ------
         StudyError
-            If one cannot be had.
+            If an object cannot be created.
         NoTraceError
-            If the trigger's object offers no signals: no evaluation is to be run for nothing.
+            If the trigger's object has no ``trace()``; no evaluation is run in vain.
         """
         super().open()
         key = self._study.trigger.node
         if getattr(self._objects[key], "trace", None) is None:
-            raise NoTraceError(f"the object of node '{key}' has no trace() for its signals")
+            raise NoTraceError(f"the object of node '{key}' has no trace()")
 
     def trace(self) -> Trace:
         """Return the signals of the last evaluation.
@@ -64,7 +64,7 @@ class TracingBackend(InProcessBackend):
         Raises
         ------
         NoTraceError
-            If they are not as they should be.
+            If ``trace()`` raises or returns something else.
         """
         key = self._study.trigger.node
         try:
@@ -73,23 +73,23 @@ class TracingBackend(InProcessBackend):
                 for name, (unit, seen) in self._objects[key].trace().items()
             }
             lengths = {len(signal.values) for signal in signals.values()}
-        except Exception as error:  # foreign code, which may do anything
+        except Exception as error:  # user code, which may raise anything
             raise NoTraceError(
                 f"trace() of node '{key}': {type(error).__name__}: {error}"
             ) from None
         if TIME not in signals or len(lengths) != 1:
             raise NoTraceError(
-                f"trace() of node '{key}': expected '{TIME}' and other signals of its length"
+                f"trace() of node '{key}': expected '{TIME}' and other signals of the same length"
             )
         return signals
 
 
 def trajectories(analysis: Analysis) -> Section | None:
-    """Show the signals; None while there is no parameter set to show."""
+    """Show the signals; None while there is no answer."""
     answer = analysis.answer
     if answer is None:
         return None
-    section = Section(name="trajectories", title="What the machine does", lead="")
+    section = Section(name="trajectories", title="Trajectories", lead="")
     nominal = analysis.study.context_space()
     contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
     if answer.worst_case is not None:
@@ -97,14 +97,14 @@ def trajectories(analysis: Analysis) -> Section | None:
     try:
         panels = _panels(analysis, answer.parameters, contexts)
     except (NoTraceError, StudyError, BackendError) as error:
-        lead = f"There are no trajectories to show: {error}."
+        lead = f"No trajectories: {error}."
         return Section(name=section.name, title=section.title, lead=lead)
     where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
     figure = Figure(
         name="trajectories",
         title="One evaluation of default and tuned, with the same noise",
         caption="Simulated in process by the study's objects, not recorded during the run. "
-        "Drag across a panel to look closer; a double click shows all again.",
+        "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time of both parameter sets. {where}.",
         panels=panels,
         columns=len(contexts),

@@ -33,7 +33,7 @@
       }
     }
 
-    // Draws all panels in a theme; `width` [px] of each, or as wide as its place.
+    // Draws all panels in a theme, each with a `width` [px] or that of its container.
     draw(theme, width, scale = 1) {
       const palette = shades[theme];
       const panels = JSON.parse(
@@ -63,7 +63,7 @@
     }
   }
 
-  // Names in the data are escaped once more, since Plotly reads some markup.
+  // Names in the data are escaped a second time, since Plotly interprets some markup.
   function escaped(text) {
     return text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
   }
@@ -72,7 +72,7 @@
   const figures = [...document.querySelectorAll("figure")].map((f) => new Figure(f));
   const undrawn = () => figures.filter((figure) => !figure.theme);
 
-  // What is in view comes first, the rest whenever there is time.
+  // Visible figures are drawn first, then the others one by one.
   const watcher = new IntersectionObserver(
     (entries) => {
       for (const entry of entries) {
@@ -102,7 +102,7 @@
   let width = innerWidth;
   let waiting = 0;
   addEventListener("resize", () => {
-    if (innerWidth === width) return; // a phone's address bar comes and goes
+    if (innerWidth === width) return; // a phone's address bar appears or disappears
     width = innerWidth;
     clearTimeout(waiting);
     waiting = setTimeout(redraw, 150);

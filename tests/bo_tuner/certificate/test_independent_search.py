@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from bo_tuner.certificate.worst_case_search import (
+from bo_tuner.certificate.independent_search import (
     APART,
     CANDIDATES,
     find_worst_contexts,

@@ -1,4 +1,4 @@
-"""What the run's certificate says, if it has one; `validate` writes it."""
+"""The certificate of a run, as `validate` has written it."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.record import CERTIFICATE, DEFAULT, TUNED
+from bo_tuner.certificate.certificate import CERTIFICATE, DEFAULT, TUNED
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number, quantity
@@ -15,14 +15,14 @@ from bo_tuner.storage.record import RunRecord
 
 @dataclass(frozen=True)
 class CertificateFile:
-    """A certificate as its file tells it.
+    """A certificate that was read from its file.
 
     Attributes
     ----------
     content
-        All of the file.
+        Content of the file.
     section
-        What a report shows of it.
+        Its section in the report.
     """
 
     content: Mapping[str, Any]
@@ -40,13 +40,13 @@ class CertificateFile:
 
     @property
     def scope(self) -> str:
-        """How much was tested."""
+        """Number of draws and confidence."""
         confidence = 100.0 * float(self.content["confidence"])
         return f"{self.content['draws']} fresh draws, {confidence:g} % confidence"
 
     @property
     def reasons(self) -> Sequence[str]:
-        """Why it did not pass."""
+        """Why it did not pass; empty if it did."""
         return [str(reason) for reason in self.content["reasons"]]
 
 
@@ -56,7 +56,7 @@ def certificate(record: RunRecord) -> CertificateFile | None:
     Raises
     ------
     RunRecordError
-        If it cannot be read, or is not laid out as `validate` does.
+        If it cannot be read, or does not have the format of `validate`.
     """
     path = record.path / CERTIFICATE
     try:
@@ -65,7 +65,7 @@ def certificate(record: RunRecord) -> CertificateFile | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise RunRecordError(f"{path}: no certificate that can be read: {error!r}") from error
+        raise RunRecordError(f"{path}: not a readable certificate: {error!r}") from error
 
 
 def _section(content: Mapping[str, Any], path: Path) -> Section:
@@ -73,17 +73,17 @@ def _section(content: Mapping[str, Any], path: Path) -> Section:
     confidence = f"{100.0 * float(content['confidence']):g} %"
     lead = (
         f"{verdict} for the parameter set of trial {content['trial']}, on {content['draws']} "
-        f"fresh draws. Every bound has a confidence of {confidence}."
+        f"fresh draws. Each bound has a confidence of {confidence}."
     )
     return Section(
         name="certificate",
-        title=f"What the certificate says: {verdict}",
+        title=f"Certificate: {verdict}",
         lead=lead,
         tables=[_limits(content, confidence), *_gaps(content)],
         notes=[
             *map(str, content["reasons"]),
             *map(str, content["warnings"]),
-            f"All of it is in {path.name}, and the evaluations in {path.stem}_cuts.csv.",
+            f"Details are in {path.name}, the evaluations in {path.stem}_evaluations.csv.",
         ],
     )
 
@@ -135,7 +135,7 @@ def _gaps(content: Mapping[str, Any]) -> list[Table]:
     rows = [
         [
             gap["name"],
-            number(gap["shown"]),
+            number(gap["observed"]),
             number(gap["predicted"]),
             number(gap["validated"]),
             f"{gap['gap']:+.2g} ± {gap['standard_error']:.1g}",
@@ -147,9 +147,9 @@ def _gaps(content: Mapping[str, Any]) -> list[Table]:
         return []
     return [
         Table(
-            caption="Training against validation: a gap of several standard errors means that the "
-            "search fell for its luckiest samples",
-            header=["", "shown in training", "predicted", "validated", "gap", "unit"],
+            caption="Training and validation: a gap of several standard errors means that the "
+            "training was over-optimistic (winner's curse)",
+            header=["", "observed in training", "predicted", "validated", "gap", "unit"],
             rows=rows,
             numeric=[1, 2, 3, 4],
         )

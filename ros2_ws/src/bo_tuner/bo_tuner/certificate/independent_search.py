@@ -1,10 +1,9 @@
-"""A search of the worst context that is independent of stage two's.
+"""A search for the worst context that is independent of stage two.
 
-Stage two spends ten evaluations on a parameter set and starts where its neighbours were the worst.
-What it overlooked, a check in its own worst context overlooks as well. So nothing of it is used
-here, neither priors nor swarm nor starting points, only the box and the class of models.
-Evaluations go to every corner, all over the box, and then to the local maxima that a model of all
-these evaluations has from many starts.
+Stage two spends ten evaluations on a parameter set and starts in contexts that were the worst for
+others. A maximum that it missed is also missed by a check in the worst context that it found. Here
+the evaluations go to every corner of the box, to a space-filling design, and then to the local
+maxima of a model of all these evaluations, from many starts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,36 +18,37 @@ from bo_tuner.study.context_space import ContextSpace
 
 Context = dict[str, float]
 Evaluate = Callable[[Mapping[str, float]], float | None]
-"""Runs an evaluation in a context; returns the metric, or None if the evaluation failed."""
+"""Runs an evaluation in a context; returns the metric, or None if it failed."""
 
 SPREAD_EVALUATIONS = 12
-"""Evaluations all over the box, by a Latin hypercube."""
+"""Evaluations of the space-filling design, a Latin hypercube."""
 
 ROUNDS, EVALUATIONS_A_ROUND = 4, 5
-"""Rounds of local searches, and the most maxima that are evaluated after each."""
+"""Rounds of local searches, and the largest number of maxima evaluated after each."""
 
 STARTS = 10
-"""Local searches of a round, from the tried and some other contexts where the most is expected."""
+"""Local searches per round, from the contexts with the largest predictions."""
 
 OTHERS = 200
-"""Contexts that were not tried, among which starts are sought."""
+"""Contexts considered as starts besides the evaluated ones and the corners."""
 
 CANDIDATES = 5
-"""Contexts that may be the worst one."""
+"""Number of candidates for the worst context."""
 
 DISTINCT = 0.1
 """Starts and maxima closer than this in the unit cube count as one."""
 
 APART = 0.02
-"""Candidates closer than this in the unit cube are one; a maximum beside a corner and the corner
-itself are two: the model is too smooth to tell which is worse."""
+"""Candidates closer than this in the unit cube count as one. A maximum near a corner, and the
+corner, are two: the model is too smooth to tell which is worse."""
 
 MOST_MODELLED = 150
-"""Drawn contexts beyond this do not join the model, whose cost grows with their cube."""
+"""Further drawn contexts are left out of the model, whose cost grows with the cube of their
+number."""
 
 
 def most_evaluations(space: ContextSpace, known: int) -> int:
-    """Return how many evaluations `find_worst_contexts` asks for at most, with `known` contexts."""
+    """Return the largest number of evaluations of `find_worst_contexts` with `known` contexts."""
     if space.dimension == 0:
         return 0
     return len(space.corners()) + SPREAD_EVALUATIONS + known + ROUNDS * EVALUATIONS_A_ROUND
@@ -66,21 +66,21 @@ def find_worst_contexts(
     Parameters
     ----------
     space
-        The contexts.
+        The context space.
     evaluate
         Called for each evaluation.
     drawn
-        Contexts that were evaluated already, with the metric.
+        Contexts that are already evaluated, with the metric.
     known
-        Contexts that somebody else takes for the worst.
+        Contexts suspected to be the worst, such as stage two's.
     rng
-        Source of the starts.
+        Draws the space-filling design and the starts.
 
     Returns
     -------
     list of dict
-        `CANDIDATES` contexts at most: where the model expects the most, of all and of the corners,
-        where the most was seen, the known ones, and others for which the model expects much.
+        At most `CANDIDATES` contexts: the largest prediction over the box and over its corners, the
+        largest observation, the known ones, then others in the order of their predictions.
     """
     if space.dimension == 0:
         return [{}]
@@ -88,13 +88,13 @@ def find_worst_contexts(
     spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
     known_points = _points(space, known)
     for point in np.vstack([space.corners(), spread, known_points]):
-        tried.run(point, evaluate)
+        tried.evaluate(point, evaluate)
     for _ in range(ROUNDS):
         model = tried.fit(rng)
         if model is None:
             break
         for point in _local_maxima(space, model, _upper(model), rng)[:EVALUATIONS_A_ROUND]:
-            tried.run(point, evaluate)
+            tried.evaluate(point, evaluate)
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(_points(space, [context])[0], value)
@@ -102,7 +102,7 @@ def find_worst_contexts(
 
 
 class _Tried:
-    """Contexts that were tried, as points of the unit cube, with the metric."""
+    """Evaluated contexts, as points of the unit cube, with the metric."""
 
     def __init__(
         self, space: ContextSpace, drawn: Sequence[tuple[Mapping[str, float], float]]
@@ -115,7 +115,7 @@ class _Tried:
         self._points.append(point)
         self._values.append(value)
 
-    def run(self, point: Array, evaluate: Evaluate) -> None:
+    def evaluate(self, point: Array, evaluate: Evaluate) -> None:
         context = self._space.to_contexts(point[None])
         value = evaluate(self._space.to_dict(context[0]))
         if value is not None:
@@ -132,7 +132,7 @@ class _Tried:
         """Contexts (m, e) to look at closely, in own units."""
         edge = self._space.corners()
         if model is None:
-            # Every evaluation failed: the corners are as good as any.
+            # Every evaluation failed, so nothing prefers one context to another.
             return self._space.to_contexts(_distinct([*known, *edge])[:CANDIDATES])
         points = np.array(self._points)
         maxima = _local_maxima(self._space, model, model.predict_mean, rng)
@@ -143,7 +143,7 @@ class _Tried:
         first = _distinct([highest, corner, seen, *known], APART)
         others = points[np.argsort(-model.predict_mean(points), kind="stable")]
         rest = _distinct([*first, *maxima, *others])
-        # Those of `first` that are close to each other are not all in `rest`.
+        # `rest` starts with `first`, except for those that are close to each other.
         rest = rest[[not (first == point).all(axis=1).any() for point in rest]]
         return self._space.to_contexts(np.vstack([first, rest])[:CANDIDATES])
 
@@ -162,7 +162,7 @@ def _local_maxima(
     function: Callable[[Array], Array],
     rng: np.random.Generator,
 ) -> Array:
-    """Local maxima (m, e) of a function of the unit cube, all different, the largest first."""
+    """Distinct local maxima (m, e) of a function on the unit cube, the largest first."""
     starts = np.vstack(
         [model.data.x, space.corners(), latin_hypercube(OTHERS, space.dimension, rng)]
     )
@@ -176,13 +176,13 @@ def _local_maxima(
         ).x
         for start in _distinct(best)[:STARTS]
     ]
-    # A discrete variable is where it can be.
+    # Moves a discrete variable to its nearest possible value.
     maxima = space.to_cube(space.to_contexts(np.clip(np.array(found), 0.0, 1.0)))
     return _distinct(maxima[np.argsort(-function(maxima), kind="stable")])
 
 
 def _distinct(points: Sequence[Array] | Array, distance: float = DISTINCT) -> Array:
-    """Points (n, e) without those that come after one that is not farther than a distance."""
+    """Return the points (n, e) that are farther than a distance from all points kept before."""
     kept: list[Array] = []
     for point in points:
         if all(np.abs(point - other).max() > distance for other in kept):

@@ -1,15 +1,20 @@
-"""How far the machine may drift before a limit breaks, from all evaluations of the answer."""
+"""Tolerance to the context: how far each variable may drift before the limit is exceeded."""
 
 import numpy as np
 
-from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, Drift, context_tolerance
+from bo_tuner.certificate.context_tolerance import (
+    CREDIBLE,
+    ContextTolerance,
+    Drift,
+    context_tolerance,
+)
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity, values
 
 
-def drift(analysis: Analysis) -> Section | None:
-    """Show which context variable hurts most; None without a worst case or enough evaluations."""
+def tolerance(analysis: Analysis) -> Section | None:
+    """Show the effect of each context variable; None without a worst case or enough data."""
     answer = analysis.answer
     if answer is None:
         return None
@@ -19,17 +24,17 @@ def drift(analysis: Analysis) -> Section | None:
     first = found.variables[0]
     percent = f"{100.0 * CREDIBLE:g} %"
     return Section(
-        name="drift",
-        title="How far the machine may drift",
-        lead=f"{first.name} hurts {found.metric} most: at its nominal value the worst case would "
-        f"be lower by {quantity(first.relief.median, found.unit)} "
+        name="tolerance",
+        title="How far each context variable may drift",
+        lead=f"{found.metric} is most sensitive to {first.name}: at its nominal value the worst "
+        f"case would be lower by {quantity(first.relief.median, found.unit)} "
         f"({number(first.relief.low)} to {number(first.relief.high)}).",
         figures=[_reliefs(found)],
         tables=[
             Table(
-                caption=f"Tolerated ranges, with {percent} credible bands where a limit breaks "
-                "within the range of the study",
-                header=["", "unit", "nominal", "alone", "all others at their worst"],
+                caption=f"Tolerated ranges, with {percent} credible bands where the limit is "
+                "exceeded within the range of the study",
+                header=["", "unit", "nominal", "alone", "others as in the worst context"],
                 rows=[
                     [
                         v.name,
@@ -44,12 +49,12 @@ def drift(analysis: Analysis) -> Section | None:
             )
         ],
         notes=[
-            f"From {found.evaluations} runs with the tuned parameters. The mean {found.metric} "
-            f"over noise is {quantity(found.nominal.median, found.unit)} in the nominal context "
-            f"and {quantity(found.worst.median, found.unit)} ({number(found.worst.low)} to "
-            f"{number(found.worst.high)}) in the worst one ({values(found.worst_context)}); the "
-            f"limit is {quantity(found.limit, found.unit)}. Nothing is said beyond the ranges of "
-            "the study."
+            f"From {found.evaluations} evaluations of the tuned parameter set. The mean "
+            f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
+            f"nominal context and {quantity(found.worst.median, found.unit)} "
+            f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "
+            f"({values(found.worst_context)}); the limit is {quantity(found.limit, found.unit)}. "
+            "There are no predictions outside the ranges of the study."
         ],
     )
 
@@ -58,17 +63,17 @@ def _reliefs(found: ContextTolerance) -> Figure:
     reliefs = [variable.relief for variable in found.variables]
     places = np.arange(len(reliefs), dtype=float)
     names = [variable.name for variable in found.variables]
-    said = [f"{n}: {quantity(r.median, found.unit)}" for n, r in zip(names, reliefs, strict=True)]
+    texts = [f"{n}: {quantity(r.median, found.unit)}" for n, r in zip(names, reliefs, strict=True)]
     return Figure(
-        name="drift",
-        title=f"What each context variable does to the worst {found.metric}",
-        caption=f"How much the worst case falls if this variable alone is put back to its nominal "
-        f"value, with the {100.0 * CREDIBLE:g} % credible band.",
-        alternative="; ".join(said),
+        name="tolerance",
+        title=f"Effect of each context variable on the worst {found.metric}",
+        caption="Decrease of the worst case when this variable alone returns to its nominal value, "
+        f"with the {100.0 * CREDIBLE:g} % credible band.",
+        alternative="; ".join(texts),
         panels=[
             Panel(
                 x=Axis(label="", ticks=list(zip(places.tolist(), names, strict=True))),
-                y=Axis(label="relief", unit=found.unit),
+                y=Axis(label="decrease", unit=found.unit),
                 elements=[
                     Bars(
                         x=places,
@@ -78,7 +83,7 @@ def _reliefs(found: ContextTolerance) -> Figure:
                         color=Color.SKY,
                         width=0.4,
                         base=np.zeros(len(reliefs)),
-                        hover=said,
+                        hover=texts,
                     )
                 ],
             )
@@ -88,7 +93,7 @@ def _reliefs(found: ContextTolerance) -> Figure:
 
 
 def _end(end: Drift) -> str:
-    """Value that is tolerated; its band where the limit breaks on the way to the bound."""
+    """Return the last tolerated value, with its band if the limit is crossed before the bound."""
     if end.breaks <= 0.5 * (1.0 - CREDIBLE):
         return f"{number(end.bound)} (end of the range)"
     return f"{number(end.limit.median)} ({number(end.limit.low)} to {number(end.limit.high)})"

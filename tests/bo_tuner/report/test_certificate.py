@@ -7,7 +7,7 @@ import pytest
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.answer import Status, answer
-from bo_tuner.report.sections.certified import certificate
+from bo_tuner.report.sections.certificate import certificate
 
 
 def findings(violations, passed):
@@ -49,7 +49,7 @@ def content(verdict):
         "default": findings(8, False),
         "training_gaps": [
             {
-                "name": "mean error", "unit": "s", "shown": 1.2, "predicted": 1.3,
+                "name": "mean error", "unit": "s", "observed": 1.2, "predicted": 1.3,
                 "validated": 1.5, "gap": 0.3, "standard_error": 0.1,
             }
         ],
@@ -94,7 +94,7 @@ def test_the_answer_begins_with_it(certified, tuned, verdict, status):
     found = answer(Analysis(certified(json.dumps(ours))))
     assert (found.tiles[0].label, found.tiles[0].value) == ("certificate", verdict)
     assert found.tiles[0].status is status
-    refused = [s for s in found.sentences if s.startswith("The certificate is refused")]
+    refused = [s for s in found.sentences if s.startswith("The certificate failed")]
     assert len(refused) == (verdict == "FAIL")
     if verdict == "FAIL":
         assert found.status is Status.BAD
@@ -110,6 +110,8 @@ def test_one_of_another_trial_does_not_count(certified, tuned):
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])
 def test_a_broken_one_is_one_line(certified, text):
-    with pytest.raises(RunRecordError, match=r"certificate.json: no certificate") as error:
+    with pytest.raises(
+        RunRecordError, match=r"certificate.json: not a readable certificate"
+    ) as error:
         certificate(certified(text))
     assert "\n" not in str(error.value)

@@ -1,20 +1,25 @@
-"""Whether the optimum is a calm place: what a step to a neighbour costs."""
+"""Sensitivity of the tuned parameter set to a step in one parameter."""
 
 import numpy as np
 
-from bo_tuner.certificate.neighbourhood import Neighbour, Neighbourhood, look_around
+from bo_tuner.certificate.parameter_sensitivity import (
+    Neighbour,
+    ParameterSensitivity,
+    parameter_sensitivity,
+)
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.optimizers.ranking import BELIEVED_FEASIBLE, TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
+from bo_tuner.study.search_space import STEP
 
 
-def neighbours(analysis: Analysis) -> Section | None:
-    """Show what the surrogates say of the answer's neighbours; None while there is no answer."""
+def sensitivity(analysis: Analysis) -> Section | None:
+    """Show the predictions one step away from the answer; None while there is no answer."""
     if analysis.answer is None:
         return None
     study = analysis.study
-    found = look_around(study, analysis.answer.parameters, analysis.models)
+    found = parameter_sensitivity(study, analysis.answer.parameters, analysis.models)
     if found is None or not found.neighbours:
         return None
     metric = study.metrics[study.objective.metric]
@@ -34,21 +39,21 @@ def neighbours(analysis: Analysis) -> Section | None:
         for n in found.neighbours
         if n.feasibility < BELIEVED_FEASIBLE <= optimum.feasibility
     ]
-    calm = (
-        f"None of {len(found.neighbours)} steps to a neighbour costs more than "
-        f"{100.0 * TOLERABLE:.0f} %, in the objective or over a limit."
+    tolerable = (
+        f"None of {len(found.neighbours)} steps to a neighbour loses more than "
+        f"{100.0 * TOLERABLE:.0f} % of the objective or exceeds a limit by more than that."
     )
-    lead = found.warning[:1].upper() + found.warning[1:] + "." if found.warning else calm
+    lead = found.warning[:1].upper() + found.warning[1:] + "." if found.warning else tolerable
     if lost:
-        lead += f" Believed infeasible one step away: {', '.join(lost)}."
+        lead += f" Steps to a parameter set believed infeasible: {', '.join(lost)}."
     return Section(
-        name="neighbours",
-        title="How calm the optimum is",
+        name="sensitivity",
+        title="Sensitivity to a step in one parameter",
         lead=lead,
         figures=[_figure(found, metric.name)],
         tables=[
             Table(
-                caption="Neighbours of the tuned parameter set, as the surrogates predict them",
+                caption="Predictions of the surrogates one step away from the tuned parameter set",
                 header=[
                     "step",
                     f"mean {metric.name} [{metric.unit}]" if metric.unit else metric.name,
@@ -61,14 +66,14 @@ def neighbours(analysis: Analysis) -> Section | None:
             )
         ],
         notes=[
-            "A step is one for integers and a twentieth of the range for others. The score of the "
-            f"neighbourhood is {found.score:.3g}: the mean of what is lost beyond "
-            f"{100.0 * TOLERABLE:.0f} %; 0 is calm."
+            f"A step is 1 for an integer and {100.0 * STEP:g} % of the range for a double. The "
+            f"sensitivity score, the mean loss beyond {100.0 * TOLERABLE:.0f} %, is "
+            f"{found.score:.3g}; it is 0 if every step is tolerable."
         ],
     )
 
 
-def _figure(found: Neighbourhood, metric: str) -> Figure:
+def _figure(found: ParameterSensitivity, metric: str) -> Figure:
     optimum = found.optimum
     steps = [_step(n, optimum) for n in found.neighbours]
     relative = np.array([100.0 * (n.objective / optimum.objective - 1.0) for n in found.neighbours])
@@ -94,11 +99,10 @@ def _figure(found: Neighbourhood, metric: str) -> Figure:
         if chosen.any()
     ]
     return Figure(
-        name="neighbours",
+        name="sensitivity",
         title=f"Change of the mean {metric} one step away from the tuned parameter set",
-        caption="Predicted by the surrogates. A gain at an infeasible neighbour means that the "
-        "optimum lies at the edge of the feasible area; long bars on both sides mean that it is "
-        "a narrow one.",
+        caption="Predicted by the surrogates. A gain at an infeasible neighbour means that a limit "
+        "is active at the optimum; large losses on both sides mean that the optimum is narrow.",
         alternative="; ".join(f"{s}: {r:+.1f} %" for s, r in zip(steps, relative, strict=True)),
         panels=[
             Panel(

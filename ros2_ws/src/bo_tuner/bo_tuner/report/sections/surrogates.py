@@ -1,4 +1,4 @@
-"""What the surrogates believe of the parameters."""
+"""The surrogates around the answer, as slices and contours."""
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
@@ -6,27 +6,25 @@ from bo_tuner.report.sections.contours import MOST_PARAMETERS, contours, most_se
 from bo_tuner.report.sections.slices import slices
 
 
-def landscape(analysis: Analysis) -> Section | None:
-    """Show the surrogates around the answer; None while no trial is complete."""
+def surrogates(analysis: Analysis) -> Section | None:
+    """Show the surrogates around the answer; None before a trial is complete."""
     answer = analysis.answer
     if answer is None or analysis.models.objective is None:
         return None
     names = analysis.study.search_space().names
     figures = [slices(analysis, answer)]
-    notes = [
-        "A trial is drawn into a slice if its other parameters are within a tenth of their ranges."
-    ]
+    notes = ["A slice shows the trials whose other parameters are within a tenth of their ranges."]
     if len(names) > 1:
         figures.append(contours(analysis, answer))
     if len(names) > MOST_PARAMETERS:
         chosen = ", ".join(most_sensitive(analysis))
-        notes.append(f"Pairs are drawn of the parameters that matter most: {chosen}.")
+        notes.append(f"Pairs of the parameters with the shortest length scales: {chosen}.")
     notes += [f"Fit: {warning}." for warning in analysis.models.warnings]
     return Section(
         name="surrogates",
-        title="What the surrogates believe",
+        title="Surrogates",
         lead=f"Gaussian processes fitted to all trials, in slices through trial {answer.number}: "
-        "how the answer reacts to each parameter, and how much room is left to the limits.",
+        "the effect of each parameter, and the distance to the limits.",
         figures=figures,
         notes=notes,
     )

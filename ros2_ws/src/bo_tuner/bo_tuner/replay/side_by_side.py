@@ -1,4 +1,4 @@
-"""A bag of two evaluations side by side, as if both ran at the same time."""
+"""A bag of two evaluations side by side, shifted to the same start time."""
 
 import json
 import struct
@@ -12,15 +12,15 @@ from bo_tuner.errors import OutputError
 from bo_tuner.recording.bag import NANOSECONDS, Message, Topic, TrialBag, stamp, timed
 
 QUIET, LATEST_QUIET = 0.1, 1.0
-"""Without a message for this long [s], the last one of an evaluation has come."""
+"""Time without a message [s] after which an evaluation's last one has arrived; longest wait [s]."""
 
 _STAMP = struct.Struct("<iI")
 _ENCODING = 4
-"""Bytes ahead of a serialized message that tell its encoding."""
+"""Length of the encapsulation header of a serialized message [byte]."""
 
 
 class Inbox:
-    """Takes the messages of one evaluation at a time, from a listener's thread."""
+    """Collects the messages of one evaluation at a time from a listener's thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -29,17 +29,17 @@ class Inbox:
         self.warnings: list[str] = []
 
     def take(self, topic: Topic, data: bytes) -> None:
-        """Take a message."""
+        """Store a message."""
         with self._lock:
             self._messages.append((topic, data))
 
     def lose(self, count: int) -> None:
-        """Take note of messages that the middleware has lost."""
+        """Count messages that the middleware has lost."""
         with self._lock:
             self.lost += count
 
     def warn(self, text: str) -> None:
-        """Take note of a topic that cannot be heard."""
+        """Store a warning on a topic that cannot be recorded."""
         self.warnings.append(text)
 
     def collect(self, hand_over: Callable[[], None]) -> list[Message]:
@@ -48,7 +48,7 @@ class Inbox:
         Parameters
         ----------
         hand_over
-            Makes the listener hand over what it has.
+            Makes the listener deliver the messages that it has received.
         """
         end = time.monotonic() + LATEST_QUIET
         count = -1
@@ -65,15 +65,15 @@ class Inbox:
 def write_side_by_side(
     path: Path, sides: Mapping[str, list[Message]], notes: Mapping[str, object]
 ) -> bool:
-    """Write a bag in which each side has its name in front of its topics.
+    """Write a bag in which the topics of each side have its name as a prefix.
 
-    All sides begin when the first one does: the stamps in the headers of the others, and their
-    times in the bag, are shifted.
+    All sides start at the same time: the header stamps and the bag times of the others are shifted
+    to the start of the first.
 
     Parameters
     ----------
     path
-        The bag; an older one of that name is replaced.
+        The bag; an existing one is replaced.
     sides
         Messages of an evaluation, in the order of their arrival, by name.
     notes
@@ -96,7 +96,7 @@ def write_side_by_side(
         start = starts[name]
         shift = 0 if start is None else begin - start
         moved = [_moved(message, name, shift) for message in messages]
-        # What has no stamp, on a side without any, belongs to the beginning.
+        # On a side without any stamp all messages get the start time.
         together += timed(moved, begin if start is None else 0)
     if not together:
         return False
@@ -116,7 +116,7 @@ def write_side_by_side(
 
 
 def _start(messages: list[Message]) -> int | None:
-    """Time [ns] at which an evaluation begins: the first of all stamps."""
+    """Return the time [ns] at which an evaluation starts: its earliest stamp."""
     return min((t for message in messages if (t := stamp(message)) is not None), default=None)
 
 

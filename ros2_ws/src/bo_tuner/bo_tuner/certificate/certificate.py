@@ -1,4 +1,4 @@
-"""A certificate as a whole, and its files in the folder of the run."""
+"""A certificate, and its files in the run folder."""
 
 import csv
 import hashlib
@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
+from bo_tuner.certificate.context_tolerance import CREDIBLE, ContextTolerance, context_tolerance
 from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
-from bo_tuner.certificate.neighbourhood import Neighbourhood, look_around
-from bo_tuner.certificate.robustness import CREDIBLE, ContextTolerance, context_tolerance
+from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
 from bo_tuner.certificate.verdict import FAIL, PASS, judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.errors import OutputError
@@ -29,29 +29,29 @@ from bo_tuner.trials import Stage, Trial, Value
 CERTIFICATE = "certificate.json"
 TUNED, DEFAULT = "tuned", "default"
 FORMAT = 1
-"""Version of the file's layout."""
+"""Version of the file's format."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was found out about a parameter set, and how.
+    """The findings about a parameter set, with their provenance.
 
     Attributes
     ----------
     study
         The study.
     trial
-        Number of the trial whose parameter set this is of.
+        Number of the trial with this parameter set.
     best_sha256
-        Digest of the ``best.yaml`` that holds it; None if it is another trial's.
+        Digest of the ``best.yaml`` that holds it; None if that holds another trial's.
     draws, confidence
-        As asked for.
+        As requested.
     tuned, default
-        Findings of the parameter set and of the hand-tuned one.
+        Findings for the parameter set and for the hand-tuned one.
     gaps
-        Training against validation.
-    context, neighbours
-        Robustness, as far as it can be told.
+        Training compared with validation.
+    context, sensitivity
+        Robustness against the context and to steps in the parameters; None if not known.
     provenance
         Versions, sources, machine, backend and seed.
     """
@@ -65,7 +65,7 @@ class Certificate:
     default: Findings
     gaps: Sequence[Gap]
     context: ContextTolerance | None
-    neighbours: Neighbourhood | None
+    sensitivity: ParameterSensitivity | None
     provenance: Mapping[str, str]
 
     @property
@@ -75,16 +75,16 @@ class Certificate:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to know of it, whether it passed or not."""
-        narrow = self.neighbours.warning if self.neighbours is not None else ""
+        """Warnings that do not affect the verdict."""
+        narrow = self.sensitivity.warning if self.sensitivity is not None else ""
         return (narrow,) if narrow else ()
 
-    def layout(self, evaluations_sha256: str) -> dict[str, object]:
-        """Lay the certificate out for its file.
+    def to_mapping(self, evaluations_sha256: str) -> dict[str, object]:
+        """Return the content of the certificate's file.
 
         Parameters
         ----------
-        cuts_sha256
+        evaluations_sha256
             Digest of the file with the evaluations.
         """
         return {
@@ -98,7 +98,7 @@ class Certificate:
             "parameters": dict(self.tuned.parameters),
             "parameters_sha256": parameters_sha256(self.tuned.parameters),
             "best_yaml_sha256": self.best_sha256,
-            "cuts_sha256": evaluations_sha256,
+            "evaluations_sha256": evaluations_sha256,
             "draws": self.draws,
             "confidence": self.confidence,
             "tail_level": TAIL,
@@ -115,7 +115,7 @@ class Certificate:
                 for gap in self.gaps
             ],
             "context_tolerance": None if self.context is None else asdict(self.context),
-            "neighbourhood": _neighbourhood(self.neighbours),
+            "parameter_sensitivity": _sensitivity(self.sensitivity),
             "provenance": dict(self.provenance),
             "finished": datetime.now().astimezone().isoformat(timespec="seconds"),
         }
@@ -129,20 +129,20 @@ def make_certificate(
     backend: str,
     best_sha256: str | None,
 ) -> Certificate:
-    """Judge the evidence, and compare it with what the run believed.
+    """Judge the evidence, and compare it with the estimates of the run.
 
     Parameters
     ----------
     record
         The run.
     trial
-        Whose parameter set is judged.
+        The trial whose parameter set is judged.
     evidence
         Evaluations of the parameter sets `TUNED` and `DEFAULT`.
     confidence
-        Of all bounds.
+        Confidence of all bounds.
     backend
-        Where the evaluations were run.
+        Backend on which the evaluations were run.
     best_sha256
         As in `Certificate`.
     """
@@ -166,7 +166,7 @@ def make_certificate(
         default=judge(study, evidence[DEFAULT], confidence),
         gaps=training_gaps(study, trial, rank(study, record.trials, models), findings),
         context=context_tolerance(study, [*fresh, *in_training, *tuned.drawn]),
-        neighbours=look_around(study, trial.parameters, surrogates),
+        sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
         provenance=provenance(study, backend, record.algorithm),
     )
 
@@ -174,14 +174,14 @@ def make_certificate(
 def write_certificate(
     folder: Path, name: str, certificate: Certificate, evidence: Mapping[str, Evidence]
 ) -> Path:
-    """Write the evaluations, then the certificate with their digest; returns the latter's path.
+    """Write the evaluations, then the certificate with their digest; return the latter's path.
 
-    Each file appears as a whole or not at all.
+    Each file is written atomically.
 
     Parameters
     ----------
     folder
-        Of the run.
+        The run folder.
     name
         File name of the certificate.
     certificate
@@ -195,14 +195,14 @@ def write_certificate(
         If a file cannot be written.
     """
     table = _table(certificate.study, evidence)
-    _write(folder / f"{Path(name).stem}_cuts.csv", table)
+    _write(folder / f"{Path(name).stem}_evaluations.csv", table)
     digest = hashlib.sha256(table.encode()).hexdigest()
-    text = json.dumps(without_nan(certificate.layout(digest)), indent=2, allow_nan=False)
+    text = json.dumps(without_nan(certificate.to_mapping(digest)), indent=2, allow_nan=False)
     return _write(folder / name, text + "\n")
 
 
 def parameters_sha256(parameters: Mapping[str, Value]) -> str:
-    """Digest of a parameter set: of its JSON with sorted keys and without spaces."""
+    """Return the digest of a parameter set's JSON with sorted keys and without spaces."""
     text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -211,23 +211,23 @@ def _findings(findings: Findings) -> dict[str, object]:
     return asdict(findings) | {"passed": findings.passed, "reasons": list(findings.reasons)}
 
 
-def _neighbourhood(neighbours: Neighbourhood | None) -> dict[str, object] | None:
-    if neighbours is None:
+def _sensitivity(found: ParameterSensitivity | None) -> dict[str, object] | None:
+    if found is None:
         return None
-    return asdict(neighbours) | {
-        "narrow": bool(neighbours.narrow),
-        "neighbours": [asdict(n) | {"tolerable": n.tolerable} for n in neighbours.neighbours],
+    return asdict(found) | {
+        "narrow": bool(found.narrow),
+        "neighbours": [asdict(n) | {"tolerable": n.tolerable} for n in found.neighbours],
     }
 
 
 def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
-    """Lay out all evaluations as CSV, a row each."""
+    """Return all evaluations as CSV, a row each."""
     text = io.StringIO()
     contexts, metrics = list(study.contexts), list(study.metrics)
-    # Names of contexts and metrics may be the same.
+    # A context and a metric may have the same name.
     columns = [*(f"context.{n}" for n in contexts), *(f"metric.{n}" for n in metrics)]
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["parametrization", "stage", "index", "seed", "state", *columns, "reason"])
+    writer.writerow(["parameter_set", "stage", "index", "seed", "state", *columns, "reason"])
     for name, found in evidence.items():
         for evaluation in found.evaluations:
             outcome = evaluation.outcome

@@ -1,13 +1,13 @@
-"""Whether an optimum is a calm place: what the surrogates say of the parameter sets around it.
+"""Sensitivity of an optimum to a step in one parameter, as the surrogates predict it.
 
-An optimum is narrow if a step to a neighbour is intolerable: it loses more than `TOLERABLE` of the
-objective, or exceeds a limit by more than that part of it. Then a controller that is rounded, tuned
-by hand or moved to a slightly different machine may be no good any more, however well the optimum
-itself holds. The paper's example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a
-horizon decides between feasible and not (Table 3).
+An optimum is narrow if a step to a neighbour loses more than the fraction `TOLERABLE` of the
+objective, or exceeds a limit by more than that fraction of it. After rounding, a small manual
+change or a move to a slightly different machine such an optimum may no longer be good. The paper's
+example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a horizon decides whether
+the limits are kept (Table 3).
 
-`recommendation.neighbourhood` steps as far as the models can tell two points apart, which suits a
-ranking within a run; here a step is the same in all runs.
+`optimizers.ranking.neighbourhood` steps by the length scales of the models, which suits a ranking
+within one run; here a step is the same in all runs.
 """
 
 from collections.abc import Mapping
@@ -24,22 +24,22 @@ from bo_tuner.trials import Value
 
 @dataclass(frozen=True)
 class Neighbour:
-    """A parameter set one step away from the optimum.
+    """The prediction for a parameter set one step away from the optimum.
 
     Attributes
     ----------
     parameters
         The parameter set.
     changed
-        The tuned parameters that differ, by name, with their values here.
+        The tuned parameters that differ from the optimum, with their values here.
     objective
         Posterior mean of the objective, in the metric's unit.
     feasibility
         Probability that all constraints hold.
     loss
-        Loss in cost, relative to the objective's size; negative for a gain.
+        Increase of the cost, relative to the size of the objective; negative for a gain.
     excess
-        Largest predicted excess over a limit, relative to the limit; negative if within all.
+        Largest predicted excess over a limit, relative to the limit; negative if all are kept.
     """
 
     parameters: Mapping[str, Value]
@@ -51,23 +51,23 @@ class Neighbour:
 
     @property
     def tolerable(self) -> bool:
-        """Whether the step costs no more than `TOLERABLE`."""
+        """Whether neither loss nor excess is above `TOLERABLE`."""
         return max(self.loss, self.excess) <= TOLERABLE
 
 
 @dataclass(frozen=True)
-class Neighbourhood:
-    """The neighbours of an optimum.
+class ParameterSensitivity:
+    """Predictions for all steps away from an optimum.
 
     Attributes
     ----------
     optimum
         The optimum itself, with a loss of 0.
     neighbours
-        One or two for each tuned parameter, as bounds and order permit.
+        Up to two for each tuned parameter, where bounds and order permit them.
     score
-        Mean of what is lost beyond `TOLERABLE` at the neighbours, in cost and over limits; 0 is
-        calm.
+        Mean over the neighbours of the loss and the excess beyond `TOLERABLE`; 0 if every step is
+        tolerable.
     """
 
     optimum: Neighbour
@@ -76,15 +76,15 @@ class Neighbourhood:
 
     @property
     def narrow(self) -> tuple[Neighbour, ...]:
-        """The neighbours that are intolerable; an optimum without one is calm."""
+        """The neighbours that are not tolerable; the optimum is narrow if there is one."""
         return tuple(n for n in self.neighbours if not n.tolerable)
 
     @property
     def warning(self) -> str:
-        """One line on a narrow optimum; empty for a calm one."""
+        """One line on a narrow optimum; empty if every step is tolerable."""
         if not self.narrow:
             return ""
-        said = "; ".join(
+        steps = "; ".join(
             ", ".join(f"{name} {value:.4g}" for name, value in n.changed.items())
             + f" (objective {100.0 * n.loss:+.0f} %"
             + (f", {100.0 * n.excess:.0f} % over a limit)" if n.excess > 0.0 else ")")
@@ -92,14 +92,14 @@ class Neighbourhood:
         )
         return (
             f"narrow optimum: {len(self.narrow)} of {len(self.neighbours)} steps to a neighbour "
-            f"cost more than {100.0 * TOLERABLE:.0f} %: {said}"
+            f"cost more than {100.0 * TOLERABLE:.0f} %: {steps}"
         )
 
 
-def look_around(
+def parameter_sensitivity(
     study: Study, parameters: Mapping[str, Value], models: Surrogates
-) -> Neighbourhood | None:
-    """Predict the neighbours of a parameter set.
+) -> ParameterSensitivity | None:
+    """Predict objective and constraints one step away from a parameter set in each parameter.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def look_around(
 
     Returns
     -------
-    Neighbourhood or None
+    ParameterSensitivity or None
         None while there is no model of the objective.
     """
     if models.objective is None:
@@ -139,6 +139,6 @@ def look_around(
         )
         for k, item in enumerate(around)
     )
-    # What the optimum exceeds itself is no sign of a narrow one.
+    # The optimum itself is left out: its own excess does not make it narrow.
     lost = intolerable(loss[1:]) + intolerable(excess[1:])
-    return Neighbourhood(optimum, tuple(others), float(lost.mean()) if others else 0.0)
+    return ParameterSensitivity(optimum, tuple(others), float(lost.mean()) if others else 0.0)

@@ -1,4 +1,4 @@
-"""The parameters of a study as a whole: ties, fixed values and order between them."""
+"""The parameters of a study together: ties, fixed values and order constraints."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,8 +11,8 @@ from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Number, Parameter
 
 
-class Parametrization:
-    """Maps between all parameters by name and a row of the d tuned values.
+class ParameterSpace:
+    """Maps a parameter set, by name, to a row of its d tuned values, and back.
 
     Parameters
     ----------
@@ -32,18 +32,18 @@ class Parametrization:
     names : tuple of str
         Names of the tuned ones.
     lower, upper : ndarray, shape (d,)
-        Bounds of the tuned parameters as the study gives them, in own units.
+        Bounds of the tuned parameters in the study, in their own units.
     permitted : tuple of two ndarrays, shape (d,)
-        What the order leaves of these bounds.
+        These bounds, tightened by the order.
     partial_order : PartialOrder
-        Order between columns.
+        Order constraints between columns.
     defaults : dict from str to int or float
         Hand-tuned value of every parameter.
 
     Raises
     ------
     StudyError
-        If a reference leads nowhere, nothing is tuned, or the order cannot be satisfied or is
+        If a reference is unknown, no parameter is tuned, or the order cannot be satisfied or is
         violated by the defaults.
     """
 
@@ -72,7 +72,7 @@ class Parametrization:
             self._add_order(index, names)
 
     def row(self, parameters: Mapping[str, Number]) -> Array:
-        """Return the tuned values of a parameter set in own units, shape (d,).
+        """Return the tuned values of a parameter set in their own units, shape (d,).
 
         Tied and fixed parameters may be left out.
 
@@ -102,7 +102,7 @@ class Parametrization:
         return row
 
     def complete(self, row: Array) -> dict[str, Number]:
-        """Return all parameters by name for a row of tuned values in own units, shape (d,)."""
+        """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
         parameters = dict(self.defaults)
         for item in self.parameters:
             column = self._column.get(self._leader(item.name).name)
@@ -148,9 +148,9 @@ class Parametrization:
         i, j = (self._column.get(item.name) for item in leaders)
         if i is not None and j is not None:
             if i != j and self.partial_order.implies(j, i):
-                raise StudyError(f"{rule} closes a circle; use tied_to for equal values", path)
+                raise StudyError(f"{rule} closes a cycle; use tied_to for equal values", path)
             pairs = [*self.partial_order.pairs, (i, j)]
-            # Values tied to one another are in order whatever they are.
+            # Values tied to each other always satisfy it.
             self.partial_order = PartialOrder(len(self.tuned), [p for p in pairs if p[0] != p[1]])
         elif i is not None:
             upper[i] = min(upper[i], self.defaults[names[1]])

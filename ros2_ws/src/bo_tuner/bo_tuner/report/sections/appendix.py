@@ -1,4 +1,4 @@
-"""The tables at the end: every trial, and where the run comes from."""
+"""The tables at the end of the report: all trials, and the provenance of the run."""
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
@@ -15,7 +15,7 @@ def all_trials(analysis: Analysis) -> Section:
     header.append(_with_unit(f"mean {metric.name}", metric.unit))
     if worst is not None:
         header.append(_with_unit(f"worst {worst.metric}", study.metrics[worst.metric].unit))
-    header += ["cuts", "outcome"]
+    header += ["evaluations", "outcome"]
     rows = []
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
@@ -26,7 +26,7 @@ def all_trials(analysis: Analysis) -> Section:
     return Section(
         name="trials",
         title="All trials",
-        lead="The same is in trials.csv and evaluations.csv in the run folder.",
+        lead="As a table for other programs: trials.csv and evaluations.csv in the run folder.",
         tables=[
             Table(
                 caption=f"{len(rows)} trials",
@@ -40,17 +40,17 @@ def all_trials(analysis: Analysis) -> Section:
 
 
 def provenance(analysis: Analysis) -> Section:
-    """Tell what produced the run, and the study as run."""
+    """Show what produced the run, and its study."""
     record = analysis.record
     rows = [["run folder", record.path.resolve().name], *map(list, record.provenance.items())]
     return Section(
         name="provenance",
-        title="Where this comes from",
+        title="Provenance",
         lead=f"Algorithm {record.algorithm}, backend {record.backend}, seed {record.study.seed}.",
         tables=[
-            Table(caption="Provenance", header=["what", "value"], rows=rows),
+            Table(caption="Versions, sources and machine", header=["", "value"], rows=rows),
             Table(
-                caption="The study as run",
+                caption="The study, with the options of the run",
                 header=["study.yaml"],
                 rows=[[study_to_yaml(record.study)]],
                 folded=True,

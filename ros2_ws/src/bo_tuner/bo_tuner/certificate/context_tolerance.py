@@ -1,12 +1,11 @@
-"""Which context variable hurts a parameter set most, and how far each may drift.
+"""Which context variable a parameter set is most sensitive to, and how far each may drift.
 
-All evaluations of the parameter set, whatever they were run for, tell of the constrained metric as
-a function f of the context: its expectation over noise, a Gaussian process with the priors of stage
-two. What is said of f comes from samples of the posterior along lines through the box, on which one
-variable moves from its nominal value to a bound: a quantity is computed for each sample, and its
-quantiles make up a credible band. The hyperparameters are the fitted ones; their uncertainty is not
-in the band. Nothing is said of contexts beyond the study's bounds, for which there are no
-evaluations.
+The constrained metric, in expectation over noise, is modelled as a function f of the context by a
+Gaussian process with the priors of stage two, fitted to all evaluations of the parameter set. Every
+quantity is computed for samples from the posterior of f along lines through the box, on which one
+variable moves from its nominal value to a bound; its quantiles over the samples are a credible
+band. The hyperparameters are fitted values, so the band does not contain their uncertainty. There
+are no evaluations outside the study's bounds, and no predictions either.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,20 +22,20 @@ from bo_tuner.trials import Evaluation, EvaluationState
 from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
 
 CREDIBLE = 0.9
-"""Posterior probability of a band, the rest equally above and below."""
+"""Posterior probability of a credible band, with equal tails."""
 
 SAMPLES = 1000
 STEPS = 31
-"""Points of a line from the nominal value to a bound, ends included."""
+"""Points on a line from the nominal value to a bound, including both."""
 
 FEWEST_EVALUATIONS = 5
 MOST_EVALUATIONS = 300
-"""Evaluations beyond this are left out: the cost grows with their cube."""
+"""Further evaluations are left out: the cost of the fit grows with the cube of their number."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Median of a quantity and the ends of its credible band."""
+    """Median and credible band of a quantity."""
 
     low: float
     median: float
@@ -50,11 +49,11 @@ class Drift:
     Attributes
     ----------
     bound
-        Where the study's range ends.
+        The bound in the study.
     limit
-        Value at which the mean metric exceeds its limit; `bound` if it does not on the way there.
+        Value at which the mean metric crosses its limit; `bound` if it does not.
     breaks
-        Probability that it does.
+        Probability that it crosses the limit before the bound.
     """
 
     bound: float
@@ -64,14 +63,14 @@ class Drift:
 
 @dataclass(frozen=True)
 class VariableTolerance:
-    """What one context variable does to the constrained metric.
+    """Effect of one context variable on the constrained metric.
 
     Attributes
     ----------
     name, unit, nominal
-        Of the variable.
+        Name, unit and nominal value of the variable.
     relief
-        How much the metric falls if, in the worst context, this variable alone is put back to its
+        Decrease of the metric when, in the worst context, this variable alone returns to its
         nominal value, in the metric's unit.
     down, up
         Drift with all other variables nominal.
@@ -98,13 +97,13 @@ class ContextTolerance:
     metric, unit, limit
         Of the worst-case constraint.
     evaluations
-        How many evaluations this comes from.
+        Number of evaluations behind the model.
     nominal
         The mean metric in the nominal context.
     worst, worst_context
-        The mean metric in the worst context, and where that is.
+        The mean metric in the worst context, and that context.
     variables
-        The one that hurts most, by the median of its relief, first.
+        In decreasing order of the median relief.
     """
 
     metric: str
@@ -118,14 +117,14 @@ class ContextTolerance:
 
 
 def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> ContextTolerance | None:
-    """Tell which context variable hurts most, and how far each may drift.
+    """Rank the context variables by their effect, and return how far each may drift.
 
     Parameters
     ----------
     study
         The study.
     evaluations
-        Of one parameter set, of any stage; of more than `MOST_EVALUATIONS` whole ones the first.
+        Of one parameter set, of any stage; the first `MOST_EVALUATIONS` complete ones are used.
 
     Returns
     -------
@@ -133,18 +132,18 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
         None without a worst-case constraint or contexts, or with too few evaluations.
     """
     constraint, space = study.worst_case_constraint, study.context_space()
-    whole = [
+    complete = [
         evaluation
         for evaluation in evaluations
         if evaluation.outcome.state is EvaluationState.COMPLETE
     ][:MOST_EVALUATIONS]
-    if constraint is None or space.dimension == 0 or len(whole) < FEWEST_EVALUATIONS:
+    if constraint is None or space.dimension == 0 or len(complete) < FEWEST_EVALUATIONS:
         return None
     rng = generator(study.seed, Stream.ROBUSTNESS)
     points = space.to_cube(
-        [[evaluation.context[name] for name in space.names] for evaluation in whole]
+        [[evaluation.context[name] for name in space.names] for evaluation in complete]
     )
-    values = np.array([evaluation.outcome.metrics[constraint.metric] for evaluation in whole])
+    values = np.array([evaluation.outcome.metrics[constraint.metric] for evaluation in complete])
     model = GaussianProcess.fit(points, values, rng=rng, priors=PRIORS)
     worst_context, _ = maximise_over_contexts(space, model.predict_mean, rng, points)
     nominal = space.nominal()
@@ -172,7 +171,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
                 name=name,
                 unit=study.contexts[name].unit,
                 nominal=distribution.nominal,
-                # The lines through the worst context begin where this variable is nominal.
+                # Lines through the worst context start at the nominal value of this variable.
                 relief=_band(at_worst[:, 0] - along[2][:, 0]),
                 down=drifts[0],
                 up=drifts[1],
@@ -184,7 +183,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
         metric=constraint.metric,
         unit=study.metrics[constraint.metric].unit,
         limit=constraint.upper,
-        evaluations=len(whole),
+        evaluations=len(complete),
         nominal=_band(ends[:, 0]),
         worst=_band(ends[:, 1]),
         worst_context=worst_context,
@@ -193,7 +192,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
 
 
 def _steps(distribution: Distribution, bound: float) -> Array:
-    """Values (k,) of a variable from the nominal one to a bound."""
+    """Values (k,) of a variable from its nominal value to a bound."""
     steps = distribution.clip(np.linspace(distribution.nominal, bound, STEPS))
     if isinstance(distribution, Discrete):
         between = sorted((distribution.nominal, bound))
@@ -202,21 +201,21 @@ def _steps(distribution: Distribution, bound: float) -> Array:
 
 
 def _line(base: Array, column: int, steps: Array) -> Array:
-    """Contexts (k, e) that have one variable's steps, and the rest of another context."""
+    """Contexts (k, e): the context `base` with one variable replaced by each of `steps` (k,)."""
     contexts = np.tile(base, (len(steps), 1))
     contexts[:, column] = steps
     return contexts
 
 
 def _drift(steps: Array, sampled: Array, limit: float, discrete: bool) -> Drift:
-    """Drift along a line of values (k,) on which the metric is sampled, shape (S, k)."""
+    """Drift along values `steps` (k,) at which the metric is sampled, shape (S, k)."""
     above = sampled > limit
     broken = above.any(axis=1)
     first = np.where(broken, above.argmax(axis=1), len(steps) - 1)
     before = np.maximum(first - 1, 0)
     rows = np.arange(len(sampled))
     low, high = sampled[rows, before], sampled[rows, first]
-    # A variable with few values stays at the last one that holds.
+    # A discrete variable may drift to the last value that keeps the limit.
     rise = np.where(broken & (first > 0) & (not discrete), high - low, np.inf)
     crossing = steps[before] + (limit - low) / rise * (steps[first] - steps[before])
     where = np.where(broken, crossing, steps[-1])

@@ -1,11 +1,11 @@
-"""What went wrong: failed evaluations, and outliers of the objective."""
+"""Failed evaluations, and outliers of the objective."""
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, values
 from bo_tuner.trials import EvaluationState
 
 
-def faults(analysis: Analysis) -> Section:
+def failures(analysis: Analysis) -> Section:
     """List failures and outliers."""
     failed = [
         r for r in analysis.record.evaluations if r.outcome.state is not EvaluationState.COMPLETE
@@ -15,7 +15,7 @@ def faults(analysis: Analysis) -> Section:
     if failed:
         tables.append(
             Table(
-                caption="Evaluations that failed, in the order in which they ran",
+                caption="Failed evaluations, in the order in which they ran",
                 header=[
                     "trial",
                     "stage",
@@ -45,7 +45,7 @@ def faults(analysis: Analysis) -> Section:
     if outliers:
         tables.append(
             Table(
-                caption="Outliers: trials left out of the surrogates, their surroundings avoided",
+                caption="Outliers: trials left out of the surrogates; their vicinity is avoided",
                 header=["trial", "parameters", f"mean {metric.name} [{metric.unit}]"],
                 rows=[
                     [
@@ -59,12 +59,10 @@ def faults(analysis: Analysis) -> Section:
             )
         )
     warnings = [f"Trial {t.number}: {text}." for t in analysis.trials for text in t.warnings]
-    lead = (
-        f"Failed runs: {len(failed)}. Trials taken for outliers of the objective: {len(outliers)}."
-    )
+    lead = f"Failed evaluations: {len(failed)}. Outliers of the objective: {len(outliers)} trials."
     return Section(
         name="failures",
-        title="What went wrong",
+        title="Failures and outliers",
         lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
         tables=tables,
         notes=warnings,
@@ -72,6 +70,6 @@ def faults(analysis: Analysis) -> Section:
 
 
 def _bag(analysis: Analysis, trial: int) -> str:
-    """Path of a trial's bag within the run folder, if it was kept."""
+    """Return the path of a trial's bag within the run folder; a dash if it was not kept."""
     path = f"bags/trial_{trial:04d}"
     return path if (analysis.record.path / path).is_dir() else "–"
