@@ -57,7 +57,7 @@ def seconds(work: Callable[[], Any]) -> float:
 
 
 def evaluation(backend: Any, seed: int = 1) -> None:
-    """Run one cut of the hand-tuned parametrization; a failed one ends the benchmark."""
+    """Run one cut of the hand-tuned parameter set; a failed one ends the benchmark."""
     planned = Evaluation(0, 0, Stage.DRAWN, CONTEXT, seed)
     outcome = run_cut(STUDY, backend, PARAMETERS, planned).outcome
     if outcome.state is not EvaluationState.COMPLETE:

@@ -1,7 +1,7 @@
-"""Run tasks of a campaign again, and compare their results with the published records.
+"""Run tasks of a campaign again with the installed code, and compare the results with the records.
 
-All of a result must be the same to the last bit; only times may differ. The records hold the commit
-that made them; what is compared with them is the code that is installed.
+A result must be identical to the last bit, except for measured times. It depends on the versions of
+the libraries and on the kernels of the linear algebra, too: see docs/campaigns.md.
 """
 
 import argparse
@@ -15,9 +15,9 @@ from typing import Any
 from common import BENCHMARKS
 
 from bo_tuner.errors import OutputError, RunError, StudyError
-from tuning_benchmark.experiment_file import load_experiment
-from tuning_benchmark.records import Records
-from tuning_benchmark.tasks import carry_out, tasks_of
+from tuning_benchmark.campaign.records import Records
+from tuning_benchmark.campaign.tasks import carry_out, tasks_of
+from tuning_benchmark.experiments.experiment_file import load_experiment
 
 RECORDS = BENCHMARKS.parent / "docs" / "records"
 
@@ -44,14 +44,14 @@ def differences(recorded: object, now: object, path: str = "") -> Iterator[str]:
 
 
 def reproduce(name: str, folder: Path, patterns: list[str]) -> bool:
-    """Run the tasks of an experiment that match; tell whether all are identical.
+    """Run the tasks of an experiment that match; return whether all are identical.
 
     Raises
     ------
     StudyError, OutputError
         If the experiment or the records cannot be read, or a pattern matches no task on record.
     RunError
-        If this computer lacks what a task imports.
+        If a module that a task imports is not installed.
     """
     experiment = load_experiment(name)
     tasks = {task.name: task for task in tasks_of(experiment)}
@@ -73,7 +73,13 @@ def reproduce(name: str, folder: Path, patterns: list[str]) -> bool:
         ]
         same = same and not found
         print(f"{task.name}: {'; '.join(found) if found else 'identical'}", flush=True)
+        if found:
+            print(_origin("on record", record), _origin("now", again), sep="\n", flush=True)
     return same
+
+
+def _origin(when: str, record: Mapping[str, Any]) -> str:
+    return f"  {when}: {record['about']['machine']}; {record['about']['versions']}"
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The valley of `tuning_benchmark.cost` in closed form: its truth, and optimizers for it."""
+"""The valley of `tuning_benchmark.campaign.cost`: its truth in closed form, and optimizers."""
 
 import os
 from dataclasses import dataclass

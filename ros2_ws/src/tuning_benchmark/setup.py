@@ -44,6 +44,6 @@ setup(
         ],
         "test": ["pytest"],
     },
-    entry_points={"console_scripts": [f"benchmark = {NAME}.executable:benchmark"]},
+    entry_points={"console_scripts": [f"benchmark = {NAME}.__main__:benchmark"]},
     zip_safe=False,
 )

@@ -1,6 +1,6 @@
 """Many cuts of one controller at once: the same closed loop as plant and controller, vectorised.
 
-A cut on the objects takes tens of milliseconds; the truth of one parametrization needs a thousand.
+A cut on the objects takes tens of milliseconds; the truth of one parameter set needs a thousand.
 Here all cuts of a controller run side by side, a row for each pair of context and noise. Three
 things make that possible: the filter's gain is the same in all rows, the optimum without limits is
 a matrix product, and the programs of the rows share their Hessian.

@@ -1,9 +1,9 @@
-"""The truth of a parametrization of the controller, by far more cuts than a tuner has.
+"""The truth of a parameter set of the controller, by many more cuts than a tuner has.
 
 E is the mean tracking error over many contexts drawn from their distribution. The worst overshoot
 is the largest, over a grid of contexts up to their bounds, of the mean over noise draws; since the
-noise of few draws moves it, the worst contexts can also be judged by more. All parametrizations
-meet the same contexts and noise, so that differences between them are known better than each.
+noise of few draws moves it, the worst contexts can also be judged by more. The contexts and the
+noise are the same for all parameter sets, so that their differences are more accurate than each.
 
 The loop is the vectorised one, which solves its programs exactly. Whether a controller is fast
 enough, or its solver gives up, only shows in cuts on the objects.
@@ -41,7 +41,7 @@ ROUGH = 10
 
 @dataclass(frozen=True)
 class Judgement:
-    """The truth of one parametrization; NaN where a loop diverged or has no control law.
+    """The truth of one parameter set; NaN where a loop diverged or has no control law.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Judgement:
 
 
 class Judge:
-    """Judges parametrizations of the controller, all in the same contexts and noise.
+    """Judges parameter sets of the controller, all in the same contexts and noise.
 
     Parameters
     ----------
