@@ -117,7 +117,7 @@ def test_ctrl_c_keeps_what_is_done(benchmark, tmp_path):
     code, out, err = finish(process)
     assert code == 130
     assert out == ""
-    assert "the same command goes on" in err
+    assert "the same command resumes" in err
     assert records_of(tmp_path / "out")
 
 

@@ -44,6 +44,15 @@ def test_all_that_a_module_imports_in_its_package_is_found(toolbox):
     assert list(found) == [f"toolbox{name}" for name in names]
 
 
+def test_the_code_of_the_tuner_counts_wherever_a_task_starts(toolbox):
+    (toolbox / "unused.py").write_text("from bo_tuner.tuning.loop import Tuning\nimport numpy\n")
+    found = provenance.imported(("toolbox.unused",))
+    assert {"bo_tuner.tuning.loop", "bo_tuner.trials", "toolbox.unused"} <= set(found)
+    libraries = [text.split()[0] for text in provenance.versions(["toolbox.unused"])]
+    assert "numpy" in libraries
+    assert "bo_tuner" not in libraries
+
+
 def test_digest_changes_with_what_runs_only(toolbox):
     before = provenance.digest(["toolbox.root"], "text")
     assert provenance.digest(["toolbox.root"], "other text") != before

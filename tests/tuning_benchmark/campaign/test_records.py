@@ -61,7 +61,7 @@ def test_records_of_other_tasks_stay_and_do_not_matter(file):
 def test_what_is_no_record_is_refused_with_its_line(file, content):
     file.parent.mkdir()
     file.write_text(json.dumps(line("run/a/1")) + "\n" + content)
-    with pytest.raises(OutputError, match="line 2 is no record"):
+    with pytest.raises(OutputError, match="line 2 is not the record of a task"):
         Records(file, VERSIONS)
 
 

@@ -8,7 +8,6 @@ from tuning_benchmark.campaign.runs import RunSize
 from tuning_benchmark.experiments.experiment import (
     Calibration,
     Cost,
-    Experiment,
     Row,
     SurrogateFigure,
 )
@@ -120,45 +119,41 @@ def test_fields_stand_upright(make_case, study, fields):
 @pytest.mark.parametrize(
     ("key", "words"), [("return_time_p50", "the study limits return_time_p99"), ("", "median.")]
 )
-def test_calibration_compares_by_a_line(make_case, key, words):
+def test_calibration_compares_by_a_line(key, words):
     given = Calibration(
         study=load_study("full"), metric="return_time", key=key, node="controller",
         parameter="return_time", modelled="modelled", measured="measured", grid={}, repeats=2,
     )  # fmt: skip
-    experiment = Experiment(
-        name="e", judge="valley:Judge", cases={"c": make_case()}, calibration=given
-    )
     points = [{"modelled": x, "measured": [1.0 + 0.25 * x, 9.0]} for x in (1.0, 2.0, 4.0)]
     points.append({"modelled": None, "measured": [1.0]})
-    figure, text = figures.calibration(experiment, {"points": points})
+    figure, text = figures.calibration(given, {"points": points})
     assert text.startswith("Measured = 1 s + 0.25 × modelled, over 3 settings; correlation 1.000.")
     assert "4.0 times as long" in text
     assert figure.caption.rstrip(".").endswith(words.rstrip("."))
 
 
-def cost_figure(make_case, seconds):
+def cost_figure(seconds):
     """Figure and text of costs by number of parameters and seed, at 50, 100 and 200 trials."""
     seeds = max(seed for _, seed in seconds)
     cost = Cost(dimensions=(2, 4), trials=(50, 100, 200), compared_trials=100, seeds=seeds)
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": make_case()}, cost=cost)
     done = {
         f"cost/{dimension}/{seed}": {
             "result": {"trials": [50, 100, 200] if dimension == 2 else [100], "seconds": values}
         }
         for (dimension, seed), values in seconds.items()
     }
-    return figures.cost_scaling(experiment, done)
+    return figures.cost_scaling(cost, done)
 
 
-def test_cost_grows_by_the_power_that_was_put_in(make_case):
-    figure, text = cost_figure(make_case, {(2, 1): [1.0, 2.0, 16.0], (4, 1): [4.0]})
+def test_cost_grows_by_the_power_that_was_put_in():
+    figure, text = cost_figure({(2, 1): [1.0, 2.0, 16.0], (4, 1): [4.0]})
     assert "with the trials to the power 2.00 (one run); 1.00 from 50 to 100, 3.00 from" in text
     assert "with the parameters to the power 1.00 (one run)." in text
     assert "The lines in the figure are fits." in text
     assert len(figure.panels) == 2
 
 
-def test_an_exponent_has_the_interval_of_its_seeds(make_case):
+def test_an_exponent_has_the_interval_of_its_seeds():
     """A run's own times depend on each other: only runs tell how sure an exponent is."""
     seconds = {
         (2, seed): [seed * (trials / 50) ** power for trials in (50, 100, 200)]
@@ -166,7 +161,7 @@ def test_an_exponent_has_the_interval_of_its_seeds(make_case):
     }
     # Four parameters cost 2, 4 and 8 times as much as two.
     seconds |= {(4, seed): [2.0**seed * seconds[2, seed][1]] for seed in (1, 2, 3)}
-    figure, text = cost_figure(make_case, seconds)
+    figure, text = cost_figure(seconds)
     # 0.975 quantile of Student's t with 2 degrees of freedom, from a printed table.
     half = 4.303 * np.std([1.0, 1.5, 2.0], ddof=1) / np.sqrt(3)
     shown = f"{1.5:.2f} ({1.5 - half:.2f} to {1.5 + half:.2f}, 3 seeds)"

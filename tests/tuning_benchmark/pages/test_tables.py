@@ -208,13 +208,13 @@ def test_what_the_paper_prints_almost_alike_has_no_order(published, other, sente
 
 @pytest.mark.parametrize(
     ("low", "reason"),
-    [(0.5, ": its objective is low because the limits are not kept."), (2.5, ".")],
+    [(0.5, ": its objective is low because it violates the limits."), (2.5, ".")],
 )
-def test_a_row_without_a_feasible_answer_has_no_place_in_the_order(published, low, reason):
+def test_a_row_without_a_feasible_answer_is_not_ranked(published, low, reason):
     numbers = {"A": {"objective": 0.2}, "B": {"objective": 0.1}}
     ours = {"A": [1.0, 1.1, 0.9], "B": [low + 0.1, low, low - 0.1]}
     said = beside_the_paper(*published(numbers, ours, B={"feasible": False}))
-    text = "No answer of B is truly feasible, so that it has no place in the order"
+    text = "No answer of B is truly feasible, so it is not ranked"
     assert said == [text + reason]
 
 
@@ -258,7 +258,7 @@ def test_a_peer_that_wins_is_said_to_win(compared):
         }
     )
     assert reference.startswith("The reference is ours: 4 of 4")
-    assert level.startswith("Each of the 2 comparisons is at a confidence of 97.50%")
+    assert level.startswith("Each of the 2 comparisons is made at a confidence of 97.50%")
     assert "as many feasible answers" in peer
     assert "**a better objective where both are feasible, by -0.1000" in peer
     assert peer.endswith("over 4 runs**.")
@@ -267,7 +267,7 @@ def test_a_peer_that_wins_is_said_to_win(compared):
     assert worse.endswith("over 3 runs.")
     assert [text.split(":")[0] for text in best] == [
         "The best with random contexts is random",
-        "The best with the worst-case search lent to it is lent",
+        "The best with our worst-case search is lent",
     ]
     assert compared({"ours": [1.0, 1.0]}) == []
 
@@ -309,7 +309,6 @@ def test_each_neighbour_has_its_verdict(make_case, record, answer):
         "old": Point(parameters=tuned),
     }
     case = make_case(rows={"A": Row(name="A", algorithm="IV")}, runs=1, points=points)
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
     best = answer(1.0, narrow=True)
     best["neighbours"][0]["truth"] = {"objective": 1.1, "worst": 0.9, "feasible": False}
     judged = {
@@ -320,7 +319,7 @@ def test_each_neighbour_has_its_verdict(make_case, record, answer):
     done = {f"point/c/{name}": {"failed": "", "result": found} for name, found in judged.items()}
     done["run/c/A/1"] = record(best)
     found = [summarise(case, row, done, None) for row in case.rows.values()]
-    lines = rows_of(tables.neighbourhood_table(experiment, case, found, done))
+    lines = rows_of(tables.neighbourhood_table(case, found, done))
     assert lines[0] == ["**best of A**", "0.5", "0.25", "1.0000", "0.5000", "yes", "narrow", ""]
     assert lines[1][5:] == ["no", "objective +10%, limit exceeded by 20%: not tolerable", ""]
     assert [(line[0], *line[-2:]) for line in lines[2:]] == [
@@ -334,12 +333,11 @@ def test_each_neighbour_has_its_verdict(make_case, record, answer):
 def test_the_best_of_a_row_is_the_best_that_its_user_knows(make_case, record, answer):
     """The truth is not at hand, and an answer that did not hold is not taken."""
     case = make_case(rows={"A": Row(name="A", algorithm="IV")}, runs=3)
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
     answers = [answer(2.0), answer(1.5, feasible=False), answer(1.0, held=False)]
     answers[0]["truth"]["objective"] = 0.5
     done = {f"run/c/A/{seed}": record(found) for seed, found in enumerate(answers, start=1)}
     found = [summarise(case, row, done, None) for row in case.rows.values()]
-    (line, _) = rows_of(tables.neighbourhood_table(experiment, case, found, done))
+    (line, _) = rows_of(tables.neighbourhood_table(case, found, done))
     assert (line[0], line[3], line[-2]) == ("**best of A**", "1.5000", "infeasible")
 
 
@@ -368,7 +366,7 @@ def test_points_are_compared_with_the_papers(make_case, answer):
         "-0.1000 here.",
         "Differs: *alike* is infeasible in the paper and feasible here.",
         "Differs: the objective of *alike* less that of *first* is +0.100 in the paper and "
-        "+0.0280 here, which is no difference beyond two standard errors.",
+        "+0.0280 here, which is within two standard errors.",
         "Agrees: *close* is feasible in the paper and feasible here.",
     ]
 
@@ -390,26 +388,25 @@ def test_a_page_tells_protocols_and_marks_remarks(make_case, record, answer):
     whole = text(case)
     assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in whole
     assert "*Worst case*: the trial is evaluated as in Algorithm IV" in whole
-    assert "Remarks, written by hand for the published campaign:\n\nSo it is." in whole
+    assert "Remarks on the published campaign, written by hand:\n\nSo it is." in whole
     assert "It separates the search from the final" in whole
     alone = text(make_case(rows={"A": rows["A"]}, runs=1))
     for words in ("*Random*", "*Worst case*", "Remarks", "separates"):
         assert words not in alone
 
 
-def test_costs_are_grouped_by_parameters_and_trials(make_case):
+def test_costs_are_grouped_by_parameters_and_trials():
     cost = Cost(dimensions=(2, 4), trials=(50, 100), compared_trials=100, seeds=2)
-    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": make_case()}, cost=cost)
     done = {
         f"cost/{d}/{s}": {"result": {"trials": t, "seconds": [1.0 * d * s * k for k in t]}}
         for d, t in ((2, [50, 100]), (4, [100]))
         for s in (1, 2)
     }
-    assert tables.costs(experiment, done) == {
+    assert tables.costs(cost, done) == {
         (2, 50): {1: 100.0, 2: 200.0},
         (2, 100): {1: 200.0, 2: 400.0},
         (4, 100): {1: 400.0, 2: 800.0},
     }
-    assert [line[:2] for line in rows_of(tables.cost_table(experiment, done))] == [
+    assert [line[:2] for line in rows_of(tables.cost_table(cost, done))] == [
         ["2", "50"], ["2", "100"], ["4", "100"]
     ]  # fmt: skip

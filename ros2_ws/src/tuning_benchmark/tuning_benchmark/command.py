@@ -183,7 +183,7 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
     for whole, recorded in zip(experiments, records, strict=True):
         experiment, missing = on_record(whole, recorded.done)
         parts += page.sections(experiment, recorded.done, missing)
-        failed |= page.failed_tasks(recorded.done)
+        failed |= {k: r["failed"] for k, r in recorded.done.items() if r["failed"]}
         print(page.numbers(experiment, recorded.done))
     for part in parts:
         for figure in part.figures:

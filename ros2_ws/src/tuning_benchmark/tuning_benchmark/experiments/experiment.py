@@ -99,6 +99,7 @@ class Point:
     def __post_init__(self) -> None:
         if not isinstance(self.neighbours, bool):
             raise StudyError("expected true or false", ("neighbours",))
+        _check_mapping(self.parameters, "parameters")
         _check_published(self.published)
 
 
@@ -338,7 +339,13 @@ def read_optima(path: Path) -> dict[str, Any]:
     return entries
 
 
+def _check_mapping(value: object, key: str) -> None:
+    if not isinstance(value, Mapping):
+        raise StudyError(f"expected a mapping, found {checks.show(value)}", (key,))
+
+
 def _check_published(published: Mapping[str, float]) -> None:
+    _check_mapping(published, "published")
     for name, value in published.items():
         checks.choice(name, PUBLISHED, "published", name)
         checks.number(value, "published", name)

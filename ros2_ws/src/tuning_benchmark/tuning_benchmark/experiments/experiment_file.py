@@ -1,7 +1,8 @@
 """Experiment files: from YAML to a checked `Experiment`."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -78,49 +79,36 @@ def _experiment(value: object, folder: Path) -> Experiment:
     fields = _fields(Experiment, value, without=("optima",), also=("truth",))
     if "truth" in fields:
         fields["optima"] = read_optima(folder / checks.text(fields.pop("truth"), "truth"))
-    fields["cases"] = _named(fields["cases"], "cases", lambda n, v: _case(n, v, folder))
+    fields["cases"] = _named("cases", fields, lambda name, item: _case(name, item, folder))
     if "calibration" in fields:
-        fields["calibration"] = _under("calibration", _calibration, fields["calibration"], folder)
+        with _under("calibration"):
+            fields["calibration"] = _calibration(fields["calibration"], folder)
     if "cost" in fields:
-        fields["cost"] = _under("cost", _cost, fields["cost"])
+        with _under("cost"):
+            fields["cost"] = _cost(fields["cost"])
     return Experiment(**fields)
 
 
 def _case(name: str, value: object, folder: Path) -> Case:
     fields = _fields(Case, value, without=("name",))
     fields["study"] = _study(fields["study"], folder)
-    fields["rows"] = _named(fields["rows"], "rows", _row)
+    fields["rows"] = _named("rows", fields, _row)
     if "surrogates" in fields:
-        given = fields["surrogates"]
-        fields["surrogates"] = _under(
-            "surrogates", lambda v: SurrogateFigure(**_fields(SurrogateFigure, v)), given
-        )
+        with _under("surrogates"):
+            fields["surrogates"] = SurrogateFigure(**_fields(SurrogateFigure, fields["surrogates"]))
     if "points" in fields:
-        fields["points"] = _named(fields["points"], "points", lambda n, v: _point(v))
+        fields["points"] = _named("points", fields, lambda _, item: Point(**_fields(Point, item)))
     return Case(name=name, **fields)
 
 
 def _row(name: str, value: object) -> Row:
-    fields = _fields(Row, value, without=("name",))
-    if "published" in fields:
-        fields["published"] = _under("published", _mapping, fields["published"])
-    return Row(name=name, **fields)
-
-
-def _point(value: object) -> Point:
-    fields = _fields(Point, value)
-    for name in ("parameters", "published"):
-        if name in fields:
-            fields[name] = _under(name, _mapping, fields[name])
-    return Point(**fields)
+    return Row(name=name, **_fields(Row, value, without=("name",)))
 
 
 def _calibration(value: object, folder: Path) -> Calibration:
     fields = _fields(Calibration, value)
     fields["study"] = _study(fields["study"], folder)
-    fields["grid"] = _named(
-        fields["grid"], "grid", lambda n, v: checks.sequence(v, "a list of values")
-    )
+    fields["grid"] = _named("grid", fields, lambda _, v: checks.sequence(v, "a list of values"))
     return Calibration(**fields)
 
 
@@ -138,17 +126,21 @@ def _study(value: object, folder: Path) -> Study:
     return load_study(name if name in shipped_studies() else folder / name)
 
 
-def _named(value: object, key: str, build: Callable[[str, object], T]) -> dict[str, T]:
+def _named(key: str, fields: Mapping[str, Any], build: Callable[[str, object], T]) -> dict[str, T]:
+    """Build the items of the mapping in field `key`."""
     items: dict[str, T] = {}
-    for name, item in _under(key, _mapping, value).items():
-        items[name] = _under(key, lambda v, n=name: _under(n, lambda w: build(n, w), v), item)
+    with _under(key):
+        for name, item in _mapping(fields[key]).items():
+            with _under(name):
+                items[name] = build(name, item)
     return items
 
 
-def _under(key: str, build: Callable[..., T], *arguments: object) -> T:
-    """Call `build`, with `key` in front of the path of its errors."""
+@contextmanager
+def _under(key: str) -> Iterator[None]:
+    """Put `key` in front of the path of an error from within, unless it is in another file."""
     try:
-        return build(*arguments)
+        yield
     except StudyError as error:
         raise error if error.source else error.under(key) from None
 

@@ -47,33 +47,26 @@ class Effort:
     real_evaluations: int = 25
 
 
-class Judged(Protocol):
-    """What a judge finds; NaN where an evaluation failed."""
+@dataclass(frozen=True)
+class Judgement:
+    """What a judge finds of one parameter set; NaN where an evaluation failed.
 
-    @property
-    def objective(self) -> float:
-        """Mean over the drawn contexts."""
-        ...
+    Attributes
+    ----------
+    objective, standard_error
+        Mean over the drawn contexts, and its standard error.
+    worst, worst_index
+        Largest mean over noise of the constrained metric, of all contexts of the grid, and the row
+        of the grid where it is.
+    single
+        The constrained metric of one evaluation in each drawn context (drawn,).
+    """
 
-    @property
-    def standard_error(self) -> float:
-        """Standard error of that mean."""
-        ...
-
-    @property
-    def worst(self) -> float:
-        """Largest mean over noise, of all contexts of the grid, of the constrained metric."""
-        ...
-
-    @property
-    def worst_index(self) -> int:
-        """Row of the grid where it is."""
-        ...
-
-    @property
-    def single(self) -> Array:
-        """The constrained metric of one evaluation in each drawn context (drawn,)."""
-        ...
+    objective: float
+    standard_error: float
+    worst: float
+    worst_index: int
+    single: Array
 
 
 class Judge(Protocol):
@@ -100,7 +93,7 @@ class Judge(Protocol):
         seed: int,
     ) -> None: ...
 
-    def judge(self, values: Mapping[str, Mapping[str, Any]]) -> Judged:
+    def judge(self, values: Mapping[str, Mapping[str, Any]]) -> Judgement:
         """Judge the values of a parameter set, by node."""
         ...
 
@@ -193,7 +186,7 @@ class Truth:
         real_evaluations
             Evaluations for the chance constraints, if not those of the effort.
         """
-        judged: Judged = self.judge.judge(self.study.assignments(parameters, {}, 0))
+        judged: Judgement = self.judge.judge(self.study.assignments(parameters, {}, 0))
         within, holds = self.meets_chances(parameters, real_evaluations)
         return Verdict(
             objective=judged.objective,

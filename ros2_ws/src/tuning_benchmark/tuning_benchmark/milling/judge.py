@@ -10,7 +10,7 @@ enough, or its solver gives up, only shows in cuts on the objects.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +25,7 @@ from milling_plant.settings import PlantSettings
 from milling_plant.settings import default_settings as plant_defaults
 from mpc_controller.settings import ControllerSettings
 from mpc_controller.settings import default_settings as controller_defaults
+from tuning_benchmark.judging.truth import Judgement
 from tuning_benchmark.milling.closed_loop_batch import CutBatch
 
 PLANT, CONTROLLER = "plant", "controller"
@@ -37,31 +38,6 @@ CANDIDATES, MORE_NOISE = 3, 400
 
 ROUGH = 10
 """Every so many-th drawn context serves a rough judgement."""
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """The truth of one parameter set; NaN where a loop diverged or has no control law.
-
-    Attributes
-    ----------
-    objective
-        Expected tracking error E [(m/s)^2].
-    standard_error
-        Of E, over the drawn contexts [(m/s)^2].
-    worst
-        Worst overshoot [m/s]: the largest mean over noise of all contexts of the grid.
-    worst_index
-        In which context of the grid.
-    single
-        Overshoot of one cut in each drawn context, shape (drawn,) [m/s].
-    """
-
-    objective: float
-    standard_error: float
-    worst: float
-    worst_index: int
-    single: Array
 
 
 class Judge:

@@ -19,7 +19,7 @@ from bo_tuner.figures.figure import (
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
-from tuning_benchmark.experiments.experiment import Calibration, Case, Experiment
+from tuning_benchmark.experiments.experiment import Calibration, Case, Cost
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Effort
 from tuning_benchmark.pages.statistics import Mean, Power, mean, power
 from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
@@ -116,11 +116,8 @@ def _medians(found: Sequence[Sequence[float]]) -> Array:
     return np.array([np.percentile(f, QUARTILES) if f else empty for f in found]).T
 
 
-def calibration(experiment: Experiment, result: Record) -> tuple[Figure, str]:
+def calibration(given: Calibration, result: Record) -> tuple[Figure, str]:
     """Modelled against measured metric, and the line that calibrates the one to the other."""
-    given = experiment.calibration
-    if given is None:
-        raise ValueError("calibration: expected one in the experiment")
     whole = [
         (point["modelled"], point["measured"])
         for point in result["points"]
@@ -182,12 +179,9 @@ def _other_key(given: Calibration) -> str:
     return f" The comparison is by {given.key}, which is less noisy; the study limits {limited}."
 
 
-def cost_scaling(experiment: Experiment, done: Mapping[str, Record]) -> tuple[Figure, str]:
+def cost_scaling(given: Cost, done: Mapping[str, Record]) -> tuple[Figure, str]:
     """Cost of a run against trials and against the number of parameters, with fitted powers."""
-    found = costs(experiment, done)
-    given = experiment.cost
-    if given is None:
-        raise ValueError("cost: expected it in the experiment")
+    found = costs(given, done)
     smallest = min(given.dimensions)
     of_trials = {t: s for (d, t), s in found.items() if d == smallest}
     of_dimension = {d: s for (d, t), s in found.items() if t == given.compared_trials}

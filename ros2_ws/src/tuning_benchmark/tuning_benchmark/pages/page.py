@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from bo_tuner.figures.figure import Figure
 from tuning_benchmark.experiments.experiment import RANDOM, Case, Experiment, SurrogateFigure
@@ -69,17 +68,17 @@ def sections(
         summaries = summaries_of(experiment, case, done)
         parts.append(_case(experiment, case, summaries, done))
         if case.points:
-            text = _points(experiment, case, summaries, done)
+            text = _points(case, summaries, done)
             title = f"{case.title}: the best parameter sets and their neighbours"
             parts.append(Section(title, text))
         if case.surrogates is not None:
             parts.append(_fields(case, case.surrogates, done))
     if experiment.calibration is not None and not done[CALIBRATION]["failed"]:
-        figure, text = figures.calibration(experiment, done[CALIBRATION]["result"])
+        figure, text = figures.calibration(experiment.calibration, done[CALIBRATION]["result"])
         parts.append(Section("The model of the computing time", _with(text, figure), (figure,)))
     if experiment.cost is not None:
-        figure, text = figures.cost_scaling(experiment, done)
-        text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment, done)}"
+        figure, text = figures.cost_scaling(experiment.cost, done)
+        text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment.cost, done)}"
         parts.append(Section("Cost of a run", text, (figure,)))
     parts.append(Section(f"Provenance of {experiment.name}", provenance(experiment, done, missing)))
     return parts
@@ -109,7 +108,7 @@ def numbers(experiment: Experiment, done: Mapping[str, Record]) -> str:
         text += [case.title, tables.comparison_table(case, summaries)]
         text.append(tables.convergence_table(case, summaries))
         if case.points:
-            text.append(tables.neighbourhood_table(experiment, case, summaries, done))
+            text.append(tables.neighbourhood_table(case, summaries, done))
     return "\n\n".join(text)
 
 
@@ -173,14 +172,9 @@ def _protocols(case: Case) -> list[str]:
     return [" ".join(text)]
 
 
-def _points(
-    experiment: Experiment,
-    case: Case,
-    summaries: Sequence[RowSummary],
-    done: Mapping[str, Record],
-) -> str:
+def _points(case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]) -> str:
     """Lay out the judged parameter sets, compared with the paper."""
-    table = tables.neighbourhood_table(experiment, case, summaries, done)
+    table = tables.neighbourhood_table(case, summaries, done)
     said = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
     return f"{table}\n\n{said}".strip()
 
@@ -258,8 +252,3 @@ def _duration(name: str, runs: Sequence[Record]) -> str:
         f"{sum(walls) / 60.0:.1f} minutes, summed over the processes, with evaluations, checks "
         f"and judging; the longest {max(walls):.0f} s."
     )
-
-
-def failed_tasks(done: Mapping[str, Record]) -> dict[str, Any]:
-    """Reasons of the tasks that failed, by task."""
-    return {name: record["failed"] for name, record in done.items() if record["failed"]}

@@ -8,7 +8,7 @@ import numpy as np
 
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.experiments.experiment import Case, Experiment
+from tuning_benchmark.experiments.experiment import Case, Cost
 from tuning_benchmark.experiments.task_names import cost_task, point_task
 from tuning_benchmark.pages.statistics import Mean, Share, mean
 from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at, is_narrow
@@ -107,10 +107,7 @@ def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
 
 
 def neighbourhood_table(
-    experiment: Experiment,
-    case: Case,
-    summaries: Sequence[RowSummary],
-    done: Mapping[str, Record],
+    case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
 ) -> str:
     """Lay out the best parameter sets and their neighbours, each with a verdict (Table 3)."""
     study = case.study
@@ -169,26 +166,23 @@ def _judged(
     return found
 
 
-def cost_table(experiment: Experiment, done: Mapping[str, Record]) -> str:
+def cost_table(cost: Cost, done: Mapping[str, Record]) -> str:
     """Optimizer's processor time of a run by number of parameters and trials."""
     rows = []
-    for (dimension, trials), seconds in costs(experiment, done).items():
+    for (dimension, trials), seconds in costs(cost, done).items():
         shown = _mean(mean(list(seconds.values())), digits=1)
         rows.append([str(dimension), str(trials), shown])
     return markdown(["parameters", "trials", "processor time [s]"], rows) if rows else ""
 
 
-def costs(
-    experiment: Experiment, done: Mapping[str, Record]
-) -> dict[tuple[int, int], dict[int, float]]:
+def costs(cost: Cost, done: Mapping[str, Record]) -> dict[tuple[int, int], dict[int, float]]:
     """Seconds of the runs by seed, for each number of parameters and trials."""
     found: dict[tuple[int, int], dict[int, float]] = {}
-    if experiment.cost is not None:
-        for dimension in experiment.cost.dimensions:
-            for seed in range(1, experiment.cost.seeds + 1):
-                result = done[cost_task(dimension, seed)]["result"] or {"trials": [], "seconds": []}
-                for trials, seconds in zip(result["trials"], result["seconds"], strict=True):
-                    found.setdefault((dimension, trials), {})[seed] = seconds
+    for dimension in cost.dimensions:
+        for seed in range(1, cost.seeds + 1):
+            result = done[cost_task(dimension, seed)]["result"] or {"trials": [], "seconds": []}
+            for trials, seconds in zip(result["trials"], result["seconds"], strict=True):
+                found.setdefault((dimension, trials), {})[seed] = seconds
     return found
 
 

@@ -78,16 +78,14 @@ class PeerStageOne:
         self._optimizer.tell(observation(self._study, trial, self._trials))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PeerAlgorithm(Algorithm):
     """An algorithm whose stage one is another optimizer."""
 
-    stage: PeerStageOne | None = None
+    stage: PeerStageOne
 
     def stage_one(self, study: Study) -> StageOne:
         """Return the optimizer of this run."""
-        if self.stage is None:
-            raise ValueError("stage: expected the optimizer of this run")
         return self.stage
 
 
