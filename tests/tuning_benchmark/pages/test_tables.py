@@ -389,7 +389,7 @@ def test_a_page_tells_protocols_and_marks_remarks(make_case, record, answer):
     assert "*Random*: each trial is evaluated in 3 newly drawn contexts" in whole
     assert "*Worst case*: the trial is evaluated as in Algorithm IV" in whole
     assert "Remarks on the published campaign, written by hand:\n\nSo it is." in whole
-    assert "It separates the search from the final" in whole
+    assert "This separates the search from the final" in whole
     alone = text(make_case(rows={"A": rows["A"]}, runs=1))
     for words in ("*Random*", "*Worst case*", "Remarks", "separates"):
         assert words not in alone
