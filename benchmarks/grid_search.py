@@ -9,7 +9,7 @@ First every point of the grid is screened by the corners of the context box, whe
 ones show, and by few drawn contexts. What keeps the limit there and costs little more than the best
 is judged in full.
 
-An optimum is narrow if a parametrization one integer step away exceeds the overshoot limit, or
+An optimum is narrow if a parameter set one integer step away exceeds the overshoot limit, or
 costs more, by over a fifth. The best one that is not narrow is given too.
 
 On two cores: about two minutes for `benchmark` and seven for `full`.
@@ -35,7 +35,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Value
 from feed_axis_common.errors import FeedAxisError
-from tuning_benchmark.truth import SEED, Effort, Truth
+from tuning_benchmark.judging.truth import SEED, Effort, Truth
 
 OPTIMA = BENCHMARKS.parent / "ros2_ws/src/tuning_benchmark/config/experiments/grid_search.json"
 JUDGE = "tuning_benchmark.milling.judge:Judge"

@@ -2,7 +2,7 @@
 
 The data are trials of the four-parameter study: half of them a Latin hypercube, half around a good
 point, as a run leaves them; each with five replicates of objective and return time and one worst
-overshoot. All three are asked for the next parametrization in one process with one thread, in
+overshoot. All three are asked for the next parameter set in one process with one thread, in
 turn, several times; the ratios of each turn are what counts, not the seconds. The time is that of
 the processor, which other load on the machine disturbs less than the clock's.
 
@@ -70,7 +70,7 @@ CONTENDERS = ("ours", "ours without warm start", "BoTorch", "Optuna")
 
 
 def make_trials(study: Study, count: int) -> list[Trial]:
-    """Evaluate `count` parametrizations; what failed is left out, for all have the same data."""
+    """Evaluate `count` parameter sets; what failed is left out, for all have the same data."""
     rng = np.random.default_rng(SEED)
     space, contexts = study.search_space(), study.context_space()
     design = space.latin_hypercube(count, rng)

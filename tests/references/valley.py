@@ -1,10 +1,11 @@
-"""The valley of `tuning_benchmark.cost` in closed form: its truth, and optimizers for it."""
+"""The valley of `tuning_benchmark.campaign.cost`: its truth in closed form, and optimizers."""
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from tuning_benchmark.judging.truth import Judgement
 
 LARGEST_LOAD = 1.2
 MEAN_NOISE = 0.01 * np.sqrt(2.0 / np.pi)
@@ -19,15 +20,6 @@ def true_worst(gains):
     return float(np.mean(gains)) * LARGEST_LOAD
 
 
-@dataclass
-class Judged:
-    objective: float
-    standard_error: float
-    worst: float
-    worst_index: int
-    single: np.ndarray
-
-
 class Judge:
     def __init__(self, constants, drawn, grid, corners, seed):
         if "valley" not in constants:
@@ -37,7 +29,7 @@ class Judge:
     def judge(self, values):
         gains = [v for name, v in sorted(values["valley"].items()) if name[0] == "g"]
         means = np.mean(gains) * self.grid
-        return Judged(
+        return Judgement(
             true_objective(gains, self.drawn.mean()),
             0.0,
             float(means.max()),

@@ -1,4 +1,4 @@
-"""Campaigns on a study in closed form, whose cuts cost nothing."""
+"""Campaigns on a study in closed form, whose evaluations cost nothing."""
 
 import pytest
 from functions import (  # noqa: F401  (fixtures)
@@ -10,10 +10,9 @@ from functions import (  # noqa: F401  (fixtures)
 )
 
 from bo_tuner.study.study_file import study_to_yaml
-from tuning_benchmark.cost import valley
-from tuning_benchmark.experiment import Case
-from tuning_benchmark.experiment_parts import Row
-from tuning_benchmark.runs import RunSize
+from tuning_benchmark.campaign.cost import valley
+from tuning_benchmark.campaign.runs import RunSize
+from tuning_benchmark.experiments.experiment import Case, Row
 
 JUDGE = "valley:Judge"
 

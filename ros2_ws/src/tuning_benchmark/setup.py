@@ -17,7 +17,7 @@ def shared(folder):
 setup(
     name=NAME,
     version="0.1.0",
-    description="Campaigns of tuning runs, judged by the truth",
+    description="Comparison of tuning algorithms over many runs",
     maintainer="bo_tuner maintainers",
     maintainer_email="maintainers@example.com",
     license="Apache-2.0",
@@ -44,6 +44,6 @@ setup(
         ],
         "test": ["pytest"],
     },
-    entry_points={"console_scripts": [f"benchmark = {NAME}.executable:benchmark"]},
+    entry_points={"console_scripts": [f"benchmark = {NAME}.__main__:benchmark"]},
     zip_safe=False,
 )

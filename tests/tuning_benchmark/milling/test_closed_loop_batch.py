@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from feed_axis_common.model import delay_augmented, feed_axis
-from milling_plant.cut import MillingPlant
+from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
 from mpc_controller.qp import condense
 from tuning_benchmark.milling.closed_loop_batch import (
@@ -13,11 +13,17 @@ from tuning_benchmark.milling.closed_loop_batch import (
     NEWTON_STEPS,
     BoxProgram,
     CutBatch,
-    noise_of_seeds,
 )
 
 # The controller solves by OSQP to 1e-6 of its scaled program; the differences add up in the loop.
 TOLERANCE = 2e-4
+
+
+def noise_of_seeds(plant, seeds):
+    """Measurement noise (m, N) [m/s] as `milling_plant.cut.Cut` draws it for each seed (m,)."""
+    samples = reference_velocity(plant).size
+    deviation = np.sqrt(plant.noise_variance)
+    return np.array([np.random.default_rng(s).normal(0.0, deviation, samples) for s in seeds])
 
 
 def run_objects(plant, controller, contexts, seeds):

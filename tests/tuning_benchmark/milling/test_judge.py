@@ -1,4 +1,4 @@
-"""The judge of parametrizations, on few contexts and draws."""
+"""The judge of parameter sets, on few contexts and draws."""
 
 import numpy as np
 import pytest

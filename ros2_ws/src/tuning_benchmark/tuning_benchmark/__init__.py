@@ -1,1 +1,1 @@
-"""The campaign: many tuning runs side by side, judged by the truth, as tables and figures."""
+"""Comparison of tuning algorithms over many runs, with tables and figures."""

@@ -9,35 +9,37 @@ from bo_tuner.cli.common import Parser, guarded
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_OK
 from bo_tuner.errors import OutputError, RunError
 from bo_tuner.interruption import Interrupted, Interruption
-from tuning_benchmark import page, plugins, sources
-from tuning_benchmark.campaign import conduct, unfinished
-from tuning_benchmark.experiment import Experiment
-from tuning_benchmark.experiment_file import load_experiment, shipped_experiments
-from tuning_benchmark.partial import on_record
-from tuning_benchmark.records import Records
-from tuning_benchmark.tasks import Task, tasks_of
+from tuning_benchmark.campaign import provenance
+from tuning_benchmark.campaign.execution import conduct, unfinished
+from tuning_benchmark.campaign.records import Records
+from tuning_benchmark.campaign.tasks import Task, tasks_of
+from tuning_benchmark.experiments import plugins
+from tuning_benchmark.experiments.experiment import Experiment
+from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
+from tuning_benchmark.pages import page
+from tuning_benchmark.pages.partial import on_record
 
 DESCRIPTION = """\
 Run the algorithms of the paper, or other optimizers, many times on a study,
-judge each answer by the truth, and write a page of tables and figures. Records
-are kept task by task: a campaign that was ended goes on where it was.
-BoTorch, Optuna, SMAC3 and CMA-ES are compared by `make benchmark` in the
-repository, which installs them first.
+judge each answer by the truth, and write a page of tables and figures. Each
+finished task is recorded at once: an interrupted campaign resumes from there.
+`make benchmark` in the repository installs BoTorch, Optuna, SMAC3 and CMA-ES
+first and compares them, too.
 """
 
 EPILOG = """\
 exit codes:
   0    the page is written
-  1    the campaign could not go on, or a task failed (the page tells which)
-  2    something given is wrong: experiment, option, cluster, records of another
-       version of the code
-  130  interrupted by Ctrl-C (143: by SIGTERM); what has ended is on record
+  1    the campaign was aborted, or a task failed (listed on the page)
+  2    bad input: experiment, option, cluster, or records of another version of
+       the code
+  130  interrupted by Ctrl-C (143: by SIGTERM); finished tasks are on record
 
 examples:
   benchmark                              the paper's tables and figures
   benchmark --experiment small --jobs 2  all algorithms, in half a minute
   benchmark --experiment ./mine.yaml --output mine
-  benchmark --cluster tcp://10.0.0.5:8786
+  benchmark --cluster dask://10.0.0.5:8786
 """
 
 PAGE = "results.md"
@@ -77,13 +79,13 @@ def make_parser() -> Parser:
         "--cluster",
         default="",
         metavar="ADDRESS",
-        help="do the tasks on the workers of a Dask scheduler instead, dask://host:port or "
-        "tcp://host:port; each with one thread, and the same packages installed",
+        help="run the tasks on the workers of a Dask scheduler, dask://host:port or "
+        "tcp://host:port; workers need one thread each and the same packages",
     )
     parser.add_argument(
         "--page-only",
         action="store_true",
-        help="write the page from what is on record so far, by whatever version of the code",
+        help="write the page from the records so far, from any version of the code",
     )
     return parser
 
@@ -97,7 +99,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     argv
         The command line without the command.
     interruption
-        Ends the campaign on a signal; what has ended is on record.
+        Ends the campaign on a signal; finished tasks are on record.
     """
     parser = make_parser()
     arguments = parser.parse_args(argv)
@@ -127,16 +129,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             try:
                 _carry_out(experiment, tasks, recorded, interruption, arguments)
             except RunError as error:
-                _tell(f"error: {error}; what has ended is on record in {folder}")
+                _tell(f"error: {error}; finished tasks are on record in {folder}")
                 return EXIT_FAULT
             except Interrupted:
-                _tell(f"what has ended is on record in {folder}; the same command goes on")
+                _tell(f"finished tasks are on record in {folder}; the same command resumes")
                 raise
     return _write(experiments, records, arguments.output)
 
 
 def _check_plugins(experiment: Experiment) -> None:
-    """Load what the experiment names, to say at once what is not there."""
+    """Load the judge and the optimizers, to report at once what is missing."""
     plugins.load(experiment.judge, "judge")
     for name, case in experiment.cases.items():
         for key, row in case.rows.items():
@@ -151,7 +153,7 @@ def _carry_out(
     interruption: Interruption,
     arguments: Any,
 ) -> None:
-    about = _about(tasks)
+    commit = provenance.commit({module for task in tasks for module in task.modules})
     if records.done:
         _tell(f"{experiment.name}: {len(records.done)} of {len(tasks)} tasks are on record")
 
@@ -167,7 +169,7 @@ def _carry_out(
             interruption,
             jobs=arguments.jobs,
             cluster=arguments.cluster,
-            about=about,
+            about={"commit": commit},
             tell=tell,
         )
 
@@ -181,7 +183,7 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
     for whole, recorded in zip(experiments, records, strict=True):
         experiment, missing = on_record(whole, recorded.done)
         parts += page.sections(experiment, recorded.done, missing)
-        failed |= page.failed_tasks(recorded.done)
+        failed |= {k: r["failed"] for k, r in recorded.done.items() if r["failed"]}
         print(page.numbers(experiment, recorded.done))
     for part in parts:
         for figure in part.figures:
@@ -197,11 +199,6 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
     for name, reason in failed.items():
         _tell(f"{name} failed: {reason}")
     return EXIT_FAULT if failed else EXIT_OK
-
-
-def _about(tasks: Sequence[Task]) -> dict[str, str]:
-    """Tell what makes the records, beside what each process adds."""
-    return {"commit": sources.commit({module for task in tasks for module in task.modules})}
 
 
 def _tell(text: str) -> None:

@@ -35,7 +35,7 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
-from bo_tuner.tuning.observer import Observers
+from bo_tuner.tuning.observer import Observers, RunObserver
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it and the default in the same fresh draws

@@ -1,6 +1,6 @@
 """Many cuts of one controller at once: the same closed loop as plant and controller, vectorised.
 
-A cut on the objects takes tens of milliseconds; the truth of one parametrization needs a thousand.
+A cut on the objects takes tens of milliseconds; the truth of one parameter set needs a thousand.
 Here all cuts of a controller run side by side, a row for each pair of context and noise. Three
 things make that possible: the filter's gain is the same in all rows, the optimum without limits is
 a matrix product, and the programs of the rows share their Hessian.
@@ -13,7 +13,6 @@ Notation: m rows; N samples of a cut; n states of the model; H_u, H_p horizons.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +65,6 @@ class BatchResult:
     overshoot: Array
     velocity: Array
     limited: float
-
-
-def noise_of_seeds(plant: PlantSettings, seeds: NDArray[np.int64]) -> Array:
-    """Measurement noise (m, N) [m/s] as `milling_plant.cut.Cut` draws it for each seed (m,)."""
-    samples = reference_velocity(plant).size
-    deviation = sqrt(plant.noise_variance)
-    return np.array([np.random.default_rng(s).normal(0.0, deviation, samples) for s in seeds])
 
 
 class BoxProgram:

@@ -1,16 +1,16 @@
-"""The truth of a parametrization of the controller, by far more cuts than a tuner has.
+"""The truth of a parameter set of the controller, by many more cuts than a tuner has.
 
 E is the mean tracking error over many contexts drawn from their distribution. The worst overshoot
 is the largest, over a grid of contexts up to their bounds, of the mean over noise draws; since the
-noise of few draws moves it, the worst contexts can also be judged by more. All parametrizations
-meet the same contexts and noise, so that differences between them are known better than each.
+noise of few draws moves it, the worst contexts can also be judged by more. The contexts and the
+noise are the same for all parameter sets, so that their differences are more accurate than each.
 
 The loop is the vectorised one, which solves its programs exactly. Whether a controller is fast
 enough, or its solver gives up, only shows in cuts on the objects.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +25,7 @@ from milling_plant.settings import PlantSettings
 from milling_plant.settings import default_settings as plant_defaults
 from mpc_controller.settings import ControllerSettings
 from mpc_controller.settings import default_settings as controller_defaults
+from tuning_benchmark.judging.truth import Judgement
 from tuning_benchmark.milling.closed_loop_batch import CutBatch
 
 PLANT, CONTROLLER = "plant", "controller"
@@ -39,33 +40,8 @@ ROUGH = 10
 """Every so many-th drawn context serves a rough judgement."""
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """The truth of one parametrization; NaN where a loop diverged or has no control law.
-
-    Attributes
-    ----------
-    objective
-        Expected tracking error E [(m/s)^2].
-    standard_error
-        Of E, over the drawn contexts [(m/s)^2].
-    worst
-        Worst overshoot [m/s]: the largest mean over noise of all contexts of the grid.
-    worst_index
-        In which context of the grid.
-    single
-        Overshoot of one cut in each drawn context, shape (drawn,) [m/s].
-    """
-
-    objective: float
-    standard_error: float
-    worst: float
-    worst_index: int
-    single: Array
-
-
 class Judge:
-    """Judges parametrizations of the controller, all in the same contexts and noise.
+    """Judges parameter sets of the controller, all in the same contexts and noise.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""Optimizers of others, each by its own recommended use, behind `tuning_benchmark.optimizer`.
+"""Other optimizers, each used as its authors recommend, behind `tuning_benchmark.peers.optimizer`.
 
-One module each; the product imports none of them. All see the same `Observation`: the objective on
+One module each; the tuner imports none of them. All see the same `Observation`: the objective on
 the study's scale for surrogates, and each constraint's excess, here relative to its limit.
 """

@@ -5,8 +5,8 @@ Sources
     restarts, 512 raw samples), https://botorch.org/docs/constraints, Ament et al. 2023 (LogEI),
     Hvarfner et al. 2024 (the default priors of `SingleTaskGP`).
 Noise
-    Learned. ``train_Yvar`` is for a noise that is known; a standard error from the few cuts of a
-    trial, in contexts that are drawn stratified, is not.
+    Learned. ``train_Yvar`` is for a noise that is known; a standard error from the few evaluations
+    of a trial, in contexts that are drawn stratified, is not.
 Integers
     Rounded inside the model by the input transform `Round` with straight-through gradients
     (Daulton et al. 2022), between reverse and forward scaling as in its documentation; the
@@ -43,8 +43,7 @@ from torch.quasirandom import SobolEngine
 
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.optimizer import Observation, best_observed
-from tuning_benchmark.peers.shared import excesses, tuned
+from tuning_benchmark.peers.optimizer import Observation, best_observed, excesses, tuned
 
 RESTARTS, RAW_SAMPLES, POSTERIOR_SAMPLES = 10, 512, 256
 OPTIONS = {

@@ -18,9 +18,9 @@ Constraints
     `ConstrainedFitnessAL`, which gets its values from the trials of a whole generation and adapts
     its coefficients after it. The search is a local one; the budgets here leave no restarts.
 Failed trials
-    Rank last in their generation. The documented alternative is to sample again; that costs cuts
-    and learns nothing, while the strategy sees only ranks, so that the size of the value does not
-    matter.
+    Rank last in their generation. The documented alternative is to sample again; that costs
+    evaluations and learns nothing, while the strategy sees only ranks, so that the size of the
+    value does not matter.
 Recommendation
     `ConstrainedFitnessAL.best_feas`, the best feasible solution so far, here of all observations.
     The documented favourite, the distribution's mean, was never run.
@@ -35,8 +35,7 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.optimizer import Observation, best_observed
-from tuning_benchmark.peers.shared import excesses, permitted, tuned
+from tuning_benchmark.peers.optimizer import Observation, best_observed, excesses, permitted, tuned
 
 # Its Lagrangian makes log files in the working folder, whatever it is told; this is how its source
 # says that one turns them off.

@@ -31,8 +31,7 @@ from optuna.trial import Trial, TrialState, create_trial
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.optimizer import Observation
-from tuning_benchmark.peers.shared import excesses, permitted
+from tuning_benchmark.peers.optimizer import Observation, excesses, permitted
 
 CRASH = "crash"
 

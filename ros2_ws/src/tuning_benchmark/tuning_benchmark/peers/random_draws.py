@@ -8,8 +8,7 @@ import numpy as np
 
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.optimizer import Observation, best_observed
-from tuning_benchmark.peers.shared import tuned
+from tuning_benchmark.peers.optimizer import Observation, best_observed, tuned
 
 
 class Random:
@@ -21,7 +20,7 @@ class Random:
         self._observations: list[Observation] = []
 
     def ask(self) -> dict[str, Value]:
-        """Draw a parametrization."""
+        """Draw a parameter set."""
         cube = self._space.latin_hypercube(1, self._rng)[0]
         return tuned(self._space, self._space.to_parameters(cube))
 

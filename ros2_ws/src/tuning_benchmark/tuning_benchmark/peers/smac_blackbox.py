@@ -41,8 +41,7 @@ from smac.runhistory import StatusType, TrialInfo, TrialValue
 
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from tuning_benchmark.optimizer import Observation, is_feasible
-from tuning_benchmark.peers.shared import excesses, permitted
+from tuning_benchmark.peers.optimizer import Observation, excesses, is_feasible, permitted
 
 INITIAL_SEED = 0
 """Name of the first evaluation of a configuration."""

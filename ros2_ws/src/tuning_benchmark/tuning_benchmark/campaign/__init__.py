@@ -1,0 +1,1 @@
+"""A campaign as independent tasks: what each does, how they are carried out, and their records."""

@@ -1,0 +1,260 @@
+"""One run of a campaign: a row of a table with one seed, with the verdict on its answer."""
+
+import dataclasses
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
+from bo_tuner.optimizers.ranking import rank
+from bo_tuner.study.study import Study
+from bo_tuner.trials import TUNING, Evaluation, Outcome, Trial, TrialState, Value
+from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.recommendation import CHECK_EVALUATIONS, recommend
+from bo_tuner.tuning.validation import validate
+from bo_tuner.worst_case.search import OBSERVED
+from tuning_benchmark.experiments import plugins
+from tuning_benchmark.experiments.experiment import RANDOM, Row
+from tuning_benchmark.judging.neighbours import judge_neighbours
+from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of, verdict_record
+from tuning_benchmark.peers.adapter import PeerAlgorithm, PeerOptimizer
+
+MOMENTS = 24
+"""Number of moments of a run, at most, at which its incumbent is recorded."""
+
+RANKING = "IV"
+"""Algorithm whose ranking is applied to the trials of other optimizers as well."""
+
+
+@dataclass(frozen=True)
+class RunSize:
+    """Budget of a run.
+
+    Attributes
+    ----------
+    evaluations
+        The trials end with the one that reaches this number.
+    reserved
+        Part of it that is kept for an algorithm that checks its candidates.
+    initial_trials
+        Size of the initial design.
+    """
+
+    evaluations: int
+    reserved: int
+    initial_trials: int
+
+
+class TimedBackend(InProcessBackend):
+    """Counts the evaluations and their processor time [s]."""
+
+    def __init__(self, study: Study) -> None:
+        super().__init__(study)
+        self.evaluations = 0
+        self.seconds = 0.0
+
+    def outcome(self, planned: Evaluation) -> Outcome:
+        """Run one evaluation."""
+        begin = time.process_time()
+        outcome = super().outcome(planned)
+        self.seconds += time.process_time() - begin
+        self.evaluations += 1
+        return outcome
+
+
+class Run:
+    """A row of a table with one seed; iterating over it runs its trials.
+
+    Parameters
+    ----------
+    study
+        The study of the case.
+    row
+        The algorithm or other optimizer.
+    seed
+        Seed of the run.
+    size
+        Its budget.
+
+    Attributes
+    ----------
+    study
+        The study with the seed and the budget of the run.
+    algorithm
+        The algorithm; for another optimizer one that asks it for parameter sets.
+    backend
+        Runs the evaluations, and counts them.
+    budget
+        Evaluations after which the trials end.
+    """
+
+    def __init__(self, study: Study, row: Row, seed: int, size: RunSize) -> None:
+        self.study = _study_of(study, row, seed, size)
+        self._peer: PeerOptimizer | None = None
+        if row.algorithm:
+            algorithm = ALGORITHMS[row.algorithm]
+        else:
+            self._peer = PeerOptimizer(self.study, plugins.load(row.optimizer)(self.study, seed))
+            algorithm = PeerAlgorithm(row.optimizer, peer=self._peer, most_checked=0)
+        # As many checks as the evaluations allow: what one row spends more, the others lack.
+        most_checked = min(algorithm.most_checked, size.reserved // CHECK_EVALUATIONS)
+        changes: dict[str, Any] = {"most_checked": most_checked}
+        if row.protocol == RANDOM:
+            changes["worst_case"] = OBSERVED
+        if row.worst_case:
+            changes["worst_case"] = row.worst_case
+        if row.neighbour_starts is not None:
+            changes["neighbour_starts"] = row.neighbour_starts
+        self.algorithm: Algorithm = dataclasses.replace(algorithm, **changes)
+        self.budget = size.evaluations - (size.reserved if most_checked > 0 else 0)
+        self.backend = TimedBackend(self.study)
+        self.backend.open()
+        self._tuning = Tuning(self.study, self.backend, self.algorithm)
+
+    @property
+    def trials(self) -> Sequence[Trial]:
+        """Trials so far."""
+        return self._tuning.trials
+
+    @property
+    def done(self) -> bool:
+        """Whether the trials have used the budget."""
+        return self.backend.evaluations >= self.budget
+
+    def __iter__(self) -> Iterator[Trial]:
+        """Run trials until one reaches the budget."""
+        for trial in self._tuning:
+            yield trial
+            if self.done:
+                return
+
+    def incumbent(self) -> int | None:
+        """Return the number of the trial believed feasible and best; None if there is none yet."""
+        if self._peer is not None:
+            return self._peer.recommend()
+        return self.first_ranked(self.algorithm)
+
+    def first_ranked(self, algorithm: Algorithm) -> int | None:
+        """Return the trial that an algorithm ranks first; None if none is believed feasible."""
+        ranked = rank(self.study, self.trials, algorithm.models)
+        return ranked[0].trial.number if ranked and ranked[0].believed_feasible else None
+
+    def answer(self) -> tuple[int, bool] | None:
+        """Return the trial recommended in the end and whether it is believed feasible, or None.
+
+        An algorithm of the tuner evaluates its candidates again first.
+        """
+        if self._peer is not None:
+            number = self._peer.recommend()
+            return None if number is None else (number, True)
+        found = recommend(
+            self.study,
+            self.backend,
+            self.trials,
+            self.algorithm.models,
+            most_checked=self.algorithm.most_checked,
+        )
+        return None if found is None else (found.candidate.trial.number, found.feasible)
+
+
+def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[str, Any]:
+    """Run one row with one seed and judge its answer.
+
+    Returns
+    -------
+    dict
+        What JSON takes. ``trajectory`` has a pair for each moment: evaluations so far and the
+        trial believed best then, or None; ``incumbents`` the truth of these trials by number;
+        ``ranked``, of another optimizer's run, the trial that `RANKING` would answer; ``cuts`` and
+        ``check_cuts`` the evaluations of the trials and of the checks. ``seconds`` are processor
+        times.
+    """
+    run = Run(study, row, seed, size)
+    backend = run.backend
+    trajectory: list[tuple[int, int | None]] = []
+    seconds = 0.0
+    begin = time.process_time()
+    for _ in run:
+        moment = int(backend.evaluations * MOMENTS / run.budget)
+        if run.done or not trajectory or moment > int(trajectory[-1][0] * MOMENTS / run.budget):
+            seconds += time.process_time() - begin
+            trajectory.append((backend.evaluations, run.incumbent()))
+            begin = time.process_time()
+    seconds += time.process_time() - begin
+    used, evaluation_seconds = backend.evaluations, backend.seconds
+    answer = run.answer()
+    trials = run.trials
+    record: dict[str, Any] = {
+        "trials": len(trials),
+        "failed_trials": sum(t.state is TrialState.FAILED for t in trials),
+        "warnings": sum(len(t.warnings) for t in trials),
+        "cuts": used,
+        "check_cuts": backend.evaluations - used,
+        "trajectory": trajectory,
+        "answer": None,
+        "ranked": None,
+    }
+    truth = truth_of(study, judge)
+    if row.optimizer:
+        number = run.first_ranked(ALGORITHMS[RANKING])
+        if number is not None:
+            verdict = truth.verdict(trials[number].parameters)
+            record["ranked"] = {"trial": number, "truth": verdict_record(verdict)}
+    if answer is not None:
+        number, believed = answer
+        trajectory.append((backend.evaluations, number if believed else None))
+        record["answer"] = {
+            "trial": number,
+            "believed": believed,
+            "training": _training(run.study, trials[number]),
+            **_judged(run, truth, trials[number].parameters),
+        }
+    record["incumbents"] = {
+        str(number): verdict_record(truth.verdict(trials[number].parameters, FEW_REAL_EVALUATIONS))
+        for number in sorted({n for _, n in trajectory if n is not None})
+    }
+    record["seconds"] = {
+        "optimizer": round(seconds - evaluation_seconds, 3),
+        "cuts": round(evaluation_seconds, 3),
+    }
+    return record
+
+
+def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
+    """Study of one run: its seed, and more trials than its budget suffices for."""
+    initial = size.initial_trials
+    study = study.replace(seed=seed, trials=max(size.evaluations, initial), initial_trials=initial)
+    if row.protocol == RANDOM:
+        study = study.replace(drawn_contexts=row.contexts, search_evaluations=0)
+    return study
+
+
+def _training(study: Study, trial: Trial) -> float:
+    """Mean of the objective's metric over the evaluations of the tuning, without the checks."""
+    tuned = dataclasses.replace(
+        trial, evaluations=tuple(e for e in trial.evaluations if e.stage in TUNING)
+    )
+    return float(np.mean(tuned.observations(study.objective.metric)))
+
+
+def _judged(run: Run, truth: Truth, parameters: Mapping[str, Value]) -> dict[str, Any]:
+    """Validate and judge the answer of a run, with its neighbourhood."""
+    (validation,) = validate(run.study, run.backend, [parameters])
+    verdict = truth.verdict(parameters)
+    return {
+        "parameters": dict(parameters),
+        "validation": {
+            "objective": validation.objective if np.isfinite(validation.objective) else None,
+            "feasible": validation.feasible,
+            "failures": validation.failures,
+            "violations": {
+                name: sample.violations for name, sample in validation.constraints.items()
+            },
+        },
+        "truth": verdict_record(verdict),
+        "neighbours": judge_neighbours(truth, parameters, verdict),
+    }

@@ -1,0 +1,1 @@
+"""What a campaign compares: the content of an experiment file."""

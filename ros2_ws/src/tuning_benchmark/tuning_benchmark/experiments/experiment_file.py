@@ -1,0 +1,168 @@
+"""Experiment files: from YAML to a checked `Experiment`."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.package_files import config_directory
+from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study, shipped_studies
+from tuning_benchmark.experiments.experiment import (
+    Calibration,
+    Case,
+    Cost,
+    Experiment,
+    Point,
+    Row,
+    SurrogateFigure,
+    read_optima,
+)
+
+T = TypeVar("T")
+
+
+def shipped_experiments() -> list[str]:
+    """Return the names of the experiments that come with the package."""
+    return sorted(
+        path.stem for path in (config_directory("tuning_benchmark") / "experiments").glob("*.yaml")
+    )
+
+
+def load_experiment(name_or_path: str) -> Experiment:
+    """Read an experiment.
+
+    Parameters
+    ----------
+    name_or_path
+        Name of a shipped experiment, or the path of a file: text with a suffix or a separator.
+
+    Raises
+    ------
+    StudyError
+        If there is no such experiment, the file cannot be read, or it breaks a rule. One line
+        with the file, the line, the path of keys, what was expected and what was found.
+    """
+    path = Path(name_or_path)
+    if "/" not in name_or_path and not path.suffix:
+        names = shipped_experiments()
+        if name_or_path not in names:
+            raise StudyError(
+                f"unknown experiment {checks.quoted(name_or_path)}; shipped are "
+                f"{', '.join(names)}; write a path with its suffix, such as ./mine.yaml"
+            )
+        path = config_directory("tuning_benchmark") / "experiments" / f"{name_or_path}.yaml"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise StudyError(f"cannot be read: {error}", source=name_or_path) from None
+    lines: Mapping[KeyPath, int] = {}
+    try:
+        document = strict_yaml.parse(text)
+        lines = document.lines
+        return _experiment(document.value, path.parent)
+    except StudyError as error:
+        if error.source:
+            # A study that the experiment names, which tells where in its own file.
+            raise
+        line, where = error.line, error.path
+        while line is None and where:
+            line = lines.get(where)
+            where = where[:-1]
+        raise error.located(path.name, line) from None
+
+
+def _experiment(value: object, folder: Path) -> Experiment:
+    fields = _fields(Experiment, value, without=("optima",), also=("truth",))
+    if "truth" in fields:
+        fields["optima"] = read_optima(folder / checks.text(fields.pop("truth"), "truth"))
+    fields["cases"] = _named("cases", fields, lambda name, item: _case(name, item, folder))
+    if "calibration" in fields:
+        with _under("calibration"):
+            fields["calibration"] = _calibration(fields["calibration"], folder)
+    if "cost" in fields:
+        with _under("cost"):
+            fields["cost"] = _cost(fields["cost"])
+    return Experiment(**fields)
+
+
+def _case(name: str, value: object, folder: Path) -> Case:
+    fields = _fields(Case, value, without=("name",))
+    fields["study"] = _study(fields["study"], folder)
+    fields["rows"] = _named("rows", fields, _row)
+    if "surrogates" in fields:
+        with _under("surrogates"):
+            fields["surrogates"] = SurrogateFigure(**_fields(SurrogateFigure, fields["surrogates"]))
+    if "points" in fields:
+        fields["points"] = _named("points", fields, lambda _, item: Point(**_fields(Point, item)))
+    return Case(name=name, **fields)
+
+
+def _row(name: str, value: object) -> Row:
+    return Row(name=name, **_fields(Row, value, without=("name",)))
+
+
+def _calibration(value: object, folder: Path) -> Calibration:
+    fields = _fields(Calibration, value)
+    fields["study"] = _study(fields["study"], folder)
+    fields["grid"] = _named("grid", fields, lambda _, v: checks.sequence(v, "a list of values"))
+    return Calibration(**fields)
+
+
+def _cost(value: object) -> Cost:
+    fields = _fields(Cost, value)
+    for name in ("dimensions", "trials"):
+        if name in fields:
+            fields[name] = checks.sequence(fields[name], "a list of integers", name)
+    return Cost(**fields)
+
+
+def _study(value: object, folder: Path) -> Study:
+    """Read a study, shipped or beside the experiment file."""
+    name = checks.text(value, "study")
+    return load_study(name if name in shipped_studies() else folder / name)
+
+
+def _named(key: str, fields: Mapping[str, Any], build: Callable[[str, object], T]) -> dict[str, T]:
+    """Build the items of the mapping in field `key`."""
+    items: dict[str, T] = {}
+    with _under(key):
+        for name, item in _mapping(fields[key]).items():
+            with _under(name):
+                items[name] = build(name, item)
+    return items
+
+
+@contextmanager
+def _under(key: str) -> Iterator[None]:
+    """Put `key` in front of the path of an error from within, unless it is in another file."""
+    try:
+        yield
+    except StudyError as error:
+        raise error if error.source else error.under(key) from None
+
+
+def _mapping(value: object) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    return value
+
+
+def _fields(
+    cls: type[Any], value: object, without: tuple[str, ...] = (), also: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    """Return the keys of a mapping if they are fields of `cls` and none is missing."""
+    fields = [item for item in dataclasses.fields(cls) if item.name not in without]
+    names = [*(item.name for item in fields), *also]
+    given = _mapping(value)
+    for key in given:
+        if key not in names:
+            raise StudyError(f"unknown key; {checks.suggestion(key, names)}", (key,))
+    for item in fields:
+        needed = item.default is item.default_factory is dataclasses.MISSING
+        if needed and item.name not in given:
+            raise StudyError("missing", (item.name,))
+    return dict(given)

@@ -1,0 +1,1 @@
+"""The results page of a campaign, from its records: tables, figures and sentences."""

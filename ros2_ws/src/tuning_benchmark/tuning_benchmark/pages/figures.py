@@ -1,0 +1,264 @@
+"""The figures of a campaign, described for the renderers."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Axis,
+    Band,
+    Color,
+    Dash,
+    Element,
+    Figure,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Scale,
+)
+from bo_tuner.numerics.arrays import Array
+from tuning_benchmark.experiments.experiment import Calibration, Case, Cost
+from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Effort
+from tuning_benchmark.pages.statistics import Mean, Power, mean, power
+from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
+from tuning_benchmark.pages.tables import costs
+
+COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION, Color.SKY)
+DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
+
+STEPS = 120
+"""Points of a line over the evaluations."""
+
+QUARTILES = (25, 50, 75)
+
+
+def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | None) -> Figure:
+    """Quality of the incumbent over the number of evaluations (Fig. 4 of the paper)."""
+    evaluations = np.linspace(
+        0.0, max([case.evaluations, *(s.most_evaluations for s in summaries)]), STEPS
+    )
+    means: list[Element] = []
+    medians: list[Element] = []
+    shares: list[Element] = []
+    many = len(summaries) > len(COLORS)
+    for index, s in enumerate(summaries):
+        # No two lines are alike, and a few differ in both.
+        color = COLORS[index % len(COLORS)]
+        dash = DASHES[(index // len(COLORS) if many else index) % len(DASHES)]
+        found = [feasible_at(s.results.values(), int(c)) for c in evaluations]
+        mean_lines = _means(found)
+        median_lines = _medians(found)
+        share = np.array([len(f) / case.runs for f in found])
+        for elements, (low, middle, high) in ((means, mean_lines), (medians, median_lines)):
+            # Many bands hide one another.
+            if not many:
+                elements.append(Band(x=evaluations, lower=low, upper=high, color=color))
+            elements.append(Line(x=evaluations, y=middle, name=s.row.name, color=color, dash=dash))
+        shares.append(Line(x=evaluations, y=share, name=s.row.name, color=color, dash=dash))
+    limits = None
+    if optimum is not None:
+        limit = Limit(value=optimum, name="optimum of the grid", color=Color.INK)
+        means.append(limit)
+        medians.append(limit)
+        limits = (0.97 * optimum, 1.6 * optimum)
+    metric = case.study.metrics[case.study.objective.metric]
+    unit = metric.unit or ""
+    # An objective that is modelled by its logarithm is positive.
+    scale = Scale.LOG if case.study.objective.scale == "log" else Scale.LINEAR
+    x = Axis(label="evaluations")
+    bands = ("", "") if many else (" and standard deviation", " and quartiles")
+    return Figure(
+        name=f"convergence-{case.name}",
+        title=f"Incumbents, {case.title}",
+        caption=(
+            f"First: mean{bands[0]} of the true objective of the incumbent, the solution that a "
+            "run predicts to be its best feasible one, over the runs where it is truly feasible. "
+            f"Second, enlarged: median{bands[1]} of the same, which a single outlier does not "
+            "move. Third: share of the runs whose incumbent is truly feasible. The truth is over "
+            f"{Effort().drawn} drawn contexts, not over 25 draws as in the paper; the chance "
+            f"constraints of incumbents are judged by {FEW_REAL_EVALUATIONS} evaluations on the "
+            f"real objects, those of answers by {Effort().real_evaluations}."
+        ),
+        alternative="Lines that fall towards the optimum; the table below has the numbers.",
+        panels=[
+            Panel(x=x, y=Axis(label=f"mean {metric.name}", unit=unit, scale=scale), elements=means),
+            Panel(
+                x=x,
+                y=Axis(label=f"median {metric.name}", unit=unit, limits=limits),
+                elements=medians,
+            ),
+            Panel(x=x, y=Axis(label="runs truly feasible", limits=(0.0, 1.05)), elements=shares),
+        ],
+        # Side by side there is room for a long legend.
+        columns=2 if many else 1,
+    )
+
+
+def _means(found: Sequence[Sequence[float]]) -> Array:
+    """Mean with a standard deviation below and above (3, moments); NaN without values.
+
+    The band ends at the lowest value there is: a logarithmic axis has no place for what lies below
+    zero.
+    """
+    lines = []
+    for values in found:
+        middle, spread = (np.mean(values), np.std(values)) if values else (np.nan, np.nan)
+        low = max(middle - spread, min(values)) if values else np.nan
+        lines.append([low, middle, middle + spread])
+    return np.array(lines).T
+
+
+def _medians(found: Sequence[Sequence[float]]) -> Array:
+    """First quartile, median and third quartile (3, moments); NaN without values."""
+    empty = [np.nan] * len(QUARTILES)
+    return np.array([np.percentile(f, QUARTILES) if f else empty for f in found]).T
+
+
+def calibration(given: Calibration, result: Record) -> tuple[Figure, str]:
+    """Modelled against measured metric, and the line that calibrates the one to the other."""
+    whole = [
+        (point["modelled"], point["measured"])
+        for point in result["points"]
+        if point["modelled"] is not None and None not in point["measured"]
+    ]
+    modelled = np.array([m for m, _ in whole])
+    # The clock is disturbed upwards only, so the fastest repetition is the least disturbed.
+    measured = np.array([min(values) for _, values in whole])
+    slope, offset = np.polyfit(modelled, measured, 1)
+    correlation = float(np.corrcoef(modelled, measured)[0, 1])
+    unit = given.study.metrics[given.metric].unit or ""
+    shown_key = given.key or given.metric
+    shown, scale = ("ms", 1e3) if unit == "s" else (unit, 1.0)
+    text = (
+        f"Measured = {offset:.3g} {unit} + {slope:.3g} × modelled, over {len(whole)} settings; "
+        f"correlation {correlation:.3f}. This line calibrates the model to this machine. The "
+        f"model's own constants are settings of the study; they describe a computer whose steps "
+        f"take {1.0 / slope:.1f} times as long, apart from the constant part."
+    )
+    ends = np.array([modelled.min(), modelled.max()])
+    figure = Figure(
+        name="calibration",
+        title=f"{shown_key}: modelled and measured",
+        caption=(
+            f"Each point is one setting of the horizons; measured: the lowest of {given.repeats} "
+            f"repetitions, with a bar up to their median.{_other_key(given)}"
+        ),
+        alternative=f"Points along a straight line; correlation {correlation:.3f}.",
+        panels=[
+            Panel(
+                x=Axis(label="modelled", unit=shown),
+                y=Axis(label="measured", unit=shown),
+                elements=[
+                    Points(
+                        x=scale * modelled,
+                        y=scale * measured,
+                        low=scale * measured,
+                        high=[scale * float(np.median(values)) for _, values in whole],
+                        name="evaluations",
+                    ),
+                    Line(
+                        x=scale * ends,
+                        y=scale * (offset + slope * ends),
+                        name="fit",
+                        color=Color.VERMILION,
+                    ),
+                ],
+            )
+        ],
+    )
+    return figure, text
+
+
+def _other_key(given: Calibration) -> str:
+    """Mention if the study limits another key than the one compared here."""
+    limited = given.study.metrics[given.metric].key
+    if given.key in ("", limited):
+        return ""
+    return f" The comparison is by {given.key}, which is less noisy; the study limits {limited}."
+
+
+def cost_scaling(given: Cost, done: Mapping[str, Record]) -> tuple[Figure, str]:
+    """Cost of a run against trials and against the number of parameters, with fitted powers."""
+    found = costs(given, done)
+    smallest = min(given.dimensions)
+    of_trials = {t: s for (d, t), s in found.items() if d == smallest}
+    of_dimension = {d: s for (d, t), s in found.items() if t == given.compared_trials}
+    first, said_first = _power_panel(of_trials, "trials", f"{smallest} parameters")
+    second, said_second = _power_panel(
+        of_dimension, "parameters", f"{given.compared_trials} trials"
+    )
+    text = f"{said_first} {said_second} The lines in the figure are fits.".strip()
+    figure = Figure(
+        name="cost",
+        title=f"Cost of a run of Algorithm {given.algorithm}, without its evaluations",
+        caption="Processor time of the optimizer on a study in closed form, each run a point.",
+        alternative=f"Straight lines in logarithmic axes. {text}",
+        panels=[first, second],
+        columns=2,
+    )
+    return figure, text
+
+
+def _power_panel(
+    seconds: Mapping[int, Mapping[int, float]], label: str, title: str
+) -> tuple[Panel, str]:
+    """Draw seconds by number and seed, with the power law of a run, and describe its exponent."""
+    points = [(float(k), value) for k, runs in seconds.items() for value in runs.values()]
+    elements: list[Element] = [
+        Points(x=[x for x, _ in points], y=[y for _, y in points], name="runs")
+    ]
+    text = ""
+    fits = _fits(seconds)
+    if fits:
+        found = mean([fit.exponent for fit in fits])
+        # The lines of all runs have this mean, in logarithmic axes.
+        factor = float(np.exp(np.mean([np.log(fit.factor) for fit in fits])))
+        ends = np.array([float(min(seconds)), float(max(seconds))])
+        elements.append(
+            Line(
+                x=ends,
+                y=factor * ends**found.value,
+                name=f"{label} to the power {found.value:.2f}",
+                color=Color.VERMILION,
+            )
+        )
+        text = (
+            f"With {title} the cost grows with the {label} to the power {_exponent(found)}"
+            f"{_local_exponents(seconds)}."
+        )
+    panel = Panel(
+        title=title,
+        x=Axis(label=label, scale=Scale.LOG, ticks=[(k, str(k)) for k in seconds]),
+        y=Axis(label="processor time", unit="s", scale=Scale.LOG),
+        elements=elements,
+    )
+    return panel, text
+
+
+def _fits(seconds: Mapping[int, Mapping[int, float]]) -> list[Power]:
+    """Fit a power law to each run: the times of one run are no independent observations."""
+    fits = []
+    for seed in sorted({seed for runs in seconds.values() for seed in runs}):
+        run = {x: runs[seed] for x, runs in seconds.items() if seed in runs}
+        if len(run) > 1:
+            fits.append(power(list(run), list(run.values())))
+    return fits
+
+
+def _exponent(found: Mean) -> str:
+    if found.count == 1:
+        return f"{found.value:.2f} (one run)"
+    return f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f}, {found.count} seeds)"
+
+
+def _local_exponents(seconds: Mapping[int, Mapping[int, float]]) -> str:
+    """List the exponents between neighbouring numbers; nothing if there is only one."""
+    local = []
+    for a, b in pairwise(sorted(seconds)):
+        fits = _fits({a: seconds[a], b: seconds[b]})
+        if fits:
+            exponent = np.mean([fit.exponent for fit in fits])
+            local.append(f"{exponent:.2f} from {a} to {b}")
+    return f"; {', '.join(local)}" if len(local) > 1 else ""

@@ -1,0 +1,268 @@
+"""The tables of a campaign, as text; the same for the same records, on every machine."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
+from tuning_benchmark.experiments.experiment import Case, Cost
+from tuning_benchmark.experiments.task_names import cost_task, point_task
+from tuning_benchmark.pages.statistics import Mean, Share, mean
+from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at, is_narrow
+
+MARKS = 4
+"""Number of equal parts of the budget after which the convergence table has a column."""
+
+SKEWED = 0.05
+"""Where mean and median differ by more than this part of the mean, the median is shown too."""
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Lay out a Markdown table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Quality of the answers: Table 1 of the paper, and more."""
+    header = [
+        "row", "held in validation", "truly feasible", "validated objective",
+        "validated - training", "true objective of feasible answers", "above the optimum [%]",
+        "worst case", "narrow", "evaluations (trials + checks)",
+    ]  # fmt: skip
+    rows = [
+        [
+            s.row.name,
+            _share(s.validated),
+            _share(s.feasible),
+            _mean(s.validation),
+            _mean(s.difference, signed=True),
+            _mean(s.objective),
+            "" if s.distance is None else _mean(s.distance, digits=1),
+            _mean(s.worst),
+            f"{s.narrow} of {len(s.answers)}",
+            _evaluations(s),
+        ]
+        for s in summaries
+    ]
+    return markdown(header, rows)
+
+
+def published_table(summaries: Sequence[RowSummary]) -> str:
+    """Lay out the paper's numbers beside ours; empty if the experiment quotes none."""
+    quoted = [s for s in summaries if s.row.published]
+    if not quoted:
+        return ""
+    columns: dict[str, tuple[str, Callable[[RowSummary], str]]] = {
+        "feasible": ("feasible", lambda s: _share(s.validated)),
+        "objective": ("objective", lambda s: _mean(s.validation)),
+        "difference": ("validated - training", lambda s: _mean(s.difference, signed=True)),
+        "best": ("best", lambda s: _number(s.best)),
+    }
+    used = [key for key in columns if any(key in s.row.published for s in quoted)]
+    header = ["row"]
+    for key in used:
+        header += [f"{columns[key][0]}, paper", "here"]
+    rows = []
+    for s in quoted:
+        line = [s.row.name]
+        for key in used:
+            value = s.row.published.get(key)
+            line += ["" if value is None else _printed(s, key), columns[key][1](s)]
+        rows.append(line)
+    return markdown(header, rows)
+
+
+def convergence_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Truly feasible incumbents and their objective after parts of the budget (Fig. 4).
+
+    The answers are the last column: with the checks a run may exceed the budget.
+    """
+    marks = [round(case.evaluations * (i + 1) / MARKS) for i in range(MARKS)]
+    rows = []
+    for s in summaries:
+        found = [feasible_at(s.results.values(), evaluations) for evaluations in marks]
+        found.append(list(s.feasible_objectives.values()))
+        rows.append([s.row.name, *(_found(values, case.runs) for values in found)])
+    return markdown(
+        ["row", *(f"after {evaluations} evaluations" for evaluations in marks), "answer"], rows
+    )
+
+
+def ranked_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Lay out the answers of Algorithm IV's rule to others' trials; empty without any."""
+    rows = []
+    for s in summaries:
+        found = [result["ranked"] for result in s.results.values()]
+        truths = [ranked["truth"] for ranked in found if ranked is not None]
+        if truths:
+            ranked = [truth["objective"] for truth in truths if truth["feasible"]]
+            own = list(s.feasible_objectives.values())
+            rows.append([s.row.name, _found(ranked, case.runs), _found(own, case.runs)])
+    header = ["row", "Algorithm IV's choice, truly feasible", "own choice, truly feasible"]
+    return markdown(header, rows) if rows else ""
+
+
+def neighbourhood_table(
+    case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
+) -> str:
+    """Lay out the best parameter sets and their neighbours, each with a verdict (Table 3)."""
+    study = case.study
+    worst = study.worst_case_constraint
+    names = study.search_space().names
+    header = ["", *names, "objective", worst.name if worst else "", "feasible", "verdict", "paper"]
+    rows = []
+    for judged in _judged(case, summaries, done):
+        entry = judged.entry
+        rows.append(
+            [
+                f"**{judged.label}**",
+                *_point(study, entry["parameters"]),
+                *_truth(entry["truth"]),
+                _verdict(study, entry),
+                _quoted(judged.published),
+            ]
+        )
+        for neighbour in entry["neighbours"] if judged.listed else ():
+            rows.append(
+                [
+                    "",
+                    *_point(study, neighbour["parameters"]),
+                    *_truth(neighbour["truth"]),
+                    _step(study, entry, neighbour),
+                    "",
+                ]
+            )
+    return markdown(header, rows) if rows else ""
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A parameter set of Table 3, and whether its neighbours are listed below it."""
+
+    label: str
+    entry: Record
+    listed: bool = True
+    published: Mapping[str, float] = field(default_factory=dict)
+
+
+def _judged(
+    case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Record]
+) -> list[_Judged]:
+    """Best answer of each row by its validation, then the points of the experiment."""
+    found = []
+    sign = case.study.objective.sign
+    for s in summaries:
+        if s.held:
+            best = min(s.held.values(), key=lambda a: sign * a["validation"]["objective"])
+            found.append(_Judged(f"best of {s.row.name}", best))
+    for name, point in case.points.items():
+        record = done[point_task(case.name, name)]
+        if not record["failed"]:
+            found.append(_Judged(name, record["result"], point.neighbours, point.published))
+    return found
+
+
+def cost_table(cost: Cost, done: Mapping[str, Record]) -> str:
+    """Optimizer's processor time of a run by number of parameters and trials."""
+    rows = []
+    for (dimension, trials), seconds in costs(cost, done).items():
+        shown = _mean(mean(list(seconds.values())), digits=1)
+        rows.append([str(dimension), str(trials), shown])
+    return markdown(["parameters", "trials", "processor time [s]"], rows) if rows else ""
+
+
+def costs(cost: Cost, done: Mapping[str, Record]) -> dict[tuple[int, int], dict[int, float]]:
+    """Seconds of the runs by seed, for each number of parameters and trials."""
+    found: dict[tuple[int, int], dict[int, float]] = {}
+    for dimension in cost.dimensions:
+        for seed in range(1, cost.seeds + 1):
+            result = done[cost_task(dimension, seed)]["result"] or {"trials": [], "seconds": []}
+            for trials, seconds in zip(result["trials"], result["seconds"], strict=True):
+                found.setdefault((dimension, trials), {})[seed] = seconds
+    return found
+
+
+def _evaluations(s: RowSummary) -> str:
+    if not s.results:
+        return "none"
+    return (
+        f"{s.evaluations.value:.0f} + {s.check_evaluations.value:.0f}, at most {s.most_evaluations}"
+    )
+
+
+def _printed(s: RowSummary, key: str) -> str:
+    """Lay out a number of the paper."""
+    value, runs = s.row.published[key], s.row.published.get("runs")
+    if key != "feasible":
+        return f"{value:g}"
+    return f"{value:.0%}" if runs is None else f"{value:.0%} of {runs:g}"
+
+
+def _found(objectives: Sequence[float], runs: int) -> str:
+    """Count the feasible ones, with their mean, and the median if that differs clearly."""
+    counted = f"{len(objectives)} of {runs}"
+    if not objectives:
+        return counted
+    average, median = float(np.mean(objectives)), float(np.median(objectives))
+    skewed = abs(average - median) > SKEWED * abs(average)
+    return f"{counted}: {average:.4f}" + (f" (median {median:.4f})" if skewed else "")
+
+
+def _share(share: Share) -> str:
+    return f"{share.count} of {share.runs} ({share.low:.0%} to {share.high:.0%})"
+
+
+def _mean(value: Mean, digits: int = 4, signed: bool = False) -> str:
+    if value.count == 0:
+        return "none"
+    shown = f"{value.value:{'+' if signed else ''}.{digits}f}"
+    if value.count == 1:
+        return shown
+    return f"{shown} ({value.low:.{digits}f} to {value.high:.{digits}f})"
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4f}"
+
+
+def _point(study: Study, parameters: Mapping[str, Value]) -> list[str]:
+    return [f"{parameters[name]:.4g}" for name in study.search_space().names]
+
+
+def _truth(truth: Mapping[str, Any]) -> list[str]:
+    feasible = "yes" if truth["feasible"] else "no"
+    return [_number(truth["objective"]), _number(truth["worst"]), feasible]
+
+
+def _verdict(study: Study, entry: Record) -> str:
+    if not entry["truth"]["feasible"]:
+        return "infeasible"
+    if not entry["neighbours"]:
+        return ""
+    return "narrow" if is_narrow(study, entry["neighbours"]) else "robust"
+
+
+def _step(study: Study, entry: Record, neighbour: Record) -> str:
+    """Describe a step: its relative change of the objective and excess over the limit."""
+    there, here = neighbour["truth"], entry["truth"]
+    if there["objective"] is None or there["worst"] is None or here["objective"] is None:
+        return "fails"
+    change = there["objective"] / here["objective"] - 1.0
+    parts = [f"objective {change:+.0%}"]
+    worst = study.worst_case_constraint
+    if worst is not None and there["worst"] > worst.upper:
+        parts.append(f"limit exceeded by {there['worst'] / worst.upper - 1.0:.0%}")
+    return ", ".join(parts) + ("" if neighbour["tolerable"] else ": not tolerable")
+
+
+def _quoted(published: Mapping[str, float]) -> str:
+    parts = []
+    if "objective" in published:
+        parts.append(f"{published['objective']:g}")
+    if "feasible" in published:
+        parts.append("feasible" if published["feasible"] else "infeasible")
+    return ", ".join(parts)

@@ -1,0 +1,114 @@
+"""Another optimizer in the place of the tuner's: the same trials, evaluated in the same way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.errors import ParameterError
+from bo_tuner.models.surrogates import single_evaluation_margin
+from bo_tuner.optimizers import base
+from bo_tuner.optimizers.algorithms import Algorithm
+from bo_tuner.optimizers.base import DesignedOptimizer, Proposal
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, TrialState
+from tuning_benchmark.peers.optimizer import Observation, Optimizer, best_observed
+
+ORIGIN = "asked"
+"""Origin of a trial that the optimizer proposed."""
+
+
+class PeerOptimizer:
+    """The study's initial design, then what the optimizer asks for.
+
+    Parameters
+    ----------
+    study
+        The study.
+    optimizer
+        It is told of every trial; of the initial ones when they are all done.
+    """
+
+    def __init__(self, study: Study, optimizer: Optimizer) -> None:
+        self._study = study
+        self._space = study.search_space()
+        self._designed = DesignedOptimizer(study)
+        self._optimizer = optimizer
+        self._trials: list[Trial] = []
+        self._designing = True
+
+    def ask(self) -> Proposal:
+        """Propose the next trial's parameter set.
+
+        Raises
+        ------
+        ParameterError
+            If the optimizer asks for something outside the search space.
+        """
+        proposal = self._designed.initial()
+        if proposal is not None:
+            return proposal
+        if self._designing:
+            self._designing = False
+            for trial in self._trials:
+                self._show(trial)
+        asked = dict(self._optimizer.ask())
+        parameters = self._space.to_parameters(self._space.to_cube(asked))
+        if self._space.key(parameters) != self._space.key(asked):
+            raise ParameterError(f"{asked}: expected values in the order of the study")
+        # As asked to the last digit, for an optimizer may look for what it asked.
+        return Proposal(parameters | asked, ORIGIN)
+
+    def tell(self, trial: Trial) -> None:
+        """Take a finished trial."""
+        self._designed.tell(trial)
+        self._trials.append(trial)
+        if not self._designing:
+            self._show(trial)
+
+    def recommend(self) -> int | None:
+        """Return the number of the trial that the optimizer recommends; None if it has none.
+
+        During the initial design, which it has not been told of yet, the best as observed.
+        """
+        if not self._designing:
+            return self._optimizer.recommend()
+        return best_observed([observation(self._study, t, self._trials) for t in self._trials])
+
+    def _show(self, trial: Trial) -> None:
+        self._optimizer.tell(observation(self._study, trial, self._trials))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeerAlgorithm(Algorithm):
+    """An algorithm whose proposals come from another optimizer."""
+
+    peer: PeerOptimizer
+
+    def optimizer(self, study: Study) -> base.Optimizer:
+        """Return the optimizer of this run."""
+        return self.peer
+
+
+def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observation:
+    """Sum up a trial for an optimizer.
+
+    A chance constraint is the quantile of the observations at its probability. The worst case is
+    the trial's estimate with the noise of a single evaluation, as pooled over all `trials` so far:
+    the same number as the tuner's own surrogates see.
+    """
+    space = study.search_space()
+    parameters = {name: trial.parameters[name] for name in space.names}
+    if trial.state is TrialState.FAILED:
+        return Observation(parameters, True, None, {})
+    cost = study.objective.to_cost(trial.observations(study.objective.metric))
+    constraints = {}
+    for chance in study.chance_constraints:
+        values = trial.observations(chance.metric)
+        value = float(np.quantile(values, chance.probability, method="inverted_cdf"))
+        constraints[chance.name] = value - chance.upper
+    worst = study.worst_case_constraint
+    if worst is not None and trial.worst_case is not None:
+        reached = trial.worst_case.value + single_evaluation_margin(trials, worst)
+        constraints[worst.name] = reached - worst.upper
+    return Observation(parameters, False, float(cost.mean()), constraints)

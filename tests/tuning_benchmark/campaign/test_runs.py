@@ -1,0 +1,121 @@
+import pytest
+from valley import true_worst
+
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.ranking import rank
+from bo_tuner.trials import Stage
+from bo_tuner.tuning import recommendation
+from tuning_benchmark.campaign.runs import Run, RunSize, run_and_judge
+from tuning_benchmark.experiments.experiment import Row
+
+JUDGE = "valley:Judge"
+IV = Row(name="IV", algorithm="IV")
+IV_DRAWN = Row(name="IV drawn", algorithm="IV", protocol="random", contexts=6)
+LENT = Row(name="lent", optimizer="valley:Draws")
+DRAWN = Row(name="drawn", optimizer="valley:Draws", protocol="random", contexts=6)
+
+
+def trials_of(study, row, size, seed=1):
+    run = Run(study, row, seed, size)
+    return list(run), run.budget
+
+
+@pytest.fixture(scope="module", params=[IV, LENT, DRAWN, Row(name="I", algorithm="I")], ids=str)
+def result(request, study):
+    return run_and_judge(study, request.param, 1, RunSize(40, 20, 3), JUDGE)
+
+
+def test_a_run_ends_with_the_trial_that_reaches_its_evaluations(study, small):
+    for row, expected in ((IV, 40), (LENT, 60), (DRAWN, 60)):
+        trials, budget = trials_of(study, row, small)
+        used = sum(len(t.evaluations) for t in trials)
+        assert budget == expected
+        assert used - len(trials[-1].evaluations) < budget <= used
+
+
+def test_checks_keep_to_the_evaluations_left_for_them(study, monkeypatch):
+    """Whatever a check says, there are no more than the reserved evaluations allow."""
+    monkeypatch.setattr(recommendation, "_check", refuted(recommendation._check))
+    results = [run_and_judge(study, IV, 1, RunSize(80, n, 3), JUDGE) for n in (0, 19, 20, 45)]
+    assert [result["check_cuts"] for result in results] == [0, 0, 20, 40]
+
+
+def refuted(check):
+    """Make every candidate fail its check."""
+    return lambda *arguments: (check(*arguments)[0], False)
+
+
+def test_rows_of_a_seed_share_the_initial_samples(study, small):
+    designs = []
+    for row in (IV, LENT, DRAWN, Row(name="II", algorithm="II")):
+        trials, _ = trials_of(study, row, small, seed=3)
+        designs.append([dict(t.parameters) for t in trials[:3]])
+    assert all(design == designs[0] for design in designs)
+    other, _ = trials_of(study, IV, small, seed=4)
+    assert [dict(t.parameters) for t in other[:3]] != designs[0]
+
+
+def test_trials_of_others_are_evaluated_as_the_tuners_own(study, small):
+    ours, _ = trials_of(study, IV, small)
+    lent, _ = trials_of(study, LENT, small)
+    for a, b in zip(ours[:3], lent[:3], strict=True):
+        assert a.evaluations == b.evaluations
+
+
+@pytest.mark.parametrize("row", [DRAWN, IV_DRAWN], ids=str)
+def test_random_contexts_are_the_whole_trial(study, small, row):
+    trials, _ = trials_of(study, row, small)
+    assert {len(t.evaluations) for t in trials} == {6}
+    assert {evaluation.stage for t in trials for evaluation in t.evaluations} == {Stage.DRAWN}
+    for trial in trials:
+        seen = [evaluation.outcome.metrics["peak"] for evaluation in trial.evaluations]
+        assert trial.worst_case.value == max(seen)
+        assert trial.worst_case.noise == 0.0
+
+
+def test_a_run_repeats_itself(study, small, without_times):
+    once, again = (run_and_judge(study, IV, 2, small, JUDGE) for _ in range(2))
+    assert without_times(once) == without_times(again)
+
+
+def test_the_way_of_a_run_leads_to_its_answer(result):
+    evaluations = [used for used, _ in result["trajectory"]]
+    assert evaluations == sorted(evaluations)
+    assert evaluations[-1] == result["cuts"] + result["check_cuts"]
+    assert {str(n) for _, n in result["trajectory"] if n is not None} == set(result["incumbents"])
+    if result["answer"]["believed"]:
+        assert result["trajectory"][-1][1] == result["answer"]["trial"]
+        incumbent = result["incumbents"][str(result["answer"]["trial"])]
+        assert incumbent["objective"] == result["answer"]["truth"]["objective"]
+
+
+def test_training_is_what_the_tuning_saw(study, small):
+    result = run_and_judge(study, IV, 1, small, JUDGE)
+    trials, _ = trials_of(study, IV, small)
+    trial = trials[result["answer"]["trial"]]
+    seen = [c.outcome.metrics["error"] for c in trial.evaluations if c.stage is Stage.DRAWN]
+    assert result["answer"]["training"] == pytest.approx(sum(seen) / len(seen))
+    assert result["check_cuts"] > 0
+
+
+@pytest.mark.parametrize("row", [LENT, DRAWN], ids=str)
+def test_the_search_is_judged_apart_from_the_choice(study, small, row):
+    """What Algorithm IV would answer of another optimizer's trials."""
+    found = run_and_judge(study, row, 1, small, JUDGE)
+    trials, _ = trials_of(study, row, small)
+    first = rank(study.replace(seed=1), trials, ALGORITHMS["IV"].models)[0].trial
+    assert found["ranked"]["trial"] == first.number
+    means = [first.parameters[name] for name in ("g0", "g1")]
+    assert found["ranked"]["truth"]["worst"] == pytest.approx(true_worst(means))
+    assert run_and_judge(study, IV, 1, small, JUDGE)["ranked"] is None
+
+
+def test_an_optimizer_without_an_answer_is_on_record(study):
+    limited = study.replace(trials=3)
+    row = Row(name="none", optimizer="valley:Draws", protocol="random", contexts=2)
+    hard = {n: c.__class__(**{**c.__dict__, "upper": -1.0}) for n, c in limited.constraints.items()}
+    found = run_and_judge(limited.__class__(**{**limited.__dict__, "constraints": hard}), row, 1,
+                RunSize(8, 0, 2), JUDGE)  # fmt: skip
+    assert found["answer"] is None
+    assert found["incumbents"] == {}
+    assert all(trial is None for _, trial in found["trajectory"])

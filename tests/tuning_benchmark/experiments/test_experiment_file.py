@@ -1,0 +1,89 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.errors import StudyError
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "campaigns.md"
+
+
+@pytest.mark.parametrize("name", shipped_experiments())
+def test_shipped_experiments_can_be_read(name):
+    assert load_experiment(name).name == name
+
+
+@pytest.mark.parametrize("name", ["paper", "small"])
+def test_the_papers_experiments_have_all_algorithms(name):
+    experiment = load_experiment(name)
+    assert set(experiment.cases["benchmark"].rows) == set(ALGORITHMS)
+
+
+def test_the_paper_has_its_tables():
+    paper = load_experiment("paper")
+    assert paper.cases["benchmark"].runs == 10
+    assert paper.cases["full"].runs == 4
+    assert paper.optimum(paper.cases["full"].study) < 0.17
+    assert paper.cases["benchmark"].rows["I"].published["feasible"] == 0.5
+
+
+def test_a_study_lies_beside_the_experiment(experiment_file):
+    case = load_experiment(str(experiment_file)).cases["valley"]
+    assert case.study.name == "valley2"
+    assert case.budget(case.rows["I"]) == 10
+    assert case.budget(case.rows["IV"]) == 60
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("runs: 2", "runs: 0", r"closed.yaml:7: cases.valley.runs: .* at least 1, found 0"),
+        ("runs: 2", "rums: 2", r"closed.yaml:7: cases.valley.rums: unknown key; did you mean"),
+        ("    runs: 2\n", "", r"cases.valley.runs: missing"),
+        ("algorithm: IV", "algorithm: VI", r"rows.IV.algorithm: unknown 'VI'"),
+        ("{algorithm: IV}", "{}", r"rows.IV: expected either an algorithm or an optimizer"),
+        ("valley:Draws\", protocol", "valley\", protocol", r"optimizer: expected module:Class"),
+        (", contexts: 6", "", r"rows.draws.contexts: expected an integer of at least 1, found 0"),
+        ("ed_evaluations: 20", "ed_evaluations: 60", r"reserved_evaluations: expected less than"),
+        ("valley:Judge", "valley.Judge", r"closed.yaml:2: judge: expected module:Class"),
+        ("study: valley.yaml", "study: other.yaml", r"other.yaml: cannot be read"),
+        ("cases:", "cases: {}\nx:", r"closed.yaml:4: x: unknown key"),
+        ("{algorithm: IV}", "{algorithm: IV, published: {cost: 1}}", r"published.cost: unknown"),
+        ("name: closed", "name: closed\ntruth: none.json", r"truth: cannot read"),
+        (
+            "    rows:",
+            "    surrogates: {row: draws}\n    rows:",
+            r"surrogates: expected an algorithm on a study of two",
+        ),
+        (
+            "    rows:",
+            "    points: {middle: {parameters: {g0: 0.5}}}\n    rows:",
+            r"points.middle.parameters: .*g1",
+        ),
+        ("cases:", "cost: {dimensions: [0]}\ncases:", r"cost.dimensions\[0\]: expected"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_one_line_with_their_place(experiment_file, old, new, message):
+    text = experiment_file.read_text()
+    assert old in text
+    experiment_file.write_text(text.replace(old, new, 1))
+    with pytest.raises(StudyError, match=message) as caught:
+        load_experiment(str(experiment_file))
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_list_what_is_shipped():
+    with pytest.raises(
+        StudyError, match="unknown experiment 'papr'; shipped are choices, paper, peers, small"
+    ):
+        load_experiment("papr")
+
+
+def test_the_documented_experiment_is_one(tmp_path):
+    (block,) = re.findall(r"```yaml\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    (tmp_path / "mine.yaml").write_text(block)
+    (case,) = load_experiment(str(tmp_path / "mine.yaml")).cases.values()
+    assert list(case.rows) == ["IV", "IV, random", "mine"]
+    assert case.rows["mine"].optimizer == "my_module:MyOptimizer"

@@ -1,0 +1,43 @@
+"""The shipped truth, and the study that comes with the benchmarks."""
+
+import json
+
+import pytest
+
+from bo_tuner.package_files import config_directory
+from bo_tuner.study.study_file import load_study
+from tuning_benchmark.judging.truth import Effort, Truth
+
+JUDGE = "tuning_benchmark.milling.judge:Judge"
+SMALL = Effort(drawn=6, grid=3, real_evaluations=2)
+SECOND_AXIS = config_directory("tuning_benchmark") / "studies" / "second_axis.yaml"
+OPTIMA = config_directory("tuning_benchmark") / "experiments" / "grid_search.json"
+
+
+@pytest.mark.parametrize("name", ["benchmark", "full"])
+@pytest.mark.parametrize("kind", ["optimum", "default"])
+def test_the_shipped_optima_are_what_the_judge_says(name, kind):
+    entry = json.loads(OPTIMA.read_text())[name][kind]
+    verdict = Truth(load_study(name), JUDGE, Effort(real_evaluations=2)).verdict(
+        entry["parameters"]
+    )
+    assert verdict.objective == pytest.approx(entry["E"], rel=1e-6)
+    assert verdict.worst == pytest.approx(entry["worst"], rel=1e-6)
+    assert verdict.feasible == entry["feasible"] == (kind == "optimum")
+
+
+def test_second_axis_is_infeasible_by_default():
+    study = load_study(SECOND_AXIS)
+    assert study.search_space().dimension == 3
+    truth = Truth(study, JUDGE, SMALL)
+    assert truth.verdict(study.search_space().defaults).worst > truth.limit
+
+
+def test_second_axis_has_a_feasible_region():
+    parameters = {
+        "control_horizon": 4,
+        "prediction_horizon": 8,
+        "lambda_mpc": -0.5,
+        "lambda_kf": -1.0,
+    }
+    assert Truth(load_study(SECOND_AXIS), JUDGE, SMALL).verdict(parameters).feasible

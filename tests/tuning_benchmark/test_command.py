@@ -1,0 +1,268 @@
+"""The command: the same tables whatever the jobs, a kill in between, or the machines."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tuning_benchmark import command as command
+
+DEADLINE = 100.0
+COMMAND = (sys.executable, "-m", "tuning_benchmark")
+
+
+@pytest.fixture
+def benchmark(tmp_path, experiment_file):
+    """Function that starts the command on the valley, into a folder of its own."""
+    started = []
+
+    def start(output, *arguments, experiment=experiment_file, environment=None):
+        path = os.pathsep.join([str(tmp_path), *sys.path])
+        process = subprocess.Popen(
+            [*COMMAND, "--experiment", experiment, "--output", tmp_path / output, *arguments],
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path} | (environment or {}),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+class Undisturbed:
+    """An interruption that never comes."""
+
+    def check(self):
+        pass
+
+
+@pytest.fixture
+def refused(tmp_path, experiment_file, monkeypatch, capsys):
+    """Function that runs the command in this process and returns its one line on stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        argv = ["--experiment", str(experiment_file), "--output", "out", *arguments]
+        try:
+            code = command.run(argv, Undisturbed())
+        except SystemExit as stop:
+            code = stop.code
+        out, err = capsys.readouterr()
+        assert (code, out) == (2, "")
+        (line,) = err.splitlines()
+        return line
+
+    return run
+
+
+def finish(process, deadline=DEADLINE):
+    out, err = process.communicate(timeout=deadline)
+    assert "Traceback" not in out + err, err
+    return process.returncode, out, err
+
+
+def records_of(folder, name="closed"):
+    lines = (folder / f"{name}.jsonl").read_text().splitlines()
+    return {json.loads(line)["task"]: json.loads(line) for line in lines}
+
+
+def wait_for_records(file, count, process):
+    """Wait until so many tasks are on record, with the campaign still going on."""
+    end = time.monotonic() + DEADLINE
+    while not (file.exists() and file.read_bytes().count(b"\n") >= count):
+        assert time.monotonic() < end
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.02)
+
+
+def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, tmp_path):
+    code, tables, err = finish(benchmark("one"))
+    assert code == 0, err
+    assert "A valley" in tables
+    page = (tmp_path / "one" / "results.md").read_text()
+    assert "figures/convergence-valley.png" in page
+    assert (tmp_path / "one" / "figures" / "convergence-valley.png").stat().st_size > 1000
+
+    killed = benchmark("two", "--jobs", "2")
+    wait_for_records(tmp_path / "two" / "closed.jsonl", 1, killed)
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.communicate()
+    before = records_of(tmp_path / "two")
+    assert 0 < len(before) < 8
+    with (tmp_path / "two" / "closed.jsonl").open("a") as file:
+        file.write('{"task": "run/valley/IV')
+    code, resumed, err = finish(benchmark("two", "--jobs", "2"))
+    assert code == 0, err
+    assert f"{len(before)} of 8 tasks are on record" in err
+    assert resumed == tables
+    after = records_of(tmp_path / "two")
+    assert {name: after[name] for name in before} == before
+
+
+def test_ctrl_c_keeps_what_is_done(benchmark, tmp_path):
+    process = benchmark("out")
+    wait_for_records(tmp_path / "out" / "closed.jsonl", 1, process)
+    process.send_signal(signal.SIGINT)
+    code, out, err = finish(process)
+    assert code == 130
+    assert out == ""
+    assert "the same command resumes" in err
+    assert records_of(tmp_path / "out")
+
+
+def test_a_task_that_raises_is_a_failed_run_with_its_reason(benchmark, tmp_path, experiment_file):
+    text = experiment_file.read_text()
+    experiment_file.write_text(
+        text.replace("runs: 2", "runs: 1").replace('"valley:Draws"}', '"valley:Broken"}')
+    )
+    code, _, err = finish(benchmark("out"))
+    assert code == 1
+    assert "run/valley/lent/1 failed: RuntimeError: out of ideas" in err
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "- lent: RuntimeError: out of ideas" in page
+    assert records_of(tmp_path / "out")["run/valley/draws/1"]["failed"] == ""
+
+
+def test_a_failed_task_runs_again(benchmark, tmp_path, experiment_file):
+    text = experiment_file.read_text().replace("runs: 2", "runs: 1")
+    experiment_file.write_text(text.replace('"valley:Draws"}', '"valley:Unsteady"}'))
+    unsteady = tmp_path / "unsteady"
+    unsteady.write_text("")
+    environment = {"VALLEY_UNSTEADY": str(unsteady)}
+    code, _, err = finish(benchmark("out", environment=environment))
+    assert code == 1
+    assert "failed: OSError: unsteady" in err
+    unsteady.unlink()
+    code, _, err = finish(benchmark("out", environment=environment))
+    assert code == 0, err
+    records = records_of(tmp_path / "out")
+    assert records["run/valley/lent/1"]["failed"] == ""
+
+
+def test_a_process_with_other_code_does_no_task(benchmark, tmp_path, experiment_file):
+    """As a worker elsewhere, or one that starts after an edit."""
+    text = experiment_file.read_text()
+    experiment_file.write_text(text.replace("runs: 2", "runs: 1").replace("valley:", "edited:"))
+    (tmp_path / "edited.py").write_text(
+        "import pathlib\nfrom valley import Draws, Judge\n"
+        "pathlib.Path(__file__).write_text(pathlib.Path(__file__).read_text() + '# edited\\n')\n"
+    )
+    code, _, err = finish(benchmark("out", "--jobs", "2"))
+    assert code == 1
+    assert "has another version of the code" in err.splitlines()[-1]
+    assert (tmp_path / "out" / "closed.jsonl").read_text() == ""
+
+
+def test_records_of_another_version_are_not_mixed(refused, tmp_path):
+    (tmp_path / "out").mkdir()
+    record = {"task": "run/valley/IV/1", "version": "older"}
+    (tmp_path / "out" / "closed.jsonl").write_text(json.dumps(record) + "\n")
+    line = refused()
+    assert "closed.jsonl: holds run/valley/IV/1 of another version of the code or the exp" in line
+    assert "older, now" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--jobs", "0"], "error: --jobs: expected at least 1, found 0"),
+        (["--cluster", "localhost"], "error: --cluster: expected dask://host:port or tcp://"),
+        (["--page-only"], "error: no run of closed is on record"),
+        (
+            ["--experiment", "none"],
+            "error: unknown experiment 'none'; shipped are choices, paper, peers, ",
+        ),
+        (["--records", "/proc/none"], "error: .*/proc/none/closed.jsonl: cannot be written"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_2(refused, arguments, message):
+    line = refused(*arguments)
+    assert re.match(message, line), line
+
+
+def test_an_optimizer_that_is_not_there_is_said_before_any_task(refused, tmp_path, experiment_file):
+    experiment_file.write_text(experiment_file.read_text().replace("valley:Draws", "valleys:Draws"))
+    assert "cannot load valleys:Draws: ModuleNotFoundError" in refused()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
+    process = benchmark("out")
+    wait_for_records(tmp_path / "out" / "closed.jsonl", 5, process)
+    process.kill()
+    finish(process)
+    code, tables, err = finish(benchmark("out", "--page-only"))
+    assert code == 0, err
+    assert "1 of 1" in tables
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "1 run of each row" in page
+    assert re.search(r"- valley: \d+ runs took [\d.]+ minutes, summed over the processes", page)
+    assert "**Not on record yet**: 1 of 2 runs of valley." in page
+
+    # As published records are, to those who have another version of the code or of a library.
+    records = tmp_path / "out" / "closed.jsonl"
+    records.write_text(re.sub(r'"version":\s*"\w+"', '"version": "older"', records.read_text()))
+    code, again, err = finish(benchmark("out", "--page-only"))
+    assert code == 0, err
+    assert again == tables
+    code, _, err = finish(benchmark("out"))
+    assert code == 2
+    assert "of another version of the code" in err
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    code, tables, err = finish(benchmark("here"))
+    assert code == 0, err
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+        env={"PYTHONPATH": path},
+    ) as cluster:  # fmt: skip
+        address = cluster.scheduler_address.replace("tcp://", "dask://")
+        code, there, err = finish(benchmark("there", "--cluster", address))
+    assert code == 0, err
+    assert there == tables
+
+
+@pytest.mark.slow
+def test_workers_of_several_threads_are_refused(benchmark, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None
+    ) as cluster:
+        code, out, err = finish(benchmark("out", "--cluster", cluster.scheduler_address))
+    assert (code, out) == (2, "")
+    assert "expected workers of one thread" in err.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_a_cluster_that_does_not_answer_is_one_line(benchmark):
+    pytest.importorskip("distributed")
+    code, out, err = finish(benchmark("out", "--cluster", "tcp://127.0.0.1:9"))
+    assert (code, out) == (2, "")
+    assert "no Dask scheduler answers there" in err.splitlines()[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_small_campaign_of_the_milling_axis(benchmark, tmp_path):
+    code, tables, err = finish(benchmark("out", "--jobs", "2", experiment="small"), 500.0)
+    assert code == 0, err
+    records = records_of(tmp_path / "out", "small")
+    assert len(records) == 10
+    assert not any(record["failed"] for record in records.values())
+    for name in ("I", "II", "III", "IV", "V"):
+        assert f"| {name} |" in tables
