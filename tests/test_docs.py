@@ -349,9 +349,14 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     assert len(journal.trials) == study.budget.trials
     assert json.loads((run / "summary.json").read_text())["tuned"]["draws"] == 2
     # What the node did is what its object does, to the last bit.
-    assert journal.cuts
-    for cut in journal.cuts:
+    assert journal.evaluations
+    for recorded in journal.evaluations:
         plate = hot_plate.HotPlate()
-        plate.set_parameters(dict(cut.parameters) | dict(cut.cut.context) | {"seed": cut.cut.seed})
+        plate.set_parameters(
+            dict(recorded.parameters)
+            | dict(recorded.evaluation.context)
+            | {"seed": recorded.evaluation.seed}
+        )
         metrics = plate.run_cut()
-        assert {name: metrics[name] for name in cut.cut.outcome.metrics} == cut.cut.outcome.metrics
+        found = recorded.evaluation.outcome.metrics
+        assert {name: metrics[name] for name in found} == found

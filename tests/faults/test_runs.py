@@ -17,7 +17,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import METHODS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
-from bo_tuner.trials import CutState, TrialState
+from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
@@ -51,13 +51,17 @@ def uninterrupted(study):
 
 
 def figures(trials):
-    """All of trials but what only nodes tell of their cuts, such as when they ran."""
+    """All of trials but what only nodes tell of their evaluations, such as when they ran."""
     plain = []
     for trial in trials:
-        outcomes = [dataclasses.replace(cut.outcome, details={}) for cut in trial.cuts]
-        pairs = zip(trial.cuts, outcomes, strict=True)
-        cuts = tuple(dataclasses.replace(cut, outcome=outcome) for cut, outcome in pairs)
-        plain.append(dataclasses.replace(trial, cuts=cuts))
+        outcomes = [
+            dataclasses.replace(evaluation.outcome, details={}) for evaluation in trial.evaluations
+        ]
+        pairs = zip(trial.evaluations, outcomes, strict=True)
+        evaluations = tuple(
+            dataclasses.replace(evaluation, outcome=outcome) for evaluation, outcome in pairs
+        )
+        plain.append(dataclasses.replace(trial, evaluations=evaluations))
     return plain
 
 
@@ -105,10 +109,12 @@ class Run:
             assert time.monotonic() < end, f"waited for {what}: {self.said}"
             time.sleep(0.1)
 
-    def wait_for_cuts(self, count):
-        """Wait until more cuts than `count` are on record."""
+    def wait_for_evaluations(self, count):
+        """Wait until more evaluations than `count` are on record."""
         latest = self.output / "latest" / "journal.sqlite"
-        self.wait_for(lambda: latest.exists() and len(self.record().cuts) > count, "more cuts")
+        self.wait_for(
+            lambda: latest.exists() and len(self.record().evaluations) > count, "more evaluations"
+        )
 
     def wait_for_trials(self, count):
         self.wait_for(lambda: len(self.record().trials) >= count, f"{count} trials")
@@ -141,7 +147,7 @@ def make_run(tmp_path):
 def starts_with(record, before):
     """Whether a record holds all of an earlier one, unchanged."""
     return (
-        record.cuts[: len(before.cuts)] == before.cuts
+        record.evaluations[: len(before.evaluations)] == before.evaluations
         and record.trials[: len(before.trials)] == before.trials
         and not record.damage
     )
@@ -149,14 +155,14 @@ def starts_with(record, before):
 
 @pytest.mark.timeout(400)
 def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
-    """Killed at any moment, while cuts run and while it thinks; nothing on record is lost."""
+    """Killed at any moment, in an evaluation or in thought; nothing on record is lost."""
     study = small_study()
     run = make_run(study)
     rng = random.Random(2)
     run.start()
     for _ in range(3):
-        on_record = len(run.record().cuts) if run.output.exists() else 0
-        run.wait_for_cuts(on_record)
+        on_record = len(run.record().evaluations) if run.output.exists() else 0
+        run.wait_for_evaluations(on_record)
         time.sleep(rng.uniform(0.0, 1.0))
         before = run.record()
         run.process.kill()
@@ -180,7 +186,7 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
     study = small_study(trials=4)
     run = make_run(study)
     run.start()
-    run.wait_for_cuts(3)
+    run.wait_for_evaluations(3)
     limit_file_size(run)
     before = run.record()
     assert run.process.wait(DEADLINE) == 1, run.said
@@ -224,5 +230,7 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     run.interrupt()
     record = run.record()
     assert {trial.state for trial in record.trials} == {TrialState.COMPLETE}
-    assert {recorded.cut.outcome.state for recorded in record.cuts} == {CutState.COMPLETE}
+    assert {recorded.evaluation.outcome.state for recorded in record.evaluations} == {
+        EvaluationState.COMPLETE
+    }
     assert figures(record.trials) == figures(uninterrupted(study))

@@ -1,4 +1,4 @@
-"""Cuts that were recorded in process, run again on nodes, and the bag of it."""
+"""Evaluations that were recorded in process, run again on nodes, and the bag of it."""
 
 import json
 import os
@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
-from bo_tuner.replay.replay import find_cut
+from bo_tuner.replay.replay import find_evaluation
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
@@ -56,7 +56,7 @@ def with_mcap(bag):
             yield channel.topic, message.log_time, decoded
 
 
-def in_process(parameters, cut):
+def in_process(parameters, evaluation):
     """What passes between plant and controller in this process."""
     kept = defaultdict(list)
     plant, controller = MillingPlant(), MpcController()
@@ -72,7 +72,7 @@ def in_process(parameters, cut):
             kept["estimate"].append(step.estimate)
             return step
 
-    plant.set_parameters(dict(cut.context) | {"seed": cut.seed})
+    plant.set_parameters(dict(evaluation.context) | {"seed": evaluation.seed})
     controller.set_parameters(parameters)
     plant.run_cut(Tap())
     return kept
@@ -101,15 +101,15 @@ def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attache
     assert lines[0] == "measured by the clock, hence not judged: return_time"
     assert lines[1:3] == ["complete, as recorded", "confirmed"]
     data = custom_data(bag_of(record))
-    recorded = find_cut(record, 1, None).cut.outcome.metrics
+    recorded = find_evaluation(record, 1, None).evaluation.outcome.metrics
     replayed = json.loads(data["tuned"])["metrics"]
     for name in ("tracking_error", "overshoot"):
         assert replayed[name] == recorded[name]
 
 
 def bag_of(record):
-    cut = find_cut(record, 1, None).cut
-    return record.path / "replay" / f"trial_0001_cut_{cut.index:02d}"
+    evaluation = find_evaluation(record, 1, None).evaluation
+    return record.path / "replay" / f"trial_0001_evaluation_{evaluation.index:02d}"
 
 
 @pytest.mark.parametrize("read", [with_rosbags, with_mcap])
@@ -117,7 +117,7 @@ def test_default_and_tuned_run_side_by_side(attached, read):
     record, _, lines = attached
     bag = bag_of(record)
     assert lines[-1] == f"bag of default and tuned: {bag}"
-    recorded = find_cut(record, 1, None)
+    recorded = find_evaluation(record, 1, None)
     values = defaultdict(dict)
     times = defaultdict(list)
     for topic, time, message in read(bag):
@@ -132,7 +132,7 @@ def test_default_and_tuned_run_side_by_side(attached, read):
     }
     (start,) = {times[f"/{side}/mpc_controller/joint_trajectory"][0] for side in sides}
     for side, parameters in sides.items():
-        kept = in_process(parameters, recorded.cut)
+        kept = in_process(parameters, recorded.evaluation)
         for topic, name in LOOP.items():
             found = values[f"/{side}/{topic}"]
             assert [found[start + k * PERIOD] for k in range(SAMPLES)] == kept[name]
@@ -145,9 +145,9 @@ def test_default_and_tuned_run_side_by_side(attached, read):
 def test_the_metadata_tell_both(attached):
     record, _, _ = attached
     data = custom_data(bag_of(record))
-    recorded = find_cut(record, 1, None)
-    assert json.loads(data["context"]) == dict(recorded.cut.context)
-    assert (data["trial"], data["seed"]) == ("1", str(recorded.cut.seed))
+    recorded = find_evaluation(record, 1, None)
+    assert json.loads(data["context"]) == dict(recorded.evaluation.context)
+    assert (data["trial"], data["seed"]) == ("1", str(recorded.evaluation.seed))
     assert data["lost_messages"] == "0"
     default, tuned = json.loads(data["default"]), json.loads(data["tuned"])
     assert tuned["parameters"] == dict(recorded.parameters)
@@ -155,13 +155,13 @@ def test_the_metadata_tell_both(attached):
     assert default["metrics"]["tracking_error"] != tuned["metrics"]["tracking_error"]
 
 
-def test_a_failed_cut_on_nodes_of_its_own(ros_environment, tmp_path):
+def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     """The command as a process, as a user starts it: nodes, the same failure, and a bag."""
     study = small_study(velocity_limit=0.6)
     folder = tmp_path / "run"
     record = make_run(folder, study, InProcessBackend(study))
-    cut = record.trials[0].cuts[-1]
-    assert "the loop diverged" in cut.outcome.reason
+    evaluation = record.trials[0].evaluations[-1]
+    assert "the loop diverged" in evaluation.outcome.reason
     code = (
         "import sys; from bo_tuner.cli import replay; "
         "from bo_tuner.interruption import Interruption; "
@@ -178,10 +178,10 @@ def test_a_failed_cut_on_nodes_of_its_own(ros_environment, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert f"failed, as recorded: {cut.outcome.reason}" in done.stdout
-    bag = tmp_path / "bags" / f"trial_0000_cut_{cut.index:02d}"
+    assert f"failed, as recorded: {evaluation.outcome.reason}" in done.stdout
+    bag = tmp_path / "bags" / f"trial_0000_evaluation_{evaluation.index:02d}"
     data = custom_data(bag)
-    assert json.loads(data["tuned"])["reason"] == cut.outcome.reason
+    assert json.loads(data["tuned"])["reason"] == evaluation.outcome.reason
     samples = sum(topic == "/tuned/joint_states" for topic, _, _ in with_rosbags(bag))
     assert 0 < samples < SAMPLES
     assert not (folder / "replay").exists()

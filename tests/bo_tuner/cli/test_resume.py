@@ -144,7 +144,7 @@ class TestResume:
         assert code == 0
         assert "default against tuned" in out
         assert runs.results("again") == runs.results(whole)
-        assert not (runs.folder / "again.cuts").exists()
+        assert not (runs.folder / "again.evaluations").exists()
 
     @pytest.mark.parametrize(
         ("arguments", "complaint"),

@@ -184,7 +184,7 @@ class TestInterruption:
     @pytest.mark.parametrize(
         ("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"]
     )
-    @pytest.mark.parametrize("cuts", [3, 22], ids=["tuning", "validation"])
+    @pytest.mark.parametrize("evaluations", [3, 22], ids=["tuning", "validation"])
     def test_the_record_stays(self, tune, tmp_path, signum, code, evaluations):
         """A run has 5 trials of 4 evaluations, so that evaluation 22 is one of the validation."""
         counter = tmp_path / "cuts"
@@ -367,7 +367,7 @@ def test_ros_arguments_are_told_from_own_ones(given, own, ros):
     assert split_ros_arguments(given) == (own, ros)
 
 
-def test_a_evaluation_that_raises_is_a_failed_evaluation(tune, tmp_path):
+def test_an_evaluation_that_raises_is_a_failed_evaluation(tune, tmp_path):
     """Also one that raises what only looks like an interruption of ours."""
     (tmp_path / "axis_objects.py").write_text(
         OBJECTS.replace("Axis.evaluations += 1", "raise RuntimeError('interrupted')")
