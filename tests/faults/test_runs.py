@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import random
 import resource
 import signal
@@ -11,7 +10,9 @@ import sys
 import time
 
 import pytest
+from commands import environment, python_path, start
 from threadpoolctl import threadpool_limits
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import METHODS
@@ -22,8 +23,8 @@ from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
 
-DEADLINE = 100.0
-EXIT_DONE = (0, 3)
+# What the tuner sets by itself.
+OWN = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def small_study(trials=7):
@@ -38,6 +39,8 @@ def small_study(trials=7):
         )
     )
     study["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
+    # Short cuts: their number makes the run, not their length.
+    study["nodes"]["plant"]["parameters"] = {"samples_per_level": 10}
     return json.loads(json.dumps(study))
 
 
@@ -68,14 +71,11 @@ def figures(trials):
 class Run:
     """A run in a folder, and the command that is at work on it."""
 
-    def __init__(self, folder, study, output="runs", **environment):
+    def __init__(self, folder, study, output="runs", **changes):
         self.folder = folder
         self.output = folder / output
         (folder / "study.yaml").write_text(json.dumps(study))
-        own = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
-        self._environment = {k: v for k, v in os.environ.items() if k not in own}
-        self._environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "HOME": str(folder)}
-        self._environment |= environment
+        self._changes = {"HOME": str(folder)} | changes
         self.process = None
 
     def start(self):
@@ -86,10 +86,12 @@ class Run:
 
     def _tune(self, *arguments):
         with (self.folder / "out").open("a") as out:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-                cwd=self.folder,
-                env=self._environment,
+            self.process = start(
+                "tune",
+                *arguments,
+                folder=self.folder,
+                env=self._changes,
+                without=OWN,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
@@ -103,11 +105,7 @@ class Run:
         return read_run(self.output / "latest")
 
     def wait_for(self, condition, what):
-        end = time.monotonic() + DEADLINE
-        while not condition():
-            assert self.process.poll() is None, self.said
-            assert time.monotonic() < end, f"waited for {what}: {self.said}"
-            time.sleep(0.1)
+        wait_until(condition, what, self.process, lambda: self.said)
 
     def wait_for_evaluations(self, count):
         """Wait until more evaluations than `count` are on record."""
@@ -218,10 +216,13 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(CLOCK)
     study = small_study(trials=4)
-    run = make_run(study, PYTHONPATH=os.pathsep.join([str(folder), *sys.path]))
+    run = make_run(study, PYTHONPATH=python_path(folder))
     jumps = "import time; a = time.time(); print(any(abs(time.time() - a) > 1e3 for _ in range(9)))"
     done = subprocess.run(
-        [sys.executable, "-c", jumps], env=run._environment, capture_output=True, text=True
+        [sys.executable, "-c", jumps],
+        env=environment(PYTHONPATH=python_path(folder)),
+        capture_output=True,
+        text=True,
     )
     assert done.stdout == "True\n"
     run.start()

@@ -18,16 +18,16 @@ def environment(*folders, without=(), **changes):
     return inherited | {"PYTHONPATH": python_path(*folders), "COLUMNS": "80"} | changes
 
 
-def start(*arguments, folder, package="bo_tuner", env=None, **options):
+def start(*arguments, folder, package="bo_tuner", env=None, without=(), **options):
     """Start ``python -m package arguments`` in a folder, whose modules it finds.
 
-    What else is in its environment is given by `env`. Its output goes to pipes, as text, unless
-    other `options` of `subprocess.Popen` say where.
+    `env` and `without` change its environment. Its output goes to pipes, as text, unless other
+    `options` of `subprocess.Popen` say where.
     """
     return subprocess.Popen(
         [sys.executable, "-m", package, *map(str, arguments)],
         cwd=folder,
-        env=environment(folder, **(env or {})),
+        env=environment(folder, without=without, **(env or {})),
         text=True,
         **({"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options),
     )

@@ -4,6 +4,7 @@ import os
 import signal
 
 import pytest
+from waiting import count_in
 
 from bo_tuner.trials import EvaluationState, TrialState
 
@@ -126,10 +127,10 @@ class TestEvaluations:
         assert command.trials()[1].evaluations[-1].outcome.state is EvaluationState.LOST
 
     def test_a_node_that_stays_silent_is_replaced(self, tune, drive_study):
-        study = drive_study(trigger={"timeout": 1.0})
+        study = drive_study(trigger={"timeout": 3.0})
         command = tune(study=study, DRIVE="2:mute")
         assert command.finish() == 0, command.err
-        silent = "no evaluation result from axis within 1 s"
+        silent = "no evaluation result from axis within 3 s"
         assert [trial.reason for trial in command.trials()] == [silent, "", "", ""]
 
     def test_three_in_a_row_end_the_run(self, tune):
@@ -149,7 +150,7 @@ class TestEnd:
         """Ctrl-C in a terminal goes to the whole process group."""
         command = tune(DRIVE=f"{cut}:mute")
         counter = tmp_path / "cuts"
-        command.wait_for(lambda: counter.exists() and counter.read_text() == str(cut), "the cut")
+        command.wait_for(lambda: count_in(counter) == cut, "the cut")
         os.killpg(command.popen.pid, signal.SIGINT)
         assert command.finish() == 130
         assert len(command.trials()) == (cut - 1) // 2
@@ -168,5 +169,5 @@ class TestEnd:
         assert command.shared_memory() == []
         command.popen.kill()
         command.popen.wait()
-        command.wait_for_nodes_to_end(5.0)
+        command.wait_for_nodes_to_end()
         assert len(command.trials()) >= 1
