@@ -53,7 +53,7 @@ benchmark: setup $(VENV)/.benchmarks
 		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
 
 test: setup $(VENV)/.dev
-	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile $(ARGS)
+	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

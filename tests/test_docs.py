@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 import yaml
+from commands import python_path, run
+from waiting import DEADLINE
 
 from bo_tuner.__main__ import COMMANDS as OF_TUNER
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
@@ -44,8 +46,6 @@ MESSAGES_OF_OTHERS = {
     "librcl_action.so: cannot open shared object file",
     "Failed to get logging directory",
 }
-
-DEADLINE = 60.0
 
 FENCE = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
@@ -269,18 +269,9 @@ def test_a_wrong_command_is_noticed(line, complaint):
 
 def tune(folder, *arguments, **environment):
     """Run tune to its end in a folder; returns the run folder's path."""
-    path = os.pathsep.join([str(EXAMPLE), *sys.path])
-    done = subprocess.run(
-        [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path} | environment,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE,
-        check=False,
-    )
-    assert "Traceback" not in done.stderr, done.stderr
-    return done, folder / "runs" / "latest"
+    path = python_path(EXAMPLE)
+    code, _, err = run("tune", *arguments, folder=folder, env={"PYTHONPATH": path} | environment)
+    return code, err, folder / "runs" / "latest"
 
 
 @pytest.fixture
@@ -292,9 +283,9 @@ def hot_plate(monkeypatch):
 
 def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
     study = EXAMPLE / "study.yaml"
-    done, run = tune(tmp_path, "--study", str(study), "--backend", "inprocess", "--quiet")
-    assert done.returncode == 0, done.stderr
-    found = yaml.safe_load((run / "best.yaml").read_text())["/**/hot_plate"]["ros__parameters"]
+    code, err, folder = tune(tmp_path, "--study", str(study), "--backend", "inprocess", "--quiet")
+    assert code == 0, err
+    found = yaml.safe_load((folder / "best.yaml").read_text())["/**/hot_plate"]["ros__parameters"]
     constraints = load_study(study).constraints
 
     def metrics(values, load, draught, seed):
@@ -333,7 +324,7 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     )
     try:
         ready = node.stderr.readline()
-        done, run = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
+        code, err, folder = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
     finally:
         node.send_signal(signal.SIGTERM)
         try:
@@ -344,10 +335,10 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     assert "ready" in ready, ready + said
     assert (node.returncode, said) == (0, "")
     # Too few trials to find something for sure.
-    assert done.returncode in (0, 3), done.stderr
-    journal = read_journal(run / "journal.sqlite")
+    assert code in (0, 3), err
+    journal = read_journal(folder / "journal.sqlite")
     assert len(journal.trials) == study.budget.trials
-    assert json.loads((run / "summary.json").read_text())["tuned"]["draws"] == 2
+    assert json.loads((folder / "summary.json").read_text())["tuned"]["draws"] == 2
     # What the node did is what its object does, to the last bit.
     assert journal.evaluations
     for recorded in journal.evaluations:

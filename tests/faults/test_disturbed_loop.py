@@ -7,6 +7,7 @@ import time
 import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
+from waiting import DEADLINE
 
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
@@ -86,16 +87,16 @@ def test_late_repeated_and_reordered_messages_change_no_figure(start_node, make_
 def test_a_plant_that_falls_silent_is_replaced(tune, drive_study):
     """It still looks alive to the operating system."""
     command = tune(
-        *("--record", "none"), study=drive_study(trigger={"timeout": 2.0}), DRIVE="3:stop"
+        *("--record", "none"), study=drive_study(trigger={"timeout": 3.0}), DRIVE="3:stop"
     )
     command.wait_for_trial(3)
     trials = command.trials()
     assert [trial.reason for trial in trials] == [
         "",
-        "no cut result from axis within 2 s",
+        "no evaluation result from axis within 3 s",
         "",
         "",
     ]
     command.popen.send_signal(signal.SIGTERM)
-    command.popen.wait(60.0)
-    command.wait_for_nodes_to_end(10.0)
+    command.popen.wait(DEADLINE)
+    command.wait_for_nodes_to_end()

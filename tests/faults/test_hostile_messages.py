@@ -88,7 +88,6 @@ def check_cut(drive, start):
     reference, velocities = [0.5, 0.5, 0.7, 0.7], [0.5, 0.49, 0.52, 0.6]
     drive.results.clear()
     drive.reference(reference, start=start)
-    drive.peer.spin_for(0.02)
     commands = []
     for k, velocity in enumerate(velocities):
         drive.state(start + k * PERIOD, [velocity])
@@ -141,21 +140,22 @@ class TestController:
             Time(sec=-1),
             Time(sec=-(2**31), nanosec=2**32 - 1),
         ):
-            drive._reference.publish(
+            drive._send(
+                drive._reference,
                 JointTrajectory(
                     header=Header(stamp=stamp),
                     joint_names=["x_axis"],
                     points=[JointTrajectoryPoint(velocities=[math.nan])],
-                )
+                ),
             )
         drive.peer.spin_for(0.2)
         assert drive.results == []
         start = 1_600_000_000 * NANOSECONDS
         drive.reference(good, start=start)
-        drive.peer.spin_for(0.1)
         for stamp in (LAST, Time(sec=-5)):
-            drive._state.publish(
-                JointState(header=Header(stamp=stamp), name=["x_axis"], velocity=[9.0])
+            drive._send(
+                drive._state,
+                JointState(header=Header(stamp=stamp), name=["x_axis"], velocity=[9.0]),
             )
         for k in range(4):
             drive.state(start + k * PERIOD, [0.5])
@@ -166,7 +166,6 @@ class TestController:
         """Bridged sample by sample, a forged one would keep the controller busy for minutes."""
         start = 1_600_001_000 * NANOSECONDS
         drive.reference([0.5] * 300, start=start)
-        drive.peer.spin_for(0.1)
         drive.state(start + 299 * PERIOD, [9.0])
         for k in (0, 1, 150, 299):
             drive.state(start + k * PERIOD, [0.5])
@@ -178,7 +177,6 @@ class TestController:
     def test_a_program_without_a_solution_holds_the_last_input_and_fails_the_cut(self, drive):
         start = 1_600_002_000 * NANOSECONDS
         drive.reference([0.5] * 6, start=start)
-        drive.peer.spin_for(0.1)
         commands = []
         for k, velocity in enumerate([0.5, 0.5, 1e308, -1e308, 1e308, 0.5]):
             drive.state(start + k * PERIOD, [velocity])
@@ -195,8 +193,7 @@ class TestController:
     def test_any_messages_leave_it_able_to_cut(self, drive, messages):
         for message in messages:
             of_state = isinstance(message, JointState)
-            (drive._state if of_state else drive._reference).publish(message)
-        drive.peer.spin_for(0.02)
+            drive._send(drive._state if of_state else drive._reference, message)
         check_cut(drive, next(starts))
 
 

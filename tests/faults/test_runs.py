@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import random
 import resource
 import signal
@@ -11,19 +10,21 @@ import sys
 import time
 
 import pytest
+from commands import environment, python_path, start
 from threadpoolctl import threadpool_limits
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
-from bo_tuner.trials import CutState, TrialState
+from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
 
-DEADLINE = 100.0
-EXIT_DONE = (0, 3)
+# What the tuner sets by itself.
+OWN = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 def small_study(trials=7):
@@ -38,6 +39,8 @@ def small_study(trials=7):
         )
     )
     study["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
+    # Short cuts: their number makes the run, not their length.
+    study["nodes"]["plant"]["parameters"] = {"samples_per_level": 10}
     return json.loads(json.dumps(study))
 
 
@@ -51,27 +54,28 @@ def uninterrupted(study):
 
 
 def figures(trials):
-    """All of trials but what only nodes tell of their cuts, such as when they ran."""
+    """All of trials but what only nodes tell of their evaluations, such as when they ran."""
     plain = []
     for trial in trials:
-        outcomes = [dataclasses.replace(cut.outcome, details={}) for cut in trial.cuts]
-        pairs = zip(trial.cuts, outcomes, strict=True)
-        cuts = tuple(dataclasses.replace(cut, outcome=outcome) for cut, outcome in pairs)
-        plain.append(dataclasses.replace(trial, cuts=cuts))
+        outcomes = [
+            dataclasses.replace(evaluation.outcome, details={}) for evaluation in trial.evaluations
+        ]
+        pairs = zip(trial.evaluations, outcomes, strict=True)
+        evaluations = tuple(
+            dataclasses.replace(evaluation, outcome=outcome) for evaluation, outcome in pairs
+        )
+        plain.append(dataclasses.replace(trial, evaluations=evaluations))
     return plain
 
 
 class Run:
     """A run in a folder, and the command that is at work on it."""
 
-    def __init__(self, folder, study, output="runs", **environment):
+    def __init__(self, folder, study, output="runs", **changes):
         self.folder = folder
         self.output = folder / output
         (folder / "study.yaml").write_text(json.dumps(study))
-        own = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
-        self._environment = {k: v for k, v in os.environ.items() if k not in own}
-        self._environment |= {"PYTHONPATH": os.pathsep.join(sys.path), "HOME": str(folder)}
-        self._environment |= environment
+        self._changes = {"HOME": str(folder)} | changes
         self.process = None
 
     def start(self):
@@ -82,10 +86,12 @@ class Run:
 
     def _tune(self, *arguments):
         with (self.folder / "out").open("a") as out:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-                cwd=self.folder,
-                env=self._environment,
+            self.process = start(
+                "tune",
+                *arguments,
+                folder=self.folder,
+                env=self._changes,
+                without=OWN,
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
@@ -99,16 +105,14 @@ class Run:
         return read_run(self.output / "latest")
 
     def wait_for(self, condition, what):
-        end = time.monotonic() + DEADLINE
-        while not condition():
-            assert self.process.poll() is None, self.said
-            assert time.monotonic() < end, f"waited for {what}: {self.said}"
-            time.sleep(0.1)
+        wait_until(condition, what, self.process, lambda: self.said)
 
-    def wait_for_cuts(self, count):
-        """Wait until more cuts than `count` are on record."""
+    def wait_for_evaluations(self, count):
+        """Wait until more evaluations than `count` are on record."""
         latest = self.output / "latest" / "journal.sqlite"
-        self.wait_for(lambda: latest.exists() and len(self.record().cuts) > count, "more cuts")
+        self.wait_for(
+            lambda: latest.exists() and len(self.record().evaluations) > count, "more evaluations"
+        )
 
     def wait_for_trials(self, count):
         self.wait_for(lambda: len(self.record().trials) >= count, f"{count} trials")
@@ -141,7 +145,7 @@ def make_run(tmp_path):
 def starts_with(record, before):
     """Whether a record holds all of an earlier one, unchanged."""
     return (
-        record.cuts[: len(before.cuts)] == before.cuts
+        record.evaluations[: len(before.evaluations)] == before.evaluations
         and record.trials[: len(before.trials)] == before.trials
         and not record.damage
     )
@@ -149,14 +153,14 @@ def starts_with(record, before):
 
 @pytest.mark.timeout(400)
 def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
-    """Killed at any moment, while cuts run and while it thinks; nothing on record is lost."""
+    """Killed at any moment, in an evaluation or in thought; nothing on record is lost."""
     study = small_study()
     run = make_run(study)
     rng = random.Random(2)
     run.start()
     for _ in range(3):
-        on_record = len(run.record().cuts) if run.output.exists() else 0
-        run.wait_for_cuts(on_record)
+        on_record = len(run.record().evaluations) if run.output.exists() else 0
+        run.wait_for_evaluations(on_record)
         time.sleep(rng.uniform(0.0, 1.0))
         before = run.record()
         run.process.kill()
@@ -180,7 +184,7 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
     study = small_study(trials=4)
     run = make_run(study)
     run.start()
-    run.wait_for_cuts(3)
+    run.wait_for_evaluations(3)
     limit_file_size(run)
     before = run.record()
     assert run.process.wait(DEADLINE) == 1, run.said
@@ -212,10 +216,13 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(CLOCK)
     study = small_study(trials=4)
-    run = make_run(study, PYTHONPATH=os.pathsep.join([str(folder), *sys.path]))
+    run = make_run(study, PYTHONPATH=python_path(folder))
     jumps = "import time; a = time.time(); print(any(abs(time.time() - a) > 1e3 for _ in range(9)))"
     done = subprocess.run(
-        [sys.executable, "-c", jumps], env=run._environment, capture_output=True, text=True
+        [sys.executable, "-c", jumps],
+        env=environment(PYTHONPATH=python_path(folder)),
+        capture_output=True,
+        text=True,
     )
     assert done.stdout == "True\n"
     run.start()
@@ -224,5 +231,7 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     run.interrupt()
     record = run.record()
     assert {trial.state for trial in record.trials} == {TrialState.COMPLETE}
-    assert {recorded.cut.outcome.state for recorded in record.cuts} == {CutState.COMPLETE}
+    assert {recorded.evaluation.outcome.state for recorded in record.evaluations} == {
+        EvaluationState.COMPLETE
+    }
     assert figures(record.trials) == figures(uninterrupted(study))

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import DEADLINE
 
 from bo_tuner.backends.ros.isolation import isolated_environment
 
@@ -34,8 +35,6 @@ NETWORK = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
 )
-ADDRESSES = ("10.213.77.1/24", "10.213.77.2/24")
-LINK = f"ours{os.getpid() % 100_000}"
 
 
 def ip(*arguments):
@@ -45,7 +44,7 @@ def ip(*arguments):
 def wait_for_namespace(holder):
     """Wait until a process is in a network namespace of its own."""
     ours = Path("/proc/self/ns/net").readlink()
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + DEADLINE
     while Path(f"/proc/{holder.pid}/ns/net").readlink() == ours:
         if holder.poll() is not None or time.monotonic() > end:
             raise OSError("unshare failed")
@@ -53,19 +52,23 @@ def wait_for_namespace(holder):
 
 
 @pytest.fixture(scope="module")
-def machine():
+def machine(ros_environment):
     """A network namespace, linked to ours as another machine would be; the way to start in it."""
     if os.geteuid() != 0:
         pytest.skip("network namespaces can be made by root only")
+    # The domain is ours alone on this machine, so that the network is, too.
+    domain = os.environ["ROS_DOMAIN_ID"]
+    link = f"ours{domain}"
+    addresses = [f"10.213.{domain}.{host}/24" for host in (1, 2)]
     holder = subprocess.Popen(["unshare", "--net", "sleep", "600"], stderr=subprocess.DEVNULL)
     try:
         wait_for_namespace(holder)
-        ip("link", "add", LINK, "type", "veth", "peer", "name", "theirs", "netns", str(holder.pid))
+        ip("link", "add", link, "type", "veth", "peer", "name", "theirs", "netns", str(holder.pid))
         inside = ("nsenter", "--target", str(holder.pid), "--net")
-        ip("address", "add", ADDRESSES[0], "dev", LINK)
-        ip("link", "set", LINK, "up")
+        ip("address", "add", addresses[0], "dev", link)
+        ip("link", "set", link, "up")
         for command in (
-            ("address", "add", ADDRESSES[1], "dev", "theirs"),
+            ("address", "add", addresses[1], "dev", "theirs"),
             ("link", "set", "theirs", "up"),
             ("link", "set", "lo", "up"),
         ):
@@ -76,7 +79,7 @@ def machine():
         pytest.skip(f"no network namespace can be made here: {error}")
     yield inside
     with contextlib.suppress(subprocess.CalledProcessError):
-        ip("link", "delete", LINK)
+        ip("link", "delete", link)
     holder.kill()
     holder.wait()
 
@@ -94,7 +97,7 @@ def is_seen_from(machine, seconds):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=DEADLINE,
     )
     assert done.stdout in ("True\n", "False\n"), done.stderr
     return done.stdout == "True\n"
@@ -105,7 +108,7 @@ class TestNetwork:
         """Without this the next test would prove nothing."""
         monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
         start_node("milling_plant")
-        assert is_seen_from(machine, 30.0)
+        assert is_seen_from(machine, 60.0)
 
     def test_nodes_as_the_tuner_starts_them_are_not(self, machine, start_node, peer, monkeypatch):
         for name in NETWORK:

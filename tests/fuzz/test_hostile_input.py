@@ -65,7 +65,7 @@ def test_nothing_in_a_study_is_constructed(tmp_path, monkeypatch, value):
 def test_yaml_is_loaded_safely_everywhere():
     folder = Path(bo_tuner.__file__).parent
     sources = [p for root in PACKAGES for p in Path(root.__file__).parent.rglob("*.py")]
-    assert folder / "strict_yaml.py" in sources
+    assert folder / "study" / "strict_yaml.py" in sources
     unsafe = re.compile(
         r"yaml\.(load|load_all|full_load|unsafe_load|Loader|FullLoader|UnsafeLoader)\b"
         r"|\b(pickle|marshal|shelve)\b|\beval\(|\bexec\("

@@ -46,7 +46,7 @@ def make_study(**sections):
 class FunctionBackend(SequentialBackend):
     """Evaluates a function of all that the node is told; counts calls.
 
-    The function returns the node's figures, or a CutOutcome.
+    The function returns the node's figures, or an Outcome.
     """
 
     name = "function"

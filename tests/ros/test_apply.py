@@ -9,7 +9,9 @@ from dataclasses import replace
 
 import pytest
 import yaml
+from commands import environment
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
+from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli import apply as command
@@ -17,7 +19,6 @@ from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.ros
 
-DEADLINE = 60.0
 NAMES = ("control_horizon", "prediction_horizon", "lambda_mpc", "input_upper")
 
 
@@ -193,7 +194,7 @@ def test_in_a_terminal_it_asks(record, now):
         stdin=follower,
         stdout=follower,
         stderr=follower,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "dumb"},
+        env=environment(TERM="dumb"),
     )
     os.close(follower)
     said = b""

@@ -63,7 +63,6 @@ def test_one_joint_among_several_and_a_reference_without_a_stamp(drive, t0):
     joints = ("y_axis", "x_axis", "spindle")
     rows = [[9.0, v, 300.0] for v in REFERENCE]
     drive.reference(None, start=0, joints=joints, rows=rows)
-    drive.peer.spin_for(0.1)  # the reference travels on a topic of its own
     commands = []
     for k, v in enumerate(VELOCITIES):
         # Stamps that jitter by a tenth of a sample, after the first.
@@ -77,7 +76,6 @@ def test_one_joint_among_several_and_a_reference_without_a_stamp(drive, t0):
 def test_messages_of_other_joints_neither_start_nor_count(drive, t0):
     """Also not for the time of the first sample, though another drive publishes more often."""
     drive.reference(REFERENCE, start=0)
-    drive.peer.spin_for(0.1)
     drive.state(t0 - 10 * PERIOD, [3.0], ["spindle"])
     commands = []
     for k, v in enumerate(VELOCITIES):
@@ -214,7 +212,6 @@ def test_a_new_reference_takes_over_from_an_unfinished_one(drive, t0):
     run(drive, samples_from(t0)[:3])
     later = t0 + 1000 * PERIOD
     drive.reference(REFERENCE, start=later)
-    drive.peer.spin_for(0.1)
     commands = run(drive, samples_from(later))
     np.testing.assert_array_equal(commands, expected_commands())
     assert drive.result()[0]["cut"] == cut_identifier(later)

@@ -1,18 +1,17 @@
 """Evaluations that were recorded in process, run again on nodes, and the bag of it."""
 
 import json
-import os
-import subprocess
-import sys
 from collections import defaultdict
 from dataclasses import replace
 
 import pytest
+from commands import run
 from made_runs import Uninterrupted, make_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli import replay as command
@@ -30,7 +29,6 @@ LOOP = {
     "mpc_controller/command": "command",
     "mpc_controller/estimated_state": "estimate",
 }
-DEADLINE = 60.0
 
 
 def small_study(**plant_parameters):
@@ -162,23 +160,14 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     record = make_run(folder, study, InProcessBackend(study))
     evaluation = record.trials[0].evaluations[-1]
     assert "the loop diverged" in evaluation.outcome.reason
-    code = (
-        "import sys; from bo_tuner.cli import replay; "
-        "from bo_tuner.interruption import Interruption; "
-        "sys.exit(replay.run(sys.argv[1:], Interruption()))"
+    code, out, err = run(
+        *("replay", folder, "0", "--backend", "ros", "--output", "bags"),
+        folder=tmp_path,
+        env={"COLUMNS": "120"},
+        without=("ROS_DOMAIN_ID",),
     )
-    environment = {key: v for key, v in os.environ.items() if key != "ROS_DOMAIN_ID"}
-    done = subprocess.run(
-        [sys.executable, "-c", code, folder, "0", "--backend", "ros", "--output", "bags"],
-        cwd=tmp_path,
-        env=environment | {"PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "120"},
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert f"failed, as recorded: {evaluation.outcome.reason}" in done.stdout
+    assert code == 0, err
+    assert f"failed, as recorded: {evaluation.outcome.reason}" in out
     bag = tmp_path / "bags" / f"trial_0000_evaluation_{evaluation.index:02d}"
     data = custom_data(bag)
     assert json.loads(data["tuned"])["reason"] == evaluation.outcome.reason

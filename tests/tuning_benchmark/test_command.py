@@ -4,16 +4,12 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
-import time
 
 import pytest
+from commands import finish, python_path, start
+from waiting import wait_until
 
 from tuning_benchmark import command as command
-
-DEADLINE = 100.0
-COMMAND = (sys.executable, "-m", "tuning_benchmark")
 
 
 @pytest.fixture
@@ -21,20 +17,13 @@ def benchmark(tmp_path, experiment_file):
     """Function that starts the command on the valley, into a folder of its own."""
     started = []
 
-    def start(output, *arguments, experiment=experiment_file, environment=None):
-        path = os.pathsep.join([str(tmp_path), *sys.path])
-        process = subprocess.Popen(
-            [*COMMAND, "--experiment", experiment, "--output", tmp_path / output, *arguments],
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": path} | (environment or {}),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+    def begin(output, *arguments, experiment=experiment_file, environment=None):
+        arguments = ("--experiment", experiment, "--output", tmp_path / output, *arguments)
+        process = start(*arguments, folder=tmp_path, package="tuning_benchmark", env=environment)
         started.append(process)
         return process
 
-    yield start
+    yield begin
     for process in started:
         process.kill()
         process.communicate()
@@ -66,12 +55,6 @@ def refused(tmp_path, experiment_file, monkeypatch, capsys):
     return run
 
 
-def finish(process, deadline=DEADLINE):
-    out, err = process.communicate(timeout=deadline)
-    assert "Traceback" not in out + err, err
-    return process.returncode, out, err
-
-
 def records_of(folder, name="closed"):
     lines = (folder / f"{name}.jsonl").read_text().splitlines()
     return {json.loads(line)["task"]: json.loads(line) for line in lines}
@@ -79,11 +62,9 @@ def records_of(folder, name="closed"):
 
 def wait_for_records(file, count, process):
     """Wait until so many tasks are on record, with the campaign still going on."""
-    end = time.monotonic() + DEADLINE
-    while not (file.exists() and file.read_bytes().count(b"\n") >= count):
-        assert time.monotonic() < end
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.02)
+    wait_until(
+        lambda: file.exists() and file.read_bytes().count(b"\n") >= count, "records", process
+    )
 
 
 def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, tmp_path):
@@ -224,12 +205,11 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
 @pytest.mark.slow
 def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_path):
     distributed = pytest.importorskip("distributed")
-    path = os.pathsep.join([str(tmp_path), *sys.path])
     code, tables, err = finish(benchmark("here"))
     assert code == 0, err
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
-        env={"PYTHONPATH": path},
+        env={"PYTHONPATH": python_path(tmp_path)},
     ) as cluster:  # fmt: skip
         address = cluster.scheduler_address.replace("tcp://", "dask://")
         code, there, err = finish(benchmark("there", "--cluster", address))

@@ -6,12 +6,12 @@ import shutil
 import signal
 import sqlite3
 import struct
-import subprocess
-import sys
-import time
 
 import pytest
+from axis import node, write_axis
+from commands import finish, start
 from functions import planned
+from waiting import count_in, wait_until
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
@@ -21,25 +21,6 @@ from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 
-DEADLINE = 60.0
-COUNT = """\
-import os
-from pathlib import Path
-
-
-class Axis:
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def run_cut(self):
-        counter = Path(os.environ["CUTS"])
-        number = int(counter.read_text() or 0) + 1 if counter.exists() else 1
-        counter.write_text(str(number))
-        if number == int(os.environ.get("KILL", "0")):
-            os.kill(os.getpid(), 9)
-        error = 25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))
-        return {"status": "ok", "error": error, "peak": self.load * self.gain}
-"""
 RESULTS = ("trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
 
 
@@ -48,31 +29,17 @@ class Runs:
 
     def __init__(self, folder, study):
         self.folder = folder
-        (folder / "counting_axis.py").write_text(COUNT)
+        error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
+        write_axis(folder, "counting_axis", error=error, peak="self.load * self.gain")
         self.study = folder / "axis.yaml"
         self.study.write_text(study_to_yaml(study))
 
     def start(self, name, *arguments, kill=0):
-        return subprocess.Popen(
-            [sys.executable, "-m", "bo_tuner", "tune", *map(str, arguments)],
-            cwd=self.folder,
-            env=os.environ
-            | {
-                "PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]),
-                "CUTS": str(self.folder / f"{name}.evaluations"),
-                "KILL": str(kill),
-                "COLUMNS": "80",
-            },
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
+        return start("tune", *arguments, folder=self.folder, env=environment)
 
     def run(self, name, *arguments, kill=0):
-        process = self.start(name, *arguments, kill=kill)
-        out, err = process.communicate(timeout=DEADLINE)
-        assert "Traceback" not in out + err, err
-        return process.returncode, out, err
+        return finish(self.start(name, *arguments, kill=kill))
 
     def begin(self, name, kill=0):
         arguments = ("--study", self.study, "--backend", "inprocess", "--output", name)
@@ -90,7 +57,7 @@ class Runs:
         self.latest(new).symlink_to("run")
 
     def evaluations(self, name):
-        return int((self.folder / f"{name}.evaluations").read_text())
+        return count_in(self.folder / f"{name}.evaluations")
 
     def results(self, name):
         summary = json.loads((self.latest(name) / "summary.json").read_text())
@@ -100,8 +67,8 @@ class Runs:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    nodes = {"axis": {"node": "axis", "result": "~/r", "object": "counting_axis:Axis"}}
-    study = make_study(nodes=nodes, seed_parameter={"node": "axis", "parameter": "seed"})
+    seed = {"node": "axis", "parameter": "seed"}
+    study = make_study(nodes=node("counting_axis"), seed_parameter=seed)
     return Runs(tmp_path_factory.mktemp("runs"), study)
 
 
@@ -145,7 +112,7 @@ class TestResume:
         assert code == 0
         assert "default against tuned" in out
         assert runs.results("again") == runs.results(whole)
-        assert not (runs.folder / "again.cuts").exists()
+        assert not (runs.folder / "again.evaluations").exists()
 
     @pytest.mark.parametrize(
         ("arguments", "complaint"),
@@ -264,12 +231,14 @@ class TestRecordOfARunInProgress:
             "progress", "--study", runs.study, "--backend", "inprocess", "--output", "progress"
         )
         seen = []
-        end = time.monotonic() + DEADLINE
-        while process.poll() is None and time.monotonic() < end:
+
+        def ended():
             if (runs.latest("progress") / "journal.sqlite").exists():
                 seen.append(read_run(runs.latest("progress")))
-            time.sleep(0.02)
-        process.communicate(timeout=DEADLINE)
+            return process.poll() is not None
+
+        wait_until(ended, "its end")
+        finish(process)
         final = read_run(runs.latest(whole))
         assert len(seen) > 3
         for record in seen:

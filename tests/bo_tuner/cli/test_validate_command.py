@@ -9,12 +9,12 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
+from axis import node, write_axis
+from commands import finish, start
+from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate.certificate import parameters_sha256
@@ -24,28 +24,6 @@ from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import EvaluationState, Outcome
 
-DEADLINE = 60.0
-OBJECTS = """\
-import os, time
-from pathlib import Path
-
-
-class Axis:
-    evaluations = 0
-
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def run_cut(self):
-        Axis.evaluations += 1
-        Path(os.environ.get("CUTS", os.devnull)).write_text(str(Axis.evaluations))
-        time.sleep(float(os.environ.get("PACE", "0")))
-        if self.seed % 1000 < int(os.environ.get("FAILING", "0")):
-            return {"status": "failed", "reason": "stalled [/x] for good"}
-        noise = (self.seed % 997) / 997
-        peak = float(os.environ.get("PEAK", "0.2")) + 0.1 * self.load * noise
-        return {"status": "ok", "error": 25 * (self.gain - 0.3) ** 2 + self.load, "peak": peak}
-"""
 CHANCE = {
     "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
     "error": {"kind": "chance", "metric": "error", "upper": 9.0, "probability": 0.96},
@@ -57,33 +35,21 @@ class Runs:
 
     def __init__(self, folder, study):
         self.folder = folder
-        (folder / "validated_axis.py").write_text(OBJECTS)
+        noise = "(self.seed % 997) / 997"
+        peak = f'number("PEAK", 0.2) + 0.1 * self.load * {noise}'
+        write_axis(folder, "validated_axis", peak=peak)
         (folder / "axis.yaml").write_text(study_to_yaml(study))
 
     def start(self, *arguments, environment=None):
-        return subprocess.Popen(
-            [sys.executable, "-m", "bo_tuner", *map(str, arguments)],
-            cwd=self.folder,
-            env=os.environ
-            | {"PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]), "COLUMNS": "80"}
-            | (environment or {}),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        return start(*arguments, folder=self.folder, env=environment)
 
-    def run(self, *arguments, environment=None):
-        process = self.start(*arguments, environment=environment)
-        out, err = process.communicate(timeout=DEADLINE)
-        assert "Traceback" not in out + err, err
-        return process.returncode, out, err
+    def run(self, *arguments):
+        return finish(self.start(*arguments))
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    node = {"node": "axis"}
-    nodes = {"axis": node | {"result": "~/r", "object": "validated_axis:Axis"}}
-    study = make_study(nodes=nodes, constraints=CHANCE)
+    study = make_study(nodes=node("validated_axis"), constraints=CHANCE)
     found = Runs(tmp_path_factory.mktemp("runs"), study)
     code, _, err = found.run("tune", "--backend", "inprocess", "--study", "axis.yaml")
     assert code == 0, err
@@ -252,15 +218,13 @@ class TestInterruption:
             (folder / name).write_text(f"old {name}")
             old[name] = (folder / name).read_text()
         counter = folder / "cuts"
-        process = runs.start("validate", folder, environment={"CUTS": str(counter), "PACE": "0.02"})
-        end = time.monotonic() + DEADLINE
-        while not (counter.exists() and int(counter.read_text() or 0) >= 5):
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        environment = {"CUTS": str(counter), "HOLD": "5"}
+        process = runs.start("validate", folder, environment=environment)
+        wait_until(lambda: count_in(counter) == 5, "the evaluation", process)
         process.send_signal(signum)
-        out, err = process.communicate(timeout=DEADLINE)
-        assert process.returncode == code, err
-        assert "Traceback" not in out + err
+        (folder / "cuts.go").touch()
+        found, _, err = finish(process)
+        assert found == code, err
         assert err.splitlines()[-1].startswith("interrupted by SIG")
         assert {name: (folder / name).read_text() for name in old} == old
 

@@ -3,13 +3,13 @@
 import dataclasses
 import io
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
+from axis import write_axis
+from commands import finish, start
+from waiting import DEADLINE
 
 from bo_tuner.cli.tune import make_parser
 from bo_tuner.monitoring.json_lines import JsonLines
@@ -20,20 +20,6 @@ from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import WorstCase
 from bo_tuner.tuning.observer import Phase
-
-DEADLINE = 60.0
-AXIS = """\
-import os, time
-
-
-class Axis:
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def run_cut(self):
-        time.sleep(float(os.environ.get("PACE", "0")))
-        return {"status": "ok", "error": (self.gain - 0.3) ** 2 + self.load, "peak": 0.2}
-"""
 
 
 def strict(line):
@@ -47,36 +33,26 @@ def strict(line):
 
 @pytest.fixture
 def tune(tmp_path, make_study):
-    (tmp_path / "axis_objects.py").write_text(AXIS)
+    write_axis(tmp_path)
     (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study()))
 
-    def start(*arguments, **environment):
-        return subprocess.Popen(
-            [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-            cwd=tmp_path,
-            env=os.environ
-            | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-            | environment,
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
+    def begin(*arguments, **environment):
+        return start("tune", *arguments, folder=tmp_path, env=environment)
 
-    return start
+    return begin
 
 
 NEW = ("--study", "axis.yaml", "--backend", "inprocess")
 
 
-def finish(process):
-    out, err = process.communicate(timeout=DEADLINE)
-    assert "Traceback" not in err, err
-    return process.returncode, [strict(line) for line in out.splitlines()], err
+def ended(process):
+    code, out, err = finish(process)
+    return code, [strict(line) for line in out.splitlines()], err
 
 
 class TestRun:
     def test_events_tell_the_record(self, tune, tmp_path):
-        code, events, err = finish(tune(*NEW, "--json-lines"))
+        code, events, err = ended(tune(*NEW, "--json-lines"))
         assert (code, err) == (0, "")
         assert [event["event"] for event in events[:2]] == ["run", "phase"]
         # Report and bundle are told as messages.
@@ -118,8 +94,8 @@ class TestRun:
 
     def test_quiet_shows_the_result_alone(self, tune):
         process = tune(*NEW, "--quiet")
-        out, err = process.communicate(timeout=DEADLINE)
-        assert (process.returncode, err) == (0, "")
+        code, out, err = finish(process)
+        assert (code, err) == (0, "")
         assert out.startswith("function: default against tuned")
 
     def test_an_interruption_is_told_and_the_rest_recalled(self, tune, tmp_path):
@@ -131,13 +107,13 @@ class TestRun:
             if first[-1]["event"] == "trial":
                 break
         process.send_signal(signal.SIGTERM)
-        code, events, err = finish(process)
+        code, events, err = ended(process)
         assert code == 143
         assert events[-1] == {"event": "end", "time": events[-1]["time"], "exit_code": 143}
         assert events[-2]["event"] == "message"
         assert events[-2]["text"] in err
         trials = len(read_journal(tmp_path / first[0]["folder"] / "journal.sqlite").trials)
-        code, events, _ = finish(tune("--resume", "runs/latest", "--json-lines"))
+        code, events, _ = ended(tune("--resume", "runs/latest", "--json-lines"))
         assert code == 0
         told = [event for event in events if event["event"] == "trial"]
         assert [event["recalled"] for event in told] == [True] * trials + [False] * (5 - trials)

@@ -1,13 +1,12 @@
 """The advice to stop: its numbers against a dense search, and when it comes."""
 
 import json
-import os
 import signal
-import subprocess
-import sys
 
+import commands
 import numpy as np
 import pytest
+from axis import node, write_axis
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
@@ -18,7 +17,6 @@ from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.loop import Tuning
 
 ALGORITHM = ALGORITHMS["IV"]
-DEADLINE = 60.0
 BUDGET = {
     "trials": 40,
     "initial_trials": 8,
@@ -146,50 +144,17 @@ def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_tr
     assert found.noise == pytest.approx((models.objective.noise_variance / 5) ** 0.5, rel=0.05)
 
 
-FLAT = """\
-import os
-from pathlib import Path
-
-
-class Axis:
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def run_cut(self):
-        counter = Path(os.environ["CUTS"])
-        number = int(counter.read_text() or 0) + 1 if counter.exists() else 1
-        counter.write_text(str(number))
-        if number == int(os.environ.get("KILL", "0")):
-            os.kill(os.getpid(), 9)
-        return {"status": "ok", "error": 5.0 + self.load, "peak": 0.2}
-"""
-
-
 class Runs:
     """Runs of the command on an object for which all parameter sets are equal."""
 
     def __init__(self, folder, study):
         self.folder = folder
-        (folder / "flat_axis.py").write_text(FLAT)
+        write_axis(folder, "flat_axis", error="5.0 + self.load")
         (folder / "flat.yaml").write_text(study_to_yaml(study))
 
     def run(self, name, *arguments, kill=0):
-        process = subprocess.run(
-            [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-            cwd=self.folder,
-            env=os.environ
-            | {
-                "PYTHONPATH": os.pathsep.join([str(self.folder), *sys.path]),
-                "CUTS": str(self.folder / f"{name}.evaluations"),
-                "KILL": str(kill),
-            },
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE,
-            check=False,
-        )
-        assert "Traceback" not in process.stderr, process.stderr
-        return process
+        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
+        return commands.run("tune", *arguments, folder=self.folder, env=environment)
 
     def begin(self, name, kill=0):
         arguments = ("--study", "flat.yaml", "--backend", "inprocess", "--output", name)
@@ -198,28 +163,28 @@ class Runs:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    nodes = {"axis": {"node": "axis", "result": "~/r", "object": "flat_axis:Axis"}}
-    return Runs(tmp_path_factory.mktemp("flat"), make_study(nodes=nodes, budget=BUDGET))
+    study = make_study(nodes=node("flat_axis"), budget=BUDGET)
+    return Runs(tmp_path_factory.mktemp("flat"), study)
 
 
 @pytest.fixture(scope="module")
 def whole(runs):
     """A run that nothing disturbed, and its folder."""
-    process = runs.begin("whole")
-    assert process.returncode == 0, process.stderr
-    return process, runs.folder / "whole" / "latest"
+    code, _, err = runs.begin("whole")
+    assert code == 0, err
+    return err, runs.folder / "whole" / "latest"
 
 
 class TestStopEarly:
     def test_ends_the_tuning_but_not_the_run(self, whole):
-        process, folder = whole
+        err, folder = whole
         summary = json.loads((folder / "summary.json").read_text())
         advice = summary["stop_advice"]
         content = read_journal(folder / "journal.sqlite")
         assert summary["stopped_early"] is True
         assert len(content.trials) == advice["trials"] < 40
         assert content.sessions[0]["stop_early"] == "yes"
-        assert "advice: stop here; " in process.stderr
+        assert "advice: stop here; " in err
         assert summary["checked_trials"]
         assert summary["tuned"]["draws"] == 5
 
@@ -229,10 +194,10 @@ class TestStopEarly:
         _, folder = whole
         evaluations = len(read_journal(folder / "journal.sqlite").evaluations)
         name = f"killed-{moment}"
-        process = runs.begin(name, kill=round(moment * evaluations))
-        assert process.returncode == -signal.SIGKILL
-        process = runs.run(name, "--resume", f"{name}/latest")
-        assert process.returncode == 0, process.stderr
+        code, _, _ = runs.begin(name, kill=round(moment * evaluations))
+        assert code == -signal.SIGKILL
+        code, _, err = runs.run(name, "--resume", f"{name}/latest")
+        assert code == 0, err
         again = runs.folder / name / "latest"
         for file in ("summary.json", "trials.csv", "evaluations.csv", "best.yaml"):
             assert (again / file).read_bytes() == (folder / file).read_bytes()

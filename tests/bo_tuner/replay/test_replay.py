@@ -6,6 +6,7 @@ from math import nextafter
 
 import numpy as np
 import pytest
+from axis import node, write_axis
 from made_runs import INITIAL, Uninterrupted, make_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -23,44 +24,29 @@ from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 
-AXIS = """\
-from math import nextafter
-
-
-class Axis:
-    drift = 0.0
-    reason = "stalled at 3 mm"
-    evaluations = 0
-
-    def set_parameters(self, values):
-        self.__dict__.update(values)
-
-    def run_cut(self):
-        Axis.evaluations += 1
-        if self.gain > 0.7:
-            return {"status": "failed", "reason": Axis.reason}
-        error = (self.gain - 0.3) ** 2 + self.load + self.seed % 97 / 1000
-        return {
-            "status": "ok",
-            "error": nextafter(error, 9.0) if Axis.drift else error,
-            "peak": self.gain * self.load,
-        }
-"""
-
 
 @pytest.fixture
 def axis(tmp_path, monkeypatch):
     """Class of a small object, which fails evaluations with gains above 0.7."""
-    (tmp_path / "replayed_axis.py").write_text(AXIS)
+    error = "(self.gain - 0.3) ** 2 + self.load + self.seed % 97 / 1000"
+    write_axis(
+        tmp_path,
+        "replayed_axis",
+        error=error,
+        peak="self.gain * self.load",
+        fails="self.gain > 0.7",
+    )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(__import__("sys").modules, "replayed_axis", raising=False)
-    return __import__("replayed_axis").Axis
+    axis = __import__("replayed_axis").Axis
+    axis.reason = "stalled at 3 mm"
+    return axis
 
 
 @pytest.fixture
 def record(tmp_path, axis, make_study):
     study = make_study(
-        nodes={"axis": {"node": "axis", "result": "~/cut_result", "object": "replayed_axis:Axis"}},
+        nodes=node("replayed_axis"),
         budget=INITIAL | {"trials": 5, "initial_trials": 5},
     )
     made = make_run(tmp_path / "run", study, InProcessBackend(study), result=2)
@@ -167,7 +153,7 @@ class TestVerdict:
         backend.changed = "error"
         assert not replay(record, recorded, backend).confirmed
 
-    def test_a_evaluation_that_fails_now_is_not_confirmed(self, record, function_backend, failed):
+    def test_an_evaluation_that_fails_now_is_not_confirmed(self, record, function_backend, failed):
         recorded = find_evaluation(record, complete(record)[0].number, None)
         backend = function_backend(record.study, lambda **values: failed("axis: stalled"))
         result = replay(record, recorded, backend)

@@ -6,15 +6,15 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import uuid
 from pathlib import Path
 
 import pytest
+from commands import start
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.storage.journal_reader import read_journal
 
-DEADLINE = 60.0
 MARK = "TUNE_TEST_MARK"
 
 # A node with one parameter to tune. What it does in its n-th cut, restarts not counted, stands in
@@ -59,7 +59,10 @@ class Drive(Node):
 
     def run(self, request, response):
         self.number = int(counter.read_text()) + 1 if counter.exists() else 1
-        counter.write_text(str(self.number))
+        # In one piece, for a test that looks on.
+        new = counter.with_suffix(".new")
+        new.write_text(str(self.number))
+        new.replace(counter)
         self.order = orders.get(str(self.number), orders.get("all", ""))
         self.cut = f"cut-{self.number}"
         response.success = True
@@ -155,36 +158,35 @@ def processes(mark):
 class Tune:
     """The command ``tune``, running."""
 
-    def __init__(self, folder, study, arguments, environment):
+    def __init__(self, folder, study, arguments, changes):
         self.folder = folder
         self.mark = uuid.uuid4().hex
         file = folder / "study.yaml"
         file.write_text(json.dumps(study))  # YAML reads it, too
-        inherited = {
-            key: value
-            for key, value in os.environ.items()
-            # The tuner finds a free domain and sets what isolates it by itself; that LOCALHOST
-            # stands in the environment must not disturb it.
-            if key
-            not in (
-                "ROS_DOMAIN_ID",
-                "FASTDDS_BUILTIN_TRANSPORTS",
-                "FASTRTPS_DEFAULT_PROFILES_FILE",
-                "ROS_LOG_DIR",
-            )
-        }
-        inherited |= {
+        self._changes = {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "HOME": str(folder),
-            "PYTHONPATH": os.pathsep.join(sys.path),
             "CUTS": str(folder / "cuts"),
             MARK: self.mark,
-        }
-        with (folder / "out").open("w") as out, (folder / "err").open("w") as err:
-            self.popen = subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner", "tune", "--study", file, *arguments],
-                cwd=folder,
-                env=inherited | environment,
+        } | changes
+        self.start("--study", file, *arguments)
+
+    def start(self, *arguments):
+        """Start the command, or start it again in the same folder."""
+        with (self.folder / "out").open("w") as out, (self.folder / "err").open("w") as err:
+            self.popen = start(
+                "tune",
+                *arguments,
+                folder=self.folder,
+                env=self._changes,
+                # The tuner finds a free domain and sets what isolates it by itself; that
+                # LOCALHOST stands in the environment must not disturb it.
+                without=(
+                    "ROS_DOMAIN_ID",
+                    "FASTDDS_BUILTIN_TRANSPORTS",
+                    "FASTRTPS_DEFAULT_PROFILES_FILE",
+                    "ROS_LOG_DIR",
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
@@ -213,20 +215,13 @@ class Tune:
         ]
 
     def wait_for(self, condition, what):
-        end = time.monotonic() + DEADLINE
-        while not condition():
-            assert self.popen.poll() is None, self.err
-            assert time.monotonic() < end, f"waited for {what}: {self.err}"
-            time.sleep(0.02)
+        wait_until(condition, what, self.popen, lambda: self.err)
 
     def wait_for_trial(self, number):
         self.wait_for(lambda: re.search(rf"^trial +{number} ", self.err, re.M), f"trial {number}")
 
-    def wait_for_nodes_to_end(self, timeout):
-        end = time.monotonic() + timeout
-        while self.nodes() and time.monotonic() < end:
-            time.sleep(0.05)
-        assert self.nodes() == []
+    def wait_for_nodes_to_end(self):
+        wait_until(lambda: self.nodes() == [], "the nodes to end", said=lambda: self.err)
 
     def shared_memory(self):
         """Shared memory of the middleware in use, which stays behind when its process is killed.

@@ -20,7 +20,9 @@ from mpc_controller.controller import MpcController
 
 pytestmark = pytest.mark.ros
 
-SAMPLES = 270
+# Short cuts: their number makes the run, not their length.
+SHORT = {"samples_per_level": 10}
+SAMPLES = 60
 PERIOD = 20_000_000
 LOOP = {
     "/x_axis/joint_states": "measurement",
@@ -41,7 +43,7 @@ def small_study(trials, **plant_parameters):
             validation_draws=2,
         )
     )
-    study["nodes"]["plant"]["parameters"] = plant_parameters
+    study["nodes"]["plant"]["parameters"] = SHORT | plant_parameters
     return json.loads(json.dumps(study))
 
 
@@ -80,9 +82,9 @@ class Tap:
         return step
 
 
-def in_process(parameters, cut):
+def in_process(parameters, evaluation):
     plant, tap = MillingPlant(), Tap(MpcController())
-    plant.set_parameters(cut["context"] | {"seed": cut["seed"]})
+    plant.set_parameters(SHORT | evaluation["context"] | {"seed": evaluation["seed"]})
     tap.controller.set_parameters(parameters)
     plant.run_cut(tap)
     return tap.kept
@@ -106,10 +108,10 @@ def recorded(start_tune):
 
 
 @READERS
-def test_every_message_of_every_cut_is_there(recorded, read):
+def test_every_message_of_every_evaluation_is_there(recorded, read):
     trials, bags = recorded
     for trial, bag in zip(trials, bags, strict=True):
-        cuts = json.loads(custom_data(bag)["cuts"])
+        evaluations = json.loads(custom_data(bag)["evaluations"])
         assert custom_data(bag)["lost_messages"] == "0"
         # A measurement whose answer is late is sent again.
         times = defaultdict(set)
@@ -117,20 +119,22 @@ def test_every_message_of_every_cut_is_there(recorded, read):
         for topic, time, _ in read(bag):
             times[topic].add(time)
             counts[topic] += 1
-        expected = {cut["start"] + k * PERIOD for cut in cuts for k in range(SAMPLES)}
+        expected = {
+            evaluation["start"] + k * PERIOD for evaluation in evaluations for k in range(SAMPLES)
+        }
         for topic in LOOP:
             assert times[topic] == expected, topic
         for topic in RESULTS:
-            assert counts[topic] == len(cuts)
-        assert times[REFERENCE] == {cut["start"] for cut in cuts}
-        assert counts["/parameter_events"] >= len(cuts)
+            assert counts[topic] == len(evaluations)
+        assert times[REFERENCE] == {evaluation["start"] for evaluation in evaluations}
+        assert counts["/parameter_events"] >= len(evaluations)
         assert "/rosout" not in counts
-        recorded_cuts = [cut for cut in trial.cuts if not cut.stage.startswith("check")]
-        assert [cut["seed"] for cut in cuts] == [cut.seed for cut in recorded_cuts]
+        of_trial = [e for e in trial.evaluations if not e.stage.startswith("check")]
+        assert [e["seed"] for e in evaluations] == [e.seed for e in of_trial]
 
 
 @READERS
-def test_values_are_those_of_the_cut_in_process_bit_for_bit(recorded, read):
+def test_values_are_those_of_the_evaluation_in_process_bit_for_bit(recorded, read):
     _, bags = recorded
     bag = bags[0]
     data = custom_data(bag)
@@ -141,13 +145,15 @@ def test_values_are_those_of_the_cut_in_process_bit_for_bit(recorded, read):
             values[topic][time] = message.velocity[0]
         if topic == REFERENCE:
             references[time] = [point.velocities[0] for point in message.points]
-    for cut in json.loads(data["cuts"]):
-        kept = in_process(json.loads(data["parameters"]), cut)
+    for evaluation in json.loads(data["evaluations"]):
+        kept = in_process(json.loads(data["parameters"]), evaluation)
         for topic, name in LOOP.items():
-            found = [values[topic][cut["start"] + k * PERIOD] for k in range(SAMPLES)]
+            found = [values[topic][evaluation["start"] + k * PERIOD] for k in range(SAMPLES)]
             assert found == kept[name], name
+        plant = MillingPlant()
+        plant.set_parameters(SHORT)
         np.testing.assert_array_equal(
-            references[cut["start"]], reference_velocity(MillingPlant().settings)
+            references[evaluation["start"]], reference_velocity(plant.settings)
         )
 
 
@@ -155,8 +161,8 @@ def test_values_are_those_of_the_cut_in_process_bit_for_bit(recorded, read):
 def test_time_is_simulated_time_and_only_moves_on(recorded, read):
     _, bags = recorded
     for bag in bags:
-        cuts = json.loads(custom_data(bag)["cuts"])
-        assert all(a["end"] <= b["start"] for a, b in pairwise(cuts))
+        evaluations = json.loads(custom_data(bag)["evaluations"])
+        assert all(a["end"] <= b["start"] for a, b in pairwise(evaluations))
         latest = 0
         for topic, time, message in read(bag):
             assert time >= latest
@@ -164,7 +170,7 @@ def test_time_is_simulated_time_and_only_moves_on(recorded, read):
             if topic != "/parameter_events":
                 stamp = message.header.stamp
                 assert time == stamp.sec * 1_000_000_000 + stamp.nanosec
-        assert latest == cuts[-1]["start"] + SAMPLES * PERIOD
+        assert latest == evaluations[-1]["start"] + SAMPLES * PERIOD
 
 
 def test_the_metadata_tells_the_trial(recorded):
@@ -175,7 +181,7 @@ def test_the_metadata_tells_the_trial(recorded):
         assert data["state"] == trial.state
         assert data["study"] == "benchmark"
         assert data["complete"] == "true"
-        for there, here in zip(json.loads(data["cuts"]), trial.cuts, strict=False):
+        for there, here in zip(json.loads(data["evaluations"]), trial.evaluations, strict=False):
             assert there["context"] == dict(here.context)
             assert there["metrics"] == dict(here.outcome.metrics)
 
@@ -190,13 +196,13 @@ def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, read):
     )
     command.popen.kill()
     command.popen.wait()
-    command.wait_for_nodes_to_end(5.0)
+    command.wait_for_nodes_to_end()
     for partial in partial_bags(bags):
         bag = recover(partial)
         data = custom_data(bag)
         assert data["complete"] == "false"
         counts = Counter(topic for topic, _, _ in read(bag))
-        assert counts["/joint_states"] >= SAMPLES * len(json.loads(data["cuts"]))
+        assert counts["/joint_states"] >= SAMPLES * len(json.loads(data["evaluations"]))
     assert partial_bags(bags) == []
 
 

@@ -4,8 +4,9 @@ import os
 import signal
 
 import pytest
+from waiting import count_in
 
-from bo_tuner.trials import CutState, TrialState
+from bo_tuner.trials import EvaluationState, TrialState
 
 pytestmark = pytest.mark.ros
 
@@ -82,9 +83,9 @@ class TestSecondTuner:
         assert busy.finish() == 130
 
 
-class TestCuts:
+class TestEvaluations:
     def test_results_that_are_none(self, tune):
-        """Trials 0 to 3 of two cuts each; a failed cut is the last of its trial."""
+        """Trials 0 to 3 of two evaluations each; a failed one is the last of its trial."""
         command = tune("--trials", "7", DRIVE="1:nan 2:inf 3:garbage 4:missing 6:failed 7:foreign")
         assert command.finish() == 0, command.err
         trials = command.trials()
@@ -98,14 +99,14 @@ class TestCuts:
             "",
         ]
         for trial in trials:
-            cut = trial.cuts[-1]
+            evaluation = trial.evaluations[-1]
             if trial.state is TrialState.FAILED:
-                assert cut.outcome.state is CutState.FAILED
-                assert cut.outcome.metrics == {}
+                assert evaluation.outcome.state is EvaluationState.FAILED
+                assert evaluation.outcome.metrics == {}
         # Foreign results, published before the true one, had no effect.
-        cut = trials[5].cuts[0]
-        expected = (trials[5].parameters["gain"] - 0.3) ** 2 + cut.context["load"]
-        assert cut.outcome.metrics == {"error": expected, "peak": 0.2}
+        evaluation = trials[5].evaluations[0]
+        expected = (trials[5].parameters["gain"] - 0.3) ** 2 + evaluation.context["load"]
+        assert evaluation.outcome.metrics == {"error": expected, "peak": 0.2}
 
     def test_parameters_that_are_refused(self, tune, drive_study):
         study = drive_study()
@@ -123,13 +124,13 @@ class TestCuts:
         assert command.finish() == 0, command.err
         reasons = [trial.reason for trial in command.trials()]
         assert reasons == ["", "axis_drive was ended by SIGKILL", "", ""]
-        assert command.trials()[1].cuts[-1].outcome.state is CutState.LOST
+        assert command.trials()[1].evaluations[-1].outcome.state is EvaluationState.LOST
 
     def test_a_node_that_stays_silent_is_replaced(self, tune, drive_study):
-        study = drive_study(trigger={"timeout": 1.0})
+        study = drive_study(trigger={"timeout": 3.0})
         command = tune(study=study, DRIVE="2:mute")
         assert command.finish() == 0, command.err
-        silent = "no cut result from axis within 1 s"
+        silent = "no evaluation result from axis within 3 s"
         assert [trial.reason for trial in command.trials()] == [silent, "", "", ""]
 
     def test_three_in_a_row_end_the_run(self, tune):
@@ -149,7 +150,7 @@ class TestEnd:
         """Ctrl-C in a terminal goes to the whole process group."""
         command = tune(DRIVE=f"{cut}:mute")
         counter = tmp_path / "cuts"
-        command.wait_for(lambda: counter.exists() and counter.read_text() == str(cut), "the cut")
+        command.wait_for(lambda: count_in(counter) == cut, "the cut")
         os.killpg(command.popen.pid, signal.SIGINT)
         assert command.finish() == 130
         assert len(command.trials()) == (cut - 1) // 2
@@ -168,5 +169,5 @@ class TestEnd:
         assert command.shared_memory() == []
         command.popen.kill()
         command.popen.wait()
-        command.wait_for_nodes_to_end(5.0)
+        command.wait_for_nodes_to_end()
         assert len(command.trials()) >= 1

@@ -10,7 +10,6 @@ from math import isfinite, sqrt
 from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from feed_axis_common.model import Array
 from feed_axis_common.parameters import build
@@ -33,7 +32,8 @@ def overshoot(reference: Array, velocity: Array, window: int) -> float:
 
     The window keeps a late step down from counting as overshoot. Never below 0.
     """
-    ceiling = maximum_filter1d(reference, 2 * window + 1, mode="nearest")
+    padded = np.pad(reference, window, mode="edge")
+    ceiling = np.lib.stride_tricks.sliding_window_view(padded, 2 * window + 1).max(axis=-1)
     return max(float(np.max(velocity - ceiling)), 0.0)
 
 

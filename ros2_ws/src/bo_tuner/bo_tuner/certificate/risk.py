@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from math import ceil, log, sqrt
 
 import numpy as np
-from scipy import stats
-from scipy.special import betaincinv
+from scipy.special import betaincinv, stdtrit
 
 from bo_tuner.numerics.arrays import Array
 
@@ -109,7 +108,7 @@ def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
     if count < 2:
         return Mean(float(sample[0]) if count else float("nan"), float("nan"), float("inf"))
     value, error = float(sample.mean()), float(sample.std(ddof=1)) / sqrt(count)
-    return Mean(value, error, value + float(stats.t.ppf(confidence, count - 1)) * error)
+    return Mean(value, error, value + float(stdtrit(count - 1, confidence)) * error)
 
 
 def conditional_value_at_risk(values: Sequence[float] | Array, level: float) -> float:

@@ -11,7 +11,7 @@ from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
+from scipy.special import betaincinv
 
 from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
@@ -144,6 +144,9 @@ class TruncatedNormal(_Continuous):
         self._finish(self.mean)
 
     def _quantile(self, probability: Array) -> Array:
+        # Here, as no other distribution needs this module, which is slow to import.
+        from scipy import stats
+
         low, high = (
             (np.float64(bound) - self.mean) / self.standard_deviation for bound in self.bounds
         )
@@ -167,7 +170,7 @@ class Uniform(_Continuous):
         self._finish(self.lower + 0.5 * self.width)
 
     def _quantile(self, probability: Array) -> Array:
-        return cast(Array, stats.uniform.ppf(probability, loc=self.lower, scale=self.width))
+        return probability * self.width + self.lower
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,10 +195,7 @@ class Beta(_Continuous):
         self._finish(self.lower + float(mean) * self.width)
 
     def _quantile(self, probability: Array) -> Array:
-        return cast(
-            Array,
-            stats.beta.ppf(probability, self.a, self.b, loc=self.lower, scale=self.width),
-        )
+        return cast(Array, betaincinv(self.a, self.b, probability) * self.width + self.lower)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +213,9 @@ class Triangular(_Continuous):
 
     def _quantile(self, probability: Array) -> Array:
         peak = np.clip((self.mode - self.lower) / self.width, 0.0, 1.0)
-        return cast(Array, stats.triang.ppf(probability, peak, loc=self.lower, scale=self.width))
+        rising = np.sqrt(peak * probability)
+        falling = 1.0 - np.sqrt((1.0 - peak) * (1.0 - probability))
+        return cast(Array, np.where(probability < peak, rising, falling) * self.width + self.lower)
 
 
 @dataclass(frozen=True, kw_only=True)
