@@ -344,10 +344,8 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     for recorded in journal.evaluations:
         plate = hot_plate.HotPlate()
         plate.set_parameters(
-            dict(recorded.parameters)
-            | dict(recorded.evaluation.context)
-            | {"seed": recorded.evaluation.seed}
+            dict(recorded.parameters) | dict(recorded.context) | {"seed": recorded.seed}
         )
         metrics = plate.run_cut()
-        found = recorded.evaluation.outcome.metrics
+        found = recorded.outcome.metrics
         assert {name: metrics[name] for name in found} == found

@@ -231,7 +231,5 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     run.interrupt()
     record = run.record()
     assert {trial.state for trial in record.trials} == {TrialState.COMPLETE}
-    assert {recorded.evaluation.outcome.state for recorded in record.evaluations} == {
-        EvaluationState.COMPLETE
-    }
+    assert {recorded.outcome.state for recorded in record.evaluations} == {EvaluationState.COMPLETE}
     assert figures(record.trials) == figures(uninterrupted(study))

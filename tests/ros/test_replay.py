@@ -99,7 +99,7 @@ def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attache
     assert lines[0] == "depends on measured time, not judged: return_time"
     assert lines[1:3] == ["complete, as recorded", "confirmed"]
     data = custom_data(bag_of(record))
-    recorded = find_evaluation(record, 1, None).evaluation.outcome.metrics
+    recorded = find_evaluation(record, 1, None).outcome.metrics
     replayed = json.loads(data["tuned"])["metrics"]
     for name in ("tracking_error", "overshoot"):
         assert replayed[name] == recorded[name]
@@ -144,8 +144,8 @@ def test_the_metadata_tell_both(attached):
     record, _, _ = attached
     data = custom_data(bag_of(record))
     recorded = find_evaluation(record, 1, None)
-    assert json.loads(data["context"]) == dict(recorded.evaluation.context)
-    assert (data["trial"], data["seed"]) == ("1", str(recorded.evaluation.seed))
+    assert json.loads(data["context"]) == dict(recorded.context)
+    assert (data["trial"], data["seed"]) == ("1", str(recorded.seed))
     assert data["lost_messages"] == "0"
     default, tuned = json.loads(data["default"]), json.loads(data["tuned"])
     assert tuned["parameters"] == dict(recorded.parameters)

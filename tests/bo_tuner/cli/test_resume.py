@@ -174,7 +174,7 @@ class TestDamage:
         journal = runs.latest(copy) / "journal.sqlite"
         content = journal.read_bytes()
         before = read_run(runs.latest(copy))
-        seed = str(before.evaluations[20].evaluation.outcome.metrics["error"]).encode()
+        seed = str(before.evaluations[20].outcome.metrics["error"]).encode()
         place = content.index(seed) + 5
         changed = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
         journal.write_bytes(changed)
