@@ -140,8 +140,7 @@ class TestController:
             Time(sec=-1),
             Time(sec=-(2**31), nanosec=2**32 - 1),
         ):
-            drive._send(
-                drive._reference,
+            drive._reference.publish(
                 JointTrajectory(
                     header=Header(stamp=stamp),
                     joint_names=["x_axis"],
@@ -152,10 +151,10 @@ class TestController:
         assert drive.results == []
         start = 1_600_000_000 * NANOSECONDS
         drive.reference(good, start=start)
+        drive.deliver()
         for stamp in (LAST, Time(sec=-5)):
-            drive._send(
-                drive._state,
-                JointState(header=Header(stamp=stamp), name=["x_axis"], velocity=[9.0]),
+            drive._state.publish(
+                JointState(header=Header(stamp=stamp), name=["x_axis"], velocity=[9.0])
             )
         for k in range(4):
             drive.state(start + k * PERIOD, [0.5])
@@ -166,6 +165,7 @@ class TestController:
         """Bridged sample by sample, a forged one would keep the controller busy for minutes."""
         start = 1_600_001_000 * NANOSECONDS
         drive.reference([0.5] * 300, start=start)
+        drive.deliver()
         drive.state(start + 299 * PERIOD, [9.0])
         for k in (0, 1, 150, 299):
             drive.state(start + k * PERIOD, [0.5])
@@ -193,7 +193,8 @@ class TestController:
     def test_any_messages_leave_it_able_to_cut(self, drive, messages):
         for message in messages:
             of_state = isinstance(message, JointState)
-            drive._send(drive._state if of_state else drive._reference, message)
+            (drive._state if of_state else drive._reference).publish(message)
+        drive.peer.spin_for(0.02)
         check_cut(drive, next(starts))
 
 

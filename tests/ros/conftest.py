@@ -487,8 +487,7 @@ class Drive:
         from feed_axis_common.ros.messages import to_stamp
 
         rows = [[float(v)] for v in velocities] if rows is None else rows
-        self._send(
-            self._reference,
+        self._reference.publish(
             JointTrajectory(
                 header=Header(stamp=to_stamp(start)),
                 joint_names=list(joints),
@@ -498,18 +497,18 @@ class Drive:
                     )
                     for k, row in enumerate(rows)
                 ],
-            ),
+            )
         )
 
-    def _send(self, publisher, message):
-        """Publish a message, and wait until the controller has it: topics have no order.
+    def deliver(self):
+        """Wait until the controller has the references, ahead of measurements that follow.
 
-        It takes a reference that has come ahead of a measurement that has.
+        For those without a stamp, and where messages are counted: the first measurement of a
+        stamped one is answered whichever comes first. It may take as long as a heartbeat.
         """
         from rclpy.duration import Duration
 
-        publisher.publish(message)
-        assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
+        assert self._reference.wait_for_all_acked(Duration(seconds=DEADLINE))
 
     def state(self, time_ns, velocities, joints=("x_axis",)):
         """Publish the joints' velocities."""
@@ -518,13 +517,12 @@ class Drive:
 
         from feed_axis_common.ros.messages import to_stamp
 
-        self._send(
-            self._state,
+        self._state.publish(
             JointState(
                 header=Header(stamp=to_stamp(time_ns)),
                 name=list(joints),
                 velocity=[float(v) for v in velocities],
-            ),
+            )
         )
 
     def command_for(self, time_ns):

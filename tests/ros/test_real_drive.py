@@ -63,6 +63,7 @@ def test_one_joint_among_several_and_a_reference_without_a_stamp(drive, t0):
     joints = ("y_axis", "x_axis", "spindle")
     rows = [[9.0, v, 300.0] for v in REFERENCE]
     drive.reference(None, start=0, joints=joints, rows=rows)
+    drive.deliver()
     commands = []
     for k, v in enumerate(VELOCITIES):
         # Stamps that jitter by a tenth of a sample, after the first.
@@ -76,6 +77,7 @@ def test_one_joint_among_several_and_a_reference_without_a_stamp(drive, t0):
 def test_messages_of_other_joints_neither_start_nor_count(drive, t0):
     """Also not for the time of the first sample, though another drive publishes more often."""
     drive.reference(REFERENCE, start=0)
+    drive.deliver()
     drive.state(t0 - 10 * PERIOD, [3.0], ["spindle"])
     commands = []
     for k, v in enumerate(VELOCITIES):
@@ -159,6 +161,7 @@ def test_a_measurement_that_is_not_finite_is_left_out_and_counted(drive, t0):
 
 def test_a_state_without_velocities_is_ignored(drive, t0):
     drive.reference(REFERENCE, start=t0)
+    drive.deliver()
     drive.state(t0, [], ["x_axis"])
     assert run(drive, samples_from(t0)) == expected_commands()
     assert drive.result()[0]["ignored_messages"] == "1"

@@ -202,7 +202,9 @@ def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, read):
         data = custom_data(bag)
         assert data["complete"] == "false"
         counts = Counter(topic for topic, _, _ in read(bag))
-        assert counts["/joint_states"] >= SAMPLES * len(json.loads(data["evaluations"]))
+        # The kill may have come before the first notes of a bag.
+        whole = json.loads(data.get("evaluations", "[]"))
+        assert counts["/joint_states"] >= SAMPLES * len(whole)
     assert partial_bags(bags) == []
 
 
