@@ -15,10 +15,10 @@ where every neighbour counts the same. A neighbour's weight is 1 / δ².
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.neighbors import NearestNeighbors
 
 from bo_tuner.numerics.arrays import Array
 
@@ -114,7 +114,10 @@ class NeighbourClassifier:
         return self.x / self.length_scales
 
     @cached_property
-    def _tree(self) -> NearestNeighbors:
+    def _tree(self) -> Any:
+        # Its import takes longer than all others of a command together, and most runs never ask.
+        from sklearn.neighbors import NearestNeighbors
+
         return NearestNeighbors(algorithm="kd_tree").fit(self._scaled)
 
     def _votes(self, x: Array) -> tuple[Array, Array]:
