@@ -118,7 +118,7 @@ def test_every_trial_is_listed_with_its_values(page, tuned):
 
 def test_failures_are_listed_with_what_repeats_them(page, tuned):
     (rows,) = [
-        rows for name, rows in page.tables.items() if name.startswith("Evaluations that failed")
+        rows for name, rows in page.tables.items() if name.startswith("Failed evaluations")
     ]
     failed = [r for r in tuned.evaluations if r.outcome.state is not EvaluationState.COMPLETE]
     assert failed

@@ -147,7 +147,7 @@ def test_the_map_has_every_evaluation_of_both(analysis):
     best = analysis.answer.parameters["gain"]
     for panel, gain in ((default, 0.5), (tuned, best)):
         evaluations = [r for r in analysis.record.evaluations if r.parameters["gain"] == gain]
-        points = named(panel, "cut", Points)
+        points = named(panel, "evaluation", Points)
         assert sorted(points.x) == sorted(evaluation.context["load"] for evaluation in evaluations)
         np.testing.assert_allclose(points.y, 2.0 * gain * np.array(points.x))
         assert named(panel, "limit", Limit).value == 1.0
