@@ -1,4 +1,4 @@
-"""Evaluations and trials, of which the record of a run consists."""
+"""Evaluations and trials: the record of a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -35,7 +35,7 @@ class LogNormal:
     upper: float
 
     def __post_init__(self) -> None:
-        """Refuse values that define no density."""
+        """Reject values that define no density."""
         if not 0.0 < self.lower <= self.median <= self.upper < np.inf:
             raise ValueError(
                 "log-normal prior: expected 0 < lower <= median <= upper, found "
