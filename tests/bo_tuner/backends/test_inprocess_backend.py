@@ -223,7 +223,7 @@ class TestMilling:
         backend.open()
         return backend
 
-    def test_a_evaluation_depends_on_nothing_before_it(self, backend):
+    def test_an_evaluation_depends_on_nothing_before_it(self, backend):
         first = self.evaluation(backend)
         assert first.state is EvaluationState.COMPLETE
         self.evaluation(backend, lambda_mpc=-1.0)

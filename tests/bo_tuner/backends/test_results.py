@@ -60,7 +60,7 @@ def test_a_flood_of_other_evaluations_takes_no_memory_and_hides_nothing():
     assert results.take_ignored() == 10 * MOST_EARLY
 
 
-def test_a_evaluation_that_did_not_start_leaves_nothing():
+def test_an_evaluation_that_did_not_start_leaves_nothing():
     results = RunResults()
     results.begin()
     results.add("plant", pairs("1"))

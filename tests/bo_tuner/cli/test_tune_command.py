@@ -79,8 +79,8 @@ class TestRun:
         assert code == 3, err
         assert (latest(tmp_path) / "best.yaml").exists()
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
-        assert "no parameter set is feasible" in out
-        assert "the file holds the one nearest to it" in out
+        assert "no feasible parameter set was found" in out
+        assert "the file contains the one closest to feasible" in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1000"}))

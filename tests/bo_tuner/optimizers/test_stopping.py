@@ -1,4 +1,4 @@
-"""The advice to stop: its numbers against a dense search, and when it comes."""
+"""The advice to stop: its numbers against a dense search, and when it is given."""
 
 import json
 import signal
@@ -114,7 +114,7 @@ class TestAdvice:
 
 
 def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_trial):
-    """The models are given; improvement, its maximum and the noise are reckoned here anew."""
+    """With the same models; improvement, its maximum and the noise are computed independently."""
     study = make_study(budget=BUDGET)
     rng = np.random.default_rng(3)
     trials = [

@@ -47,7 +47,7 @@ class TestEvaluations:
             assert trial.state is TrialState.COMPLETE
             assert trial.worst_case is not None
 
-    def test_the_node_is_told_what_is_recorded(self, whole):
+    def test_the_node_receives_what_is_recorded(self, whole):
         _, backend, trials = whole
         told = [
             {**trial.parameters, **evaluation.context, "seed": evaluation.seed}
@@ -221,7 +221,7 @@ class TestRepetition:
         assert first.evaluations[0].context != second.evaluations[0].context
         assert first.evaluations[0].seed != second.evaluations[0].seed
 
-    def test_a_resumed_run_goes_on_as_if_nothing_had_been(
+    def test_a_resumed_run_continues_as_if_uninterrupted(
         self, make_study, function_backend, tmp_path
     ):
         study = make_study(

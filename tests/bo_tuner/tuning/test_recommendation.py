@@ -1,4 +1,4 @@
-"""Checks before a recommendation, on a backend of which the truth is known."""
+"""Checks before a recommendation, on a backend with a known function."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def axis(x, load=1.5, seed=0):
 
 
 def flattering(make_trial):
-    """Trials in which, by luck, every worst case looked a fifth lower than it is."""
+    """Trials in which every estimated worst case is a fifth too low."""
     return [
         make_trial(k, {"x": float(x)}, [2.0 - x] * 2, worst=0.8 * 2.0 * x, noise=NOISE)
         for k, x in enumerate(GRID)

@@ -281,27 +281,24 @@ class Session:
             "recording": recorded,
         }
         folder.write_summary(summary)
-        amiss = _amiss(self._study, best, tuned)
-        self._display.result(Result(self._study, default, tuned, path, amiss, summary))
+        problem = _problem(self._study, best, tuned)
+        self._display.result(Result(self._study, default, tuned, path, problem, summary))
         return EXIT_OK if feasible else EXIT_INFEASIBLE
 
     def _how_to_resume(self) -> str:
         return f"go on by: tune --resume {self._folder.path}"
 
 
-def _amiss(study: Study, best: Recommendation, tuned: Validation) -> str:
-    """Tell what speaks against the parameter set found; empty if nothing does."""
+def _problem(study: Study, best: Recommendation, tuned: Validation) -> str:
+    """Return why the recommended parameter set is not feasible; empty if it is."""
     if best.feasible and tuned.feasible:
         return ""
-    text = "the parameter set found looked feasible, but did not hold in the validation"
+    text = "the recommended parameters passed the checks but not the validation"
     if not best.feasible:
-        text = (
-            "no parameter set is feasible as far as the checks can tell; the file holds the "
-            "one nearest to it"
-        )
+        text = "no feasible parameter set was found; the file contains the one closest to feasible"
     broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
     metrics = [study.metrics[constraint.metric] for constraint in broken]
     if metrics and not any(metric.reproducible for metric in metrics):
         names = ", ".join(metric.name for metric in metrics)
-        text += f"; only {names} broke a limit, which other load on this machine can do, too"
+        text += f"; only {names} exceeded a limit, which other load on this machine can also cause"
     return text

@@ -1,4 +1,4 @@
-"""One evaluation: run, checked, and told to the observer."""
+"""Running one evaluation, and counting consecutive losses."""
 
 from dataclasses import replace
 
@@ -9,13 +9,15 @@ from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
 LOST_IN_A_ROW = 3
-"""So many losses in a row end a run: the nodes are gone for good."""
+"""Number of consecutive losses that ends a run: the nodes are not coming back."""
 
 
 def evaluate(
     study: Study, backend: Backend, planned: Evaluation, observer: RunObserver
 ) -> Evaluation:
-    """Run a planned evaluation; an objective that its scale cannot take makes it a failed one.
+    """Run a planned evaluation and pass the result to the observer.
+
+    On a logarithmic scale, an evaluation whose objective is not positive counts as failed.
 
     Parameters
     ----------
@@ -24,14 +26,14 @@ def evaluate(
     backend
         Runs the evaluation; open.
     planned
-        The evaluation, with no outcome yet.
+        The evaluation, without an outcome.
     observer
-        Told of it.
+        Is passed the result.
 
     Returns
     -------
     Evaluation
-        With its outcome, and how long it took.
+        The planned one with its outcome and wall time.
     """
     (evaluation,) = backend.run([planned])
     objective, outcome = study.objective, evaluation.outcome
@@ -46,12 +48,12 @@ def evaluate(
 
 
 class Losses:
-    """Counts what was lost with its nodes in a row, and ends the run at `LOST_IN_A_ROW`.
+    """Counter of consecutive losses, which ends the run at `LOST_IN_A_ROW`.
 
     Parameters
     ----------
     what
-        What is counted, in the plural.
+        What is counted, in the plural, for the error message.
     """
 
     def __init__(self, what: str) -> None:
@@ -59,16 +61,21 @@ class Losses:
         self._in_a_row = 0
 
     def note(self, lost: bool) -> None:
-        """Count one more; one that was not lost begins a new row."""
+        """Count a loss, or reset the counter."""
         self._in_a_row = self._in_a_row + 1 if lost else 0
 
     def check(self, reason: str) -> None:
-        """Raise an error if there are too many.
+        """End the run after too many losses in a row.
+
+        Parameters
+        ----------
+        reason
+            Of the last loss, for the error message.
 
         Raises
         ------
         RunError
-            With their number and the reason of the last one.
+            After `LOST_IN_A_ROW` losses in a row.
         """
         if self._in_a_row >= LOST_IN_A_ROW:
             raise RunError(

@@ -7,7 +7,7 @@ from bo_tuner.tuning.observer import RunObserver
 
 
 class JournalObserver(RunObserver):
-    """Records each evaluation and each trial, except what is on record already.
+    """Records each evaluation and each trial, except evaluations read from the journal.
 
     Parameters
     ----------
@@ -19,10 +19,10 @@ class JournalObserver(RunObserver):
         self._journal = journal
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Record an evaluation."""
+        """Record an evaluation, unless it was read from the journal."""
         if not evaluation.recorded:
             self._journal.record_evaluation(evaluation)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Record a trial."""
+        """Record a finished trial."""
         self._journal.record_trial(trial)

@@ -16,18 +16,19 @@ from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 @dataclass(frozen=True)
 class Validation:
-    """What fresh draws say of one parameter set.
+    """Result of the validation of one parameter set.
 
     Attributes
     ----------
     parameters
         The parameter set.
     draws, failures
-        Number of evaluations, and of those that failed.
+        Number of evaluations, and of those that are not complete.
     objective, deviation
-        Mean of the objective's metric over the whole evaluations, and its standard deviation.
+        Mean and standard deviation of the objective's metric over the complete evaluations, in the
+        metric's unit; NaN if there are too few.
     constraints
-        How each constraint fared, by name.
+        Each constraint, by name, judged on the complete evaluations.
     """
 
     parameters: Mapping[str, Value]
@@ -39,7 +40,7 @@ class Validation:
 
     @property
     def feasible(self) -> bool:
-        """Whether no evaluation failed and every constraint holds."""
+        """Whether all evaluations are complete and every constraint holds."""
         return self.failures == 0 and all_hold(self.constraints)
 
 
@@ -55,13 +56,18 @@ def validate(
     Parameters
     ----------
     study
-        Its budget says how many draws.
+        The study; its budget sets the number of draws.
     backend
         Runs the evaluations; open.
     candidates
-        The parameter sets, compared on equal contexts and noise.
+        The parameter sets; all get the same contexts and seeds.
     observer
-        Told of each evaluation, and of each draw as a step.
+        Is passed each evaluation, and each draw as a step.
+
+    Returns
+    -------
+    list of Validation
+        One for each parameter set, in the order of `candidates`.
 
     Raises
     ------
