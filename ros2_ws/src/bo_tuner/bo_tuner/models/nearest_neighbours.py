@@ -116,9 +116,9 @@ class NeighbourClassifier:
     @cached_property
     def _tree(self) -> Any:
         # Its import takes longer than all others of a command together, and most runs never ask.
-        from sklearn.neighbors import NearestNeighbors
+        from sklearn.neighbors import KDTree
 
-        return NearestNeighbors(algorithm="kd_tree").fit(self._scaled)
+        return KDTree(self._scaled)
 
     def _votes(self, x: Array) -> tuple[Array, Array]:
         """Return the summed weights for and against the positive class, each of shape (m,)."""
@@ -132,7 +132,7 @@ class NeighbourClassifier:
             return inside, outside
         # δ increases with the Euclidean distance, so both have the same nearest neighbours.
         scaled = x / self.length_scales
-        nearest = self._tree.kneighbors(scaled, min(n, self.neighbours), return_distance=False)
+        nearest = self._tree.query(scaled, min(n, self.neighbours), return_distance=False)
         squared = ((scaled[:, None, :] - self._scaled[nearest]) ** 2).sum(axis=2)
         labels = self.labels[nearest]
         distance = -2.0 * np.expm1(-0.5 * squared)

@@ -25,6 +25,9 @@ from bo_tuner.trials import EvaluationState, Trial, TrialState
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
+BELIEVED_FEASIBLE = 0.5
+"""Lowest probability of feasibility of a parameter set that counts as feasible."""
+
 # Length scale of the classifiers in the unit cube. The objective's length scales do not suit them:
 # they are fitted to complete trials only, and are long if the response is flat.
 CLASSIFIER_SCALE = 0.25

@@ -10,7 +10,7 @@ from bo_tuner.acquisition.acquisition import (
     best_at_data,
     constrained_improvement,
 )
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
 from bo_tuner.optimizers.base import (
@@ -23,9 +23,6 @@ from bo_tuner.optimizers.base import (
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, Value
-
-BELIEVED_FEASIBLE = np.log(0.5)
-"""Lowest log probability of feasibility of a parameter set that counts as feasible."""
 
 NEGLIGIBLE = 1e-3
 """Largest acquisition, in standard deviations of the cost, that is not worth a trial.
@@ -79,7 +76,7 @@ class AcquisitionSearch:
         self._starts = np.empty((0, space.dimension))
         model = surrogates.objective
         if model is not None:
-            self.feasible = surrogates.log_feasibility(model.points) >= BELIEVED_FEASIBLE
+            self.feasible = surrogates.log_feasibility(model.points) >= np.log(BELIEVED_FEASIBLE)
             self.incumbent = best_at_data(model, self.feasible)
             # Some particles start near the points with the lowest cost, feasible ones first.
             cost, _ = model.predict(model.points)

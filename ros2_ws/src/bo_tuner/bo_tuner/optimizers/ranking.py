@@ -11,15 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-
-BELIEVED_FEASIBLE = 0.5
-"""Lowest probability of feasibility of a parameter set that counts as feasible."""
 
 TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.

@@ -105,7 +105,7 @@ def recommend(
         observer.advance()
     for candidate in ranked:
         if candidate.trial.number in held:
-            return Recommendation(candidate, True, tuple(checked))
+            return Recommendation(candidate, candidate.believed_feasible, tuple(checked))
     if open_ones:
         return Recommendation(open_ones[0], False, tuple(checked))
     # Among several within the limits the first in rank, not the one with the largest margin: a
