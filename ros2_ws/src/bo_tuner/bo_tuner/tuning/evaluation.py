@@ -9,7 +9,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
 LOST_IN_A_ROW = 3
-"""So many losses in a row end a run: the nodes are gone for good."""
+"""So many in a row end a run: the nodes are gone, or not ours alone, for good."""
 
 
 def evaluate(
@@ -46,7 +46,7 @@ def evaluate(
 
 
 class Losses:
-    """Counts what was lost with its nodes in a row, and ends the run at `LOST_IN_A_ROW`.
+    """Counts what was spoilt in a row, see `Outcome.spoilt`, and ends the run at `LOST_IN_A_ROW`.
 
     Parameters
     ----------
@@ -56,13 +56,16 @@ class Losses:
 
     def __init__(self, what: str) -> None:
         self._what = what
-        self._in_a_row = 0
+        self._in_a_row: list[Outcome] = []
 
-    def note(self, lost: bool) -> None:
-        """Count one more; one that was not lost begins a new row."""
-        self._in_a_row = self._in_a_row + 1 if lost else 0
+    def note(self, outcome: Outcome | None) -> None:
+        """Count one more; one that was not spoilt, or None, begins a new row."""
+        if outcome is not None and outcome.spoilt:
+            self._in_a_row.append(outcome)
+        else:
+            self._in_a_row.clear()
 
-    def check(self, reason: str) -> None:
+    def check(self) -> None:
         """Raise an error if there are too many.
 
         Raises
@@ -70,7 +73,9 @@ class Losses:
         RunError
             With their number and the reason of the last one.
         """
-        if self._in_a_row >= LOST_IN_A_ROW:
-            raise RunError(
-                f"{self._in_a_row} {self._what} in a row were lost with their nodes: {reason}"
-            )
+        if len(self._in_a_row) < LOST_IN_A_ROW:
+            return
+        last = self._in_a_row[-1]
+        lost = last.state is EvaluationState.LOST
+        how = "lost with their nodes" if lost else "disturbed by others"
+        raise RunError(f"{len(self._in_a_row)} {self._what} in a row were {how}: {last.reason}")
