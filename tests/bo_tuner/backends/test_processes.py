@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from commands import environment
@@ -61,8 +62,7 @@ def pids(folder):
 def runs(pid):
     """Whether a process runs; one that nobody has asked for its exit code does not."""
     try:
-        with open(f"/proc/{pid}/stat") as file:  # noqa: PTH123
-            return file.read().rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
 
@@ -102,16 +102,18 @@ class TestEnd:
 
 def test_the_guard_of_a_program_that_cannot_run_ends(folder):
     (folder / "lib/axis/axis").write_text("#!/no/such/interpreter\n")
-    children = set(os.listdir("/proc"))
     with pytest.raises(processes.BackendError, match="cannot be started"):
         NodeProcess("axis", "axis", [], {}, folder / "log")
-    new = [pid for pid in set(os.listdir("/proc")) - children if pid.isdigit()]
-    assert not [pid for pid in new if is_child(pid)]
+    for task in Path("/proc/self/task").iterdir():
+        assert processes.GUARD not in [command_of(pid) for pid in children_of(task)]
 
 
-def is_child(pid):
+def children_of(task):
+    return (task / "children").read_text().split()
+
+
+def command_of(pid):
     try:
-        with open(f"/proc/{pid}/stat") as file:  # noqa: PTH123
-            return int(file.read().rpartition(")")[2].split()[1]) == os.getpid()
-    except OSError:
-        return False
+        return Path(f"/proc/{pid}/cmdline").read_text().split("\0")[2]
+    except (OSError, IndexError):
+        return ""

@@ -192,9 +192,9 @@ class TestFailures:
             iter_into(Tuning(study, function_backend(study, lambda **_: disturbed), IV), seen)
         assert len(seen) == 3
         # Three on record are three, whoever ran them.
-        with pytest.raises(RunError, match="^4 trials in a row were disturbed"):
-            backend = function_backend(study, lambda **_: disturbed)
-            iter_into(Tuning(study, backend, IV, trials=seen), [])
+        again = Tuning(study, function_backend(study, lambda **_: disturbed), IV, trials=seen)
+        with pytest.raises(RunError, match=r"^4 trials in a row were disturbed"):
+            iter_into(again, [])
 
     def test_others_in_between_do_not(self, make_study, function_backend, failed):
         study = make_study().replace(trials=8, initial_trials=8)

@@ -87,16 +87,21 @@ class ParameterWatch:
             ParameterEvent, EVENTS, self._on_event, qos_profile_parameter_events
         )
 
-    def begin(self, expected: Mapping[str, Mapping[str, object]]) -> None:
-        """Forget what was seen, and expect these values of the nodes from now on, by key."""
+    def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:
+        """Expect these values of the nodes from now on, by key."""
         self._take_all()
         self._expected = expected
-        self._seen = []
 
-    def seen(self) -> list[Difference]:
-        """Return what was not as expected since `begin`."""
+    def forget(self, key: str) -> None:
+        """Forget what was seen of a node: it was started anew, and has declared its parameters."""
         self._take_all()
-        return self._seen
+        self._seen = [difference for difference in self._seen if difference.node != key]
+
+    def take_seen(self) -> list[Difference]:
+        """Return what was not as expected since this was last asked."""
+        self._take_all()
+        seen, self._seen = self._seen, []
+        return seen
 
     def _take_all(self) -> None:
         """Take the events that wait: a node publishes its own ahead of its answer to a call."""

@@ -1,6 +1,5 @@
 """Node processes that the tuner starts, and ends whatever happens."""
 
-import contextlib
 import ctypes
 import os
 import shutil

@@ -41,7 +41,7 @@ SPIN_PERIOD = 0.1
 NAME_TIMEOUT = 1.0
 """Time [s] that the graph has to tell which node a new publisher belongs to."""
 LONGEST_LEASE = 21.0
-"""Time [s] after which a killed node is forgotten for sure, with the default settings of Fast DDS."""
+"""Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
@@ -96,6 +96,7 @@ class StudyClient:
         self._known: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._publishers: dict[str, set[bytes]] = {}
+        self._renewed: set[str] = set()
         self._anonymous: set[bytes] = set()
         self._twins: list[str] = []
         self.results = RunResults()
@@ -203,6 +204,7 @@ class StudyClient:
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
                 found.append(key)
+                self._renewed.add(key)
                 self._known.pop(key, None)
             self._publishers[key] = present
         return found
@@ -225,7 +227,7 @@ class StudyClient:
         return ""
 
     def forget_parameters(self) -> None:
-        """Forget what the nodes were told, so that they are read, and told, again."""
+        """Forget what the nodes have, so that they are asked, and told, again."""
         self._known.clear()
 
     def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
@@ -312,8 +314,12 @@ class StudyClient:
             If a node does not answer, is started anew, or gives no result.
         """
         self.restarted()
+        for key in self._renewed:
+            self._known[key] = self.read(key)
+            self._parameters.forget(key)
+        self._renewed.clear()
         self._refuse_twins()
-        self._parameters.begin(wanted)
+        self._parameters.expect(wanted)
         told = {key: self._tell(key, values) for key, values in wanted.items()}
         self._check(wanted, told)
         self.results.begin()
@@ -347,15 +353,16 @@ class StudyClient:
     def _check(
         self, wanted: Mapping[str, Mapping[str, object]], told: Mapping[str, Sequence[str]]
     ) -> None:
-        """Compare what the nodes have, and had since the watch began, with what they should."""
+        """Compare what the nodes have, and had since the last check, with what they should."""
         found = self._read(wanted)
         self._known |= found
+        seen = self._parameters.take_seen()
         for key, values in wanted.items():
             for difference in differences(key, found[key], values):
                 if difference.name in told.get(key, ()):
                     raise _not_taken(difference)
                 raise _disturbed(difference)
-        if seen := self._parameters.seen():
+        if seen:
             raise _disturbed(seen[0])
 
     def _refuse_twins(self) -> None:
