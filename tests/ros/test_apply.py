@@ -170,6 +170,25 @@ def test_one_node_refuses_and_both_stay_as_they_were(client, record, now, capsys
     assert rollback_file(record) == before
 
 
+@pytest.mark.parametrize("rollback", [False, True])
+def test_two_controllers(record, now, start_node, peer, capsys, rollback):
+    before = now()
+    if rollback:
+        assert apply(capsys, record, "--yes")[0] == 0
+        before = now()
+    twin = start_node("mpc_controller")
+    service = "mpc_controller/set_parameters_atomically"
+    peer.spin_until(lambda: peer.node.count_services(service) == 2, "both")
+    code, out, err = apply(capsys, record, "--yes", *["--rollback"][:rollback])
+    assert (code, out) == (2, "")
+    domain = os.environ["ROS_DOMAIN_ID"]
+    expected = f"mpc_controller runs more than once in ROS domain {domain}; end all but one"
+    assert err == f"error: {expected}\n"
+    twin.end()
+    peer.spin_until(lambda: peer.node.count_services(service) == 1, "one")
+    assert now() == before
+
+
 def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):
     study = make_study()
     nodes = {key: replace(spec, node="mpc_controller") for key, spec in study.nodes.items()}

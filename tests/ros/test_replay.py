@@ -11,6 +11,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
+from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -72,7 +73,9 @@ def in_process(parameters, evaluation):
 
     plant.set_parameters(dict(evaluation.context) | {"seed": evaluation.seed})
     controller.set_parameters(parameters)
-    plant.run_cut(Tap())
+    # As the nodes and the command: products are summed in another order by several threads.
+    with threadpool_limits(1):
+        plant.run_cut(Tap())
     return kept
 
 
@@ -81,7 +84,8 @@ def attached(shared_pair, tmp_path_factory):
     """A run, and what the command says of its trial 1 on nodes that run already."""
     study = small_study()
     folder = tmp_path_factory.mktemp("replay") / "run"
-    record = make_run(folder, study, InProcessBackend(study))
+    with threadpool_limits(1):
+        record = make_run(folder, study, InProcessBackend(study))
     with pytest.MonkeyPatch.context() as patch:
         lines = []
         patch.setattr(command, "say", lines.append)

@@ -12,7 +12,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import EvaluationState, Stage, TrialState
+from bo_tuner.trials import DISTURBED, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
@@ -182,6 +182,19 @@ class TestFailures:
         # The third is handed out for the record before the run ends.
         assert [trial.number for trial in seen] == [0, 1, 2]
         assert all(trial.state is TrialState.FAILED for trial in seen)
+
+    def test_so_do_three_that_others_disturbed(self, make_study, function_backend):
+        study = make_study()
+        reason = "axis: parameter gain is 1.0, expected 0.5 (changed by someone else)"
+        disturbed = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        seen = []
+        with pytest.raises(RunError, match=r"^3 trials in a row were disturbed by others: axis: p"):
+            iter_into(Tuning(study, function_backend(study, lambda **_: disturbed), IV), seen)
+        assert len(seen) == 3
+        # Three on record are three, whoever ran them.
+        again = Tuning(study, function_backend(study, lambda **_: disturbed), IV, trials=seen)
+        with pytest.raises(RunError, match=r"^4 trials in a row were disturbed"):
+            iter_into(again, [])
 
     def test_others_in_between_do_not(self, make_study, function_backend, failed):
         study = make_study().replace(trials=8, initial_trials=8)

@@ -40,6 +40,10 @@ class TrialState(StrEnum):
     FAILED = "failed"
 
 
+DISTURBED = "disturbed"
+"""Key of an outcome's details: who ran the evaluation was not alone with its nodes."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """Result of one evaluation, as a backend reports it.
@@ -60,6 +64,11 @@ class Outcome:
     metrics: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether it tells nothing of its parameters: its nodes were lost, or others disturbed."""
+        return self.state is EvaluationState.LOST or DISTURBED in self.details
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class InProcessBackend(SequentialBackend):
             said = {trigger: self._objects[trigger].run_cut(*others.values())}
             if said[trigger].get("status") == STATUS_OK:
                 said |= {key: other.cut_result() for key, other in others.items()}
-            return self._collector.outcome(said)
+            return self._collector.outcome(said, assignments)
         except Exception as error:
             return Outcome(EvaluationState.FAILED, {}, f"{type(error).__name__}: {error}")
 

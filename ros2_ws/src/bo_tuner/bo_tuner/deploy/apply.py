@@ -7,7 +7,6 @@ from typing import Protocol
 
 from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.certificate.verdict import FAIL, PASS
-from bo_tuner.deploy.bundle import same
 from bo_tuner.errors import BoTunerError
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.storage.parameter_file import NodeValues
@@ -123,7 +122,7 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
         for node, values in new.items():
             found = nodes.get(node, list(values))
             for name, value in values.items():
-                if not same(found[name], value):
+                if not checks.same_value(found[name], value):
                     shown = one_line(str(found[name]))
                     raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
     except NodeError as error:

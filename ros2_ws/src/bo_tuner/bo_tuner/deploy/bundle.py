@@ -44,12 +44,7 @@ class Difference:
     @property
     def equal(self) -> bool:
         """Whether the values are equal, see `same`."""
-        return same(self.now, self.new)
-
-
-def same(one: object, other: object) -> bool:
-    """Return whether two parameter values are equal; 1 and 1.0 are, and so are two NaNs."""
-    return one == other or repr(one) == repr(other)
+        return checks.same_value(self.now, self.new)
 
 
 def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Difference]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
+from bo_tuner.metrics.collect import metric_problem
 from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
 from bo_tuner.trials import (
     TUNING,
@@ -209,9 +210,13 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
 
 def _evaluation(row: Mapping[str, object]) -> Evaluation:
     state = EvaluationState(str(row["state"]))
-    outcome = Outcome(
-        state, json.loads(str(row["metrics"])), str(row["reason"]), json.loads(str(row["details"]))
-    )
+    metrics, reason = json.loads(str(row["metrics"])), str(row["reason"])
+    for name, value in metrics.items():
+        # An earlier version recorded what is refused today.
+        if problem := metric_problem(value):
+            state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
+            break
+    outcome = Outcome(state, metrics, reason, json.loads(str(row["details"])))
     return Evaluation(
         trial=int(str(row["trial"])),
         index=int(str(row["position"])),
@@ -236,14 +241,17 @@ def _trials(rows: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) 
         count = int(str(row["evaluations"]))
         if row["number"] != number or any(index not in of_trial for index in range(count)):
             return
-        worst = row["worst_case"]
+        state, reason, worst = TrialState(str(row["state"])), str(row["reason"]), row["worst_case"]
+        failed = [e for e in of_trial.values() if e.outcome.state is not EvaluationState.COMPLETE]
+        if state is TrialState.COMPLETE and failed:
+            state, reason, worst = TrialState.FAILED, failed[0].outcome.reason, None
         hyperparameters = json.loads(str(row["hyperparameters"]))
         yield Trial(
             number=number,
             parameters=json.loads(str(row["parameters"])),
             origin=str(row["origin"]),
-            state=TrialState(str(row["state"])),
-            reason=str(row["reason"]),
+            state=state,
+            reason=reason,
             evaluations=tuple(of_trial[index] for index in range(count)),
             worst_case=WorstCase(**json.loads(str(worst))) if worst else None,
             warnings=tuple(json.loads(str(row["warnings"]))),

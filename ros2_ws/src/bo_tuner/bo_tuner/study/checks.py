@@ -26,6 +26,18 @@ EXECUTABLE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 OBJECT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
 
 
+def same_value(one: object, other: object) -> bool:
+    """Return whether two parameter values are equal; 1 and 1.0 are, 1 and true are not.
+
+    A node that declares a double may be given an integer. NaN equals itself.
+    """
+    if isinstance(one, bool) != isinstance(other, bool):
+        return False
+    if isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+        return len(one) == len(other) and all(map(same_value, one, other))
+    return one == other or repr(one) == repr(other)
+
+
 def show(value: object) -> str:
     """Return a short one-line description of a value for an error message."""
     if value is None:

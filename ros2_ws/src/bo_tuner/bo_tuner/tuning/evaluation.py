@@ -9,7 +9,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
 LOST_IN_A_ROW = 3
-"""Number of consecutive losses that ends a run: the nodes are not coming back."""
+"""Number of consecutive losses that ends a run: the nodes are gone, or not ours alone."""
 
 
 def evaluate(
@@ -48,7 +48,7 @@ def evaluate(
 
 
 class Losses:
-    """Counter of consecutive losses, which ends the run at `LOST_IN_A_ROW`.
+    """Counter of spoilt outcomes in a row, see `Outcome.spoilt`; ends the run at `LOST_IN_A_ROW`.
 
     Parameters
     ----------
@@ -58,26 +58,26 @@ class Losses:
 
     def __init__(self, what: str) -> None:
         self._what = what
-        self._in_a_row = 0
+        self._in_a_row: list[Outcome] = []
 
-    def note(self, lost: bool) -> None:
-        """Count a loss, or reset the counter."""
-        self._in_a_row = self._in_a_row + 1 if lost else 0
+    def note(self, outcome: Outcome | None) -> None:
+        """Count a spoilt outcome; any other, or None, resets the counter."""
+        if outcome is not None and outcome.spoilt:
+            self._in_a_row.append(outcome)
+        else:
+            self._in_a_row.clear()
 
-    def check(self, reason: str) -> None:
-        """End the run after too many losses in a row.
-
-        Parameters
-        ----------
-        reason
-            Of the last loss, for the error message.
+    def check(self) -> None:
+        """End the run after too many in a row.
 
         Raises
         ------
         RunError
             After `LOST_IN_A_ROW` losses in a row.
         """
-        if self._in_a_row >= LOST_IN_A_ROW:
-            raise RunError(
-                f"{self._in_a_row} {self._what} in a row were lost with their nodes: {reason}"
-            )
+        if len(self._in_a_row) < LOST_IN_A_ROW:
+            return
+        last = self._in_a_row[-1]
+        lost = last.state is EvaluationState.LOST
+        how = "lost with their nodes" if lost else "disturbed by others"
+        raise RunError(f"{len(self._in_a_row)} {self._what} in a row were {how}: {last.reason}")

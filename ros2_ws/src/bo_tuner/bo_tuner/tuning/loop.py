@@ -71,7 +71,7 @@ class Tuning:
         Raises
         ------
         RunError
-            If three trials in a row were lost with their nodes.
+            If three trials in a row were lost with their nodes or disturbed.
         """
         while len(self.trials) < self._study.budget.trials:
             begin = time.monotonic()
@@ -79,12 +79,13 @@ class Tuning:
             trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)
             self._take(trial)
             yield trial
-            self._losses.check(trial.reason)
+            self._losses.check()
 
     def _take(self, trial: Trial) -> None:
         self.trials.append(trial)
         self._optimizer.tell(trial)
-        self._losses.note(any(e.outcome.state is EvaluationState.LOST for e in trial.evaluations))
+        spoilt = [e.outcome for e in trial.evaluations if e.outcome.spoilt]
+        self._losses.note(spoilt[0] if spoilt else None)
 
     def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:
         done: list[Evaluation] = []

@@ -72,7 +72,7 @@ def validate(
     Raises
     ------
     RunError
-        If three evaluations in a row were lost with their nodes.
+        If three evaluations in a row were lost with their nodes or disturbed.
     """
     contexts = study.context_space()
     rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
@@ -86,8 +86,8 @@ def validate(
             planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
             evaluation = evaluate(study, backend, planned, observer)
             evaluations[number].append(evaluation)
-            losses.note(evaluation.outcome.state is EvaluationState.LOST)
-            losses.check(evaluation.outcome.reason)
+            losses.note(evaluation.outcome)
+            losses.check()
         observer.advance()
     return [_judge(study, p, found) for p, found in zip(candidates, evaluations, strict=True)]
 

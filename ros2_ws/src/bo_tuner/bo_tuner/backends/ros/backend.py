@@ -10,12 +10,17 @@ from rclpy.context import Context
 from bo_tuner.backends.protocol import ROS, SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
-from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
+from bo_tuner.backends.ros.study_client import (
+    DisturbedError,
+    LostError,
+    RefusedError,
+    StudyClient,
+)
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
@@ -75,6 +80,7 @@ class RosBackend(SequentialBackend):
         self._claim: DomainClaim | None = None
         self._client: StudyClient | None = None
         self._found: dict[str, dict[str, object]] = {}
+        self._held: dict[str, dict[str, object]] = {}
         self.processes: dict[str, NodeProcess] = {}
 
     def open(self) -> None:
@@ -84,9 +90,10 @@ class RosBackend(SequentialBackend):
         ------
         BackendError
             If another tuner is at work on these nodes, nodes to be started run already, one
-            cannot be started, or one does not appear in time.
+            cannot be started, one does not appear in time, or one runs more than once.
         StudyError
-            If a node refuses its constant parameters, or the study does not say how to start it.
+            If a node does not take its constant parameters, or the study does not say how to
+            start it.
         """
         given = _domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
@@ -107,9 +114,14 @@ class RosBackend(SequentialBackend):
                 # That the nodes are discovered does not mean that another tuner is, too.
                 client.spin_for(LOOK_AROUND)
             self._refuse_second_tuner(client)
+            if twins := client.twins(LEASE):
+                raise BackendError(f"{twins}; end all but one")
+            found = {key: client.read(key) for key in self._study.nodes}
             if self._attach:
-                self._found = {key: client.get(key, self._names(key)) for key in self._study.nodes}
+                self._found = {key: self._of_study(key, found[key]) for key in found}
             self._set_constants(client)
+            constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
+            self._held = {key: found[key] | dict(constants[key]) for key in found}
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -124,23 +136,23 @@ class RosBackend(SequentialBackend):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
 
-        After a lost evaluation the nodes are started anew, or, attached, waited for.
+        All parameters of the nodes that the study does not set are held at the values that the
+        nodes had when the backend was opened. An evaluation during which any parameter had another
+        value than it should is a failed one. After a lost evaluation the nodes are started anew,
+        or, attached, waited for.
         """
         client = self._client
         if client is None:
             raise BackendError("the backend is not open")
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
+        wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         try:
-            for key in client.restarted():
-                client.set(key, self._study.nodes[key].parameters)
-            for key, values in assignments.items():
-                client.set(key, values)
-            said = client.run_cut()
-            if lost := client.restarted():
-                raise LostError(f"{self._study.nodes[lost[0]].node} was started anew in the cut")
-            result = self._collector.outcome(said)
+            result = self._collector.outcome(client.evaluate(wanted), wanted)
         except RefusedError as refusal:
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)))
+        except DisturbedError as error:
+            reason = one_line(str(error))
+            return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
         except LostError as loss:
             reason = one_line(f"{loss}{self._recover(client)}")
             return Outcome(EvaluationState.LOST, {}, reason)
@@ -164,13 +176,14 @@ class RosBackend(SequentialBackend):
             self._claim.release()
             self._claim = None
 
-    def _names(self, key: str) -> list[str]:
-        """List the parameters of a node that the study sets."""
+    def _of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
+        """Keep the parameters of a node that the study sets."""
         study = self._study
         contexts = study.context_space()
         nominal = contexts.to_dict(contexts.nominal())
         of_evaluation = study.assignments(study.search_space().defaults, nominal, 0)
-        return list(dict.fromkeys([*study.nodes[key].parameters, *of_evaluation.get(key, {})]))
+        names = {*study.nodes[key].parameters, *of_evaluation.get(key, {})}
+        return {name: value for name, value in values.items() if name in names}
 
     def _restore(self, client: StudyClient) -> None:
         """Restore attached nodes: a live one must not keep what an evaluation was run with."""
@@ -180,7 +193,7 @@ class RosBackend(SequentialBackend):
         self._interrupted = lambda: None
         for key, values in found.items():
             try:
-                client.set(key, values)
+                client.assign(key, values)
             except (RefusedError, LostError) as error:
                 client.warn(f"{self._study.nodes[key].node} is not set back: {error}")
 
@@ -230,7 +243,7 @@ class RosBackend(SequentialBackend):
     def _set_constants(self, client: StudyClient) -> None:
         for key, spec in self._study.nodes.items():
             try:
-                client.set(key, spec.parameters)
+                client.assign_and_read_back(key, spec.parameters)
             except RefusedError as refusal:
                 raise StudyError(str(refusal), ("nodes", key, "parameters")) from refusal
 
