@@ -47,9 +47,11 @@ time, is shown, but judged only if record and replay are both in process.
 
 exit codes:
   0    the result is as recorded
+  1    the output cannot be written
   2    bad input: run, trial, evaluation, option or nodes
   3    the result differs; the table shows where
-  130  interrupted by Ctrl-C (143: by SIGTERM)
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more)
 
 examples:
   replay runs/latest                           the result's worst evaluation

@@ -8,6 +8,7 @@ from bo_tuner.cli.common import Parser, guarded
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import NAME, figures, sections, write_page
 from bo_tuner.storage.record import read_run
@@ -22,8 +23,10 @@ The file needs no network; the run may still be in progress.
 EPILOG = """\
 exit codes:
   0    the report is written
+  1    the output cannot be written
   2    bad input: run folder, option, or a file that cannot be written
-  130  interrupted by Ctrl-C (143: by SIGTERM)
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more)
 
 examples:
   report latest                           the latest run in runs/
@@ -74,14 +77,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parts = sections(analysis)
     interruption.check()
     path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
-    print(f"report: {path}")
+    say(f"report: {path}")
     if arguments.figures is not None:
         # Matplotlib takes a second to load.
         from bo_tuner.figures.matplotlib_renderer import write_figure
 
         for figure in figures(parts):
             for written in write_figure(figure, arguments.figures, arguments.format):
-                print(f"figure: {written}")
+                say(f"figure: {written}")
             interruption.check()
     return EXIT_OK
 

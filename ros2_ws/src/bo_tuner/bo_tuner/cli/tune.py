@@ -29,7 +29,8 @@ exit codes:
        record is kept
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found
-  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); the nodes
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort, 129: the
+       terminal was closed, 141: nobody reads the output any more); the nodes
        are stopped, the record is kept, and --resume continues the run
 
 examples:

@@ -61,7 +61,8 @@ exit codes:
        certificate is kept
   2    bad input: run, option or nodes
   3    FAIL
-  130  interrupted by Ctrl-C (143: by SIGTERM); as 1
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more); as 1
 
 examples:
   validate runs/latest                     300 draws on the backend of the run

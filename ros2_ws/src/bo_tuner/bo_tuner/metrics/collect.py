@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from math import isfinite
 
+from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
@@ -12,10 +13,9 @@ MOST_SAID = 500
 """Characters of a reason, and of a value, that are kept."""
 
 
-def one_line(text: str) -> str:
+def one_line(said: str) -> str:
     """Make what a node says fit for a line of a terminal or a table."""
-    line = " ".join(text[:MOST_SAID].split())
-    return "".join(c if c.isprintable() else "?" for c in line)
+    return text.one_line(said[:MOST_SAID])
 
 
 class Collector:

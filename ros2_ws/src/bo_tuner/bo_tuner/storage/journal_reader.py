@@ -15,6 +15,7 @@ from pathlib import Path
 
 from bo_tuner.errors import JournalError
 from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
+from bo_tuner.text import csv_cell
 from bo_tuner.trials import (
     TUNING,
     Evaluation,
@@ -300,7 +301,8 @@ def _flat(row: Mapping[str, object]) -> dict[str, object]:
             continue
         if key in OBJECTS and value is not None:
             # With the section in front: names are unique within one only.
-            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
+            values = json.loads(str(value))
+            flat |= {f"{key}.{name}": csv_cell(v) for name, v in values.items()}
         else:
-            flat[key] = value
+            flat[key] = csv_cell(value)
     return flat
