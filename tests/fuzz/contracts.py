@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
-from bo_tuner.metrics.collect import outcome
+from bo_tuner.metrics.collect import Collector
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import salvage
@@ -264,7 +264,7 @@ def check_results(early, late):
     said = results.said
     assert all(pairs["cut"] == "7.5" for pairs in said.values())
     taken = len(said)
-    result = outcome(BENCHMARK, said)
+    result = Collector(BENCHMARK).outcome(said)
     results.end()
     assert results.take_ignored() == len(early) + len(late) - taken
     assert results.said == {}

@@ -52,6 +52,7 @@ def record(tmp_path, axis, make_study):
     made = make_run(tmp_path / "run", study, InProcessBackend(study), result=2)
     states = {trial.state for trial in made.trials}
     assert states == {TrialState.COMPLETE, TrialState.FAILED}, "the seed gives both"
+    trust(study)
     return made
 
 

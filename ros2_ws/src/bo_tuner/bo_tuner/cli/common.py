@@ -14,6 +14,7 @@ from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.trust import check_trust, trust
 
 Run = Callable[[Sequence[str], Interruption], int]
 
@@ -98,6 +99,31 @@ def recorded_backend(record: RunRecord) -> str:
     if record.backend not in BACKENDS:
         raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
     return record.backend
+
+
+def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
+    """Refuse to start what the study of a stranger's run names, unless told to.
+
+    Parameters
+    ----------
+    record
+        The run.
+    trusted
+        Whether the user trusts the study, now and later.
+    attach
+        Whether the nodes run already, so that nothing is started.
+
+    Raises
+    ------
+    RunRecordError
+        If the study is not trusted.
+    OutputError
+        If it is from now on, but that cannot be noted down.
+    """
+    if trusted:
+        trust(record.study)
+    elif not attach:
+        check_trust(record.study, record.path)
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

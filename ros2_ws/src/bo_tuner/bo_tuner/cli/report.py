@@ -13,6 +13,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import NAME, figures, sections, write_page
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import LATEST
+from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,
@@ -58,6 +59,12 @@ def make_parser() -> Parser:
         metavar=",".join(FORMATS),
         help="formats of the figures (default: all)",
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -73,7 +80,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         Ends the command on a signal.
     """
     arguments = make_parser().parse_args(argv)
-    analysis = Analysis(read_run(_folder(arguments.run)))
+    record = read_run(_folder(arguments.run))
+    if arguments.trust:
+        trust(record.study)
+    analysis = Analysis(record)
     parts = sections(analysis)
     interruption.check()
     path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)

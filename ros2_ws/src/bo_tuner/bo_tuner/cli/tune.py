@@ -1,19 +1,27 @@
 """``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.backends.protocol import BACKENDS, ROS
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.trust import trust
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
 
@@ -130,6 +138,12 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="with --resume: start the programs and import the objects that the run's study names, "
+        "now and later; read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -152,10 +166,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if given:
             parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
         record = read_run(arguments.resume)
+        allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
         study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
         stop_early = arguments.stop_early or STOP_EARLY in record.provenance
     else:
         study, stop_early = _study(arguments), arguments.stop_early
+        # Where that cannot be noted down, the commands on this run will ask for --trust.
+        with contextlib.suppress(OutputError):
+            trust(study)
         algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")

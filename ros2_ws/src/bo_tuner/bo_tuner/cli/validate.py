@@ -23,7 +23,13 @@ from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
@@ -110,6 +116,12 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--attach", action="store_true", help="use running nodes instead of starting them"
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -138,6 +150,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {arguments.draws}"
         )
     trial, digest = _trial(record, arguments.trial)
+    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     folder = RunFolder(record.path.resolve())
     with contextlib.closing(folder):
         folder.log.mkdir(exist_ok=True)
@@ -158,6 +171,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             name = CERTIFICATE
             if digest is None:
                 name = f"{Path(CERTIFICATE).stem}_trial_{trial.number}.json"
+            folder.check()
             path = write_certificate(folder.path, name, certificate, evidence)
         except (RunError, OutputError) as error:
             console.print(f"error: {error}", soft_wrap=True)

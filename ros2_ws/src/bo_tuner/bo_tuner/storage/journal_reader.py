@@ -14,7 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
-from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
+from bo_tuner.storage.journal import (
+    COLUMNS,
+    Journal,
+    check_schema,
+    check_version,
+    checksum,
+    harden,
+)
 from bo_tuner.text import csv_cell
 from bo_tuner.trials import (
     TUNING,
@@ -80,6 +87,7 @@ def read_journal(path: Path) -> JournalContent:
         with closing(_connect(path)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
             check_version(path, version)
+            check_schema(path, db)
             sessions, damaged_sessions = _rows(db, "session")
             evaluation_rows, damaged_evaluations = _rows(db, "evaluation")
             trial_rows, damaged_trials = _rows(db, "trial")
@@ -190,6 +198,8 @@ def _connect(path: Path) -> sqlite3.Connection:
         data[18:20] = b"\1\1"
         db = sqlite3.connect(":memory:")
         db.deserialize(bytes(data.ljust(size, b"\0")))
+    harden(db)
+    db.execute("PRAGMA query_only = ON")
     return db
 
 
