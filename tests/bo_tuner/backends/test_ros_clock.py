@@ -1,4 +1,4 @@
-"""Clocks of the tuner: a wall clock that no ROS message can tell, and time that it slept through."""
+"""Clocks of the tuner: a time that no ROS message can tell, and one that it slept through."""
 
 import time
 from datetime import UTC, datetime

@@ -21,6 +21,7 @@ from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.storage.trust import trust
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 

@@ -22,6 +22,7 @@ from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import trust
+from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
 
@@ -201,8 +202,10 @@ def _megabytes(text: str) -> int:
         size = float(text)
     except ValueError:
         size = float("nan")
-    if not 0.0 < size < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: expected a positive number of megabytes")
+    if not 0.0 < size <= maxima.MEGABYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected a positive number of at most {maxima.MEGABYTES} megabytes"
+        )
     return round(size * MEGABYTE)
 
 

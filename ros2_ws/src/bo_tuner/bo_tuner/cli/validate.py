@@ -39,6 +39,7 @@ from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -143,6 +144,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
+    if arguments.draws > maxima.DRAWS:
+        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {arguments.draws}")
     needed, constraint = most_draws_needed(record.study, arguments.confidence)
     if arguments.draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""

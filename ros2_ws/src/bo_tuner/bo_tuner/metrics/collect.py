@@ -5,6 +5,7 @@ from math import isfinite
 
 from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
+from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
 
@@ -45,9 +46,13 @@ class Collector:
         Returns
         -------
         Outcome
-            Failed if a node says so, or if a metric is missing or not finite: such a value never
+            Failed if a node says so, or more than `bo_tuner.study.maxima.ANSWER` values, or if a metric is missing or not finite: such a value never
             becomes a number.
         """
+        for node, pairs in results.items():
+            if len(pairs) > maxima.ANSWER:
+                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
+                return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
             f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
             for node, pairs in results.items()

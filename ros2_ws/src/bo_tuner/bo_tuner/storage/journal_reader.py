@@ -22,6 +22,7 @@ from bo_tuner.storage.journal import (
     checksum,
     harden,
 )
+from bo_tuner.study import maxima
 from bo_tuner.text import csv_cell
 from bo_tuner.trials import (
     TUNING,
@@ -83,6 +84,8 @@ def read_journal(path: Path) -> JournalContent:
     """
     if not path.is_file():
         raise JournalError(f"{path}: no journal there")
+    if path.stat().st_size > maxima.JOURNAL_BYTES:
+        raise JournalError(f"{path}: larger than {maxima.JOURNAL_BYTES / 1e9:g} GB")
     try:
         with closing(_connect(path)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()

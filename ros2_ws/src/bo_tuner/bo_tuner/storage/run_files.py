@@ -39,13 +39,14 @@ def check_files(folder: Path) -> None:
                     if entry.is_dir(follow_symlinks=False):
                         if not is_log:
                             pending.append(Path(entry.path))
-                    elif not entry.is_file(follow_symlinks=False):
-                        if not is_log or entry.name.endswith(".log"):
-                            mode = entry.stat(follow_symlinks=False).st_mode
-                            raise RunRecordError(
-                                f"{entry.path}: is {_kind(mode)}; expected only files and folders "
-                                "in a run folder"
-                            )
+                    elif entry.is_file(follow_symlinks=False):
+                        continue
+                    elif not is_log or entry.name.endswith(".log"):
+                        mode = entry.stat(follow_symlinks=False).st_mode
+                        raise RunRecordError(
+                            f"{entry.path}: is {_kind(mode)}; expected only files and folders "
+                            "in a run folder"
+                        )
         except FileNotFoundError:
             # A run that is going on renames and deletes.
             continue

@@ -92,8 +92,8 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         BackendError
-            If the clock shows what no ROS message can, another tuner is at work on these nodes, nodes to be started run already, one
-            cannot be started, or one does not appear in time.
+            If the clock shows what no ROS message can, another tuner is at work on these nodes,
+            nodes to be started run already, one cannot be started, or one does not appear in time.
         StudyError
             If a node refuses its constant parameters, or the study does not say how to start it.
         """

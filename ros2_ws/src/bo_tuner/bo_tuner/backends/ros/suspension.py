@@ -1,4 +1,4 @@
-"""Time in which this process did not run: stopped by SIGSTOP, or with the lid of a laptop closed."""
+"""Time in which this process did not run: stopped by SIGSTOP, or the lid of a laptop closed."""
 
 import time
 
