@@ -24,6 +24,7 @@ from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import without_nan
 from bo_tuner.study.study import Study
+from bo_tuner.text import csv_cell
 from bo_tuner.trials import Stage, Trial, Value
 
 CERTIFICATE = "certificate.json"
@@ -236,7 +237,7 @@ def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
                     *(repr(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
-                    outcome.reason,
+                    csv_cell(outcome.reason),
                 ]
             )
     return text.getvalue()

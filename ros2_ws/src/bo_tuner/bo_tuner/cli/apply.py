@@ -11,6 +11,7 @@ from rich.table import Table
 
 from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.streams import say_error
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -53,7 +54,10 @@ exit codes:
   2    bad input: run, option or nodes, or no terminal to confirm in
   3    nothing was set: the certificate is missing or not a PASS, you did not
        confirm, or the nodes' values changed before you did
-  130  interrupted by Ctrl-C before anything was set (143: by SIGTERM)
+  130  interrupted by Ctrl-C before anything was set (143: by SIGTERM, 129: the
+       terminal was closed)
+  141  nobody read the output any more, and 1 if it cannot be written: see by
+       another apply what the nodes have
 
 examples:
   apply runs/latest                              show the difference, ask, set
@@ -192,9 +196,9 @@ def _confirmed(question: str, interruption: Interruption) -> bool:
 
 
 def _warn(text: str) -> None:
-    sys.stderr.write(f"warning: {' '.join(text.split())}\n")
+    say_error(f"warning: {text}")
 
 
 def _refuse(text: str, code: int) -> int:
-    sys.stderr.write(f"error: {' '.join(text.split())}\n")
+    say_error(f"error: {text}")
     return code

@@ -10,7 +10,13 @@ from rich.table import Table
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import BACKENDS, IN_PROCESS, Backend
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
@@ -47,9 +53,11 @@ time, is shown, but judged only if record and replay are both in process.
 
 exit codes:
   0    the result is as recorded
+  1    the output cannot be written
   2    bad input: run, trial, evaluation, option or nodes
   3    the result differs; the table shows where
-  130  interrupted by Ctrl-C (143: by SIGTERM)
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more)
 
 examples:
   replay runs/latest                           the result's worst evaluation
@@ -85,6 +93,12 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -113,6 +127,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     recorded = find_evaluation(
         record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.evaluation
     )
+    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
     output = arguments.output or record.path / "replay"

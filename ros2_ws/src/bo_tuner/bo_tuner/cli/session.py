@@ -138,7 +138,8 @@ class Session:
                         code = self._run(backend, journal, earlier)
                     except BaseException:
                         # What ended the run matters more than a table that cannot be written.
-                        with contextlib.suppress(JournalError):
+                        with contextlib.suppress(JournalError, OutputError):
+                            folder.check()
                             export_csv(folder.journal, folder.path)
                         raise
                     export_csv(folder.journal, folder.path)
@@ -222,7 +223,8 @@ class Session:
             self._display.warn,
         )
         with contextlib.ExitStack() as stack:
-            for observer in (JournalObserver(journal), recording, self._status, self._display):
+            journaling = JournalObserver(journal, self._folder.check)
+            for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
                 self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))

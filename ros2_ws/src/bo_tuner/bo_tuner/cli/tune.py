@@ -1,19 +1,28 @@
 """``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.backends.protocol import BACKENDS, ROS
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.trust import trust
+from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
 
@@ -29,7 +38,8 @@ exit codes:
        record is kept
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found
-  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); the nodes
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort, 129: the
+       terminal was closed, 141: nobody reads the output any more); the nodes
        are stopped, the record is kept, and --resume continues the run
 
 examples:
@@ -129,6 +139,12 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="with --resume: start the programs and import the objects that the run's study names, "
+        "now and later; read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -151,10 +167,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         if given:
             parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
         record = read_run(arguments.resume)
+        allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
         study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
         stop_early = arguments.stop_early or STOP_EARLY in record.provenance
     else:
         study, stop_early = _study(arguments), arguments.stop_early
+        # Where that cannot be noted down, the commands on this run will ask for --trust.
+        with contextlib.suppress(OutputError):
+            trust(study)
         algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
@@ -182,8 +202,10 @@ def _megabytes(text: str) -> int:
         size = float(text)
     except ValueError:
         size = float("nan")
-    if not 0.0 < size < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: expected a positive number of megabytes")
+    if not 0.0 < size <= maxima.MEGABYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected a positive number of at most {maxima.MEGABYTES} megabytes"
+        )
     return round(size * MEGABYTE)
 
 

@@ -23,7 +23,13 @@ from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
@@ -33,6 +39,7 @@ from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -61,7 +68,8 @@ exit codes:
        certificate is kept
   2    bad input: run, option or nodes
   3    FAIL
-  130  interrupted by Ctrl-C (143: by SIGTERM); as 1
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more); as 1
 
 examples:
   validate runs/latest                     300 draws on the backend of the run
@@ -109,6 +117,12 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--attach", action="store_true", help="use running nodes instead of starting them"
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -130,6 +144,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
+    if arguments.draws > maxima.DRAWS:
+        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {arguments.draws}")
     needed, constraint = most_draws_needed(record.study, arguments.confidence)
     if arguments.draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""
@@ -137,6 +153,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {arguments.draws}"
         )
     trial, digest = _trial(record, arguments.trial)
+    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     folder = RunFolder(record.path.resolve())
     with contextlib.closing(folder):
         folder.log.mkdir(exist_ok=True)
@@ -157,6 +174,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             name = CERTIFICATE
             if digest is None:
                 name = f"{Path(CERTIFICATE).stem}_trial_{trial.number}.json"
+            folder.check()
             path = write_certificate(folder.path, name, certificate, evidence)
         except (RunError, OutputError) as error:
             console.print(f"error: {error}", soft_wrap=True)

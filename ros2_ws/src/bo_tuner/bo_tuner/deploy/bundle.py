@@ -19,6 +19,7 @@ from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, 
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
+from bo_tuner.text import csv_cell
 from bo_tuner.trials import Trial
 
 DEPLOY = "deploy"
@@ -188,7 +189,8 @@ def _table(rows: list[Difference]) -> str:
 
 def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
     for row in rows:
-        yield row.node, row.parameter, row.unit, row.now, row.new, "" if row.equal else "yes"
+        values = (csv_cell(value) for value in (row.unit, row.now, row.new))
+        yield row.node, row.parameter, *values, "" if row.equal else "yes"
 
 
 def _replace(path: Path, content: bytes) -> None:

@@ -3,7 +3,9 @@
 from collections.abc import Mapping
 from math import isfinite
 
+from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
+from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
@@ -19,10 +21,9 @@ MOST_SAID = 500
 """Characters of a reason, and of a value, that are kept."""
 
 
-def one_line(text: str) -> str:
+def one_line(said: str) -> str:
     """Make what a node says fit for a line of a terminal or a table."""
-    line = " ".join(text[:MOST_SAID].split())
-    return "".join(c if c.isprintable() else "?" for c in line)
+    return text.one_line(said[:MOST_SAID])
 
 
 class Collector:
@@ -55,9 +56,14 @@ class Collector:
         Returns
         -------
         Outcome
-            Failed if a node ran with another parameter, if it says so, or if a metric is missing,
-            no number, not finite or beyond `LARGEST_METRIC`.
+            Failed if a node ran with another parameter, if it says so or sends more than
+            `maxima.ANSWER` values, or if a metric is missing, no number, not finite or beyond
+            `LARGEST_METRIC`.
         """
+        for node, pairs in results.items():
+            if len(pairs) > maxima.ANSWER:
+                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
+                return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
             f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
             for node, pairs in results.items()

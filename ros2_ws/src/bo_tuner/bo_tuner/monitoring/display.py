@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from bo_tuner.study.study import Study
+from bo_tuner.text import printable
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.validation import Validation
 
@@ -89,9 +91,31 @@ class Display(RunObserver):
         """Show that the run has ended with an exit code."""
 
 
+class PlainConsole(Console):
+    """A console that shows texts as they are, but for what would steer the terminal.
+
+    Parameters
+    ----------
+    stderr
+        Whether to write to standard error.
+    """
+
+    def __init__(self, stderr: bool = False) -> None:
+        # What stands in brackets is no markup.
+        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Make a renderable of a text, through which all texts and cells of tables pass."""
+        return super().render_str(printable(text), **options)
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error again, where rich would end the process."""
+        raise
+
+
 def plain_console(stderr: bool = False) -> Console:
-    """Make a console that prints text unchanged: brackets are not markup."""
-    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    """Make a console for texts of others."""
+    return PlainConsole(stderr)
 
 
 def say(text: str) -> None:

@@ -15,6 +15,7 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
+from bo_tuner.text import printable
 from bo_tuner.trials import Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import worst_case_holds
 
@@ -141,7 +142,7 @@ class _TwoLines(Progress):
         """Yield the bar and the line."""
         yield from super().get_renderables()
         if self.second_line:
-            yield Text(self.second_line, no_wrap=True, overflow="ellipsis")
+            yield Text(printable(self.second_line), no_wrap=True, overflow="ellipsis")
 
 
 def incumbent_in_words(best: Candidate | None, study: Study) -> str:

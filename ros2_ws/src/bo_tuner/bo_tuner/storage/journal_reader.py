@@ -15,7 +15,16 @@ from pathlib import Path
 
 from bo_tuner.errors import JournalError
 from bo_tuner.metrics.collect import metric_problem
-from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
+from bo_tuner.storage.journal import (
+    COLUMNS,
+    Journal,
+    check_schema,
+    check_version,
+    checksum,
+    harden,
+)
+from bo_tuner.study import maxima
+from bo_tuner.text import csv_cell
 from bo_tuner.trials import (
     TUNING,
     Evaluation,
@@ -76,10 +85,13 @@ def read_journal(path: Path) -> JournalContent:
     """
     if not path.is_file():
         raise JournalError(f"{path}: no journal there")
+    if path.stat().st_size > maxima.JOURNAL_BYTES:
+        raise JournalError(f"{path}: larger than {maxima.JOURNAL_BYTES / 1e9:g} GB")
     try:
         with closing(_connect(path)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
             check_version(path, version)
+            check_schema(path, db)
             sessions, damaged_sessions = _rows(db, "session")
             evaluation_rows, damaged_evaluations = _rows(db, "evaluation")
             trial_rows, damaged_trials = _rows(db, "trial")
@@ -190,6 +202,8 @@ def _connect(path: Path) -> sqlite3.Connection:
         data[18:20] = b"\1\1"
         db = sqlite3.connect(":memory:")
         db.deserialize(bytes(data.ljust(size, b"\0")))
+    harden(db)
+    db.execute("PRAGMA query_only = ON")
     return db
 
 
@@ -308,7 +322,8 @@ def _flat(row: Mapping[str, object]) -> dict[str, object]:
             continue
         if key in OBJECTS and value is not None:
             # With the section in front: names are unique within one only.
-            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
+            values = json.loads(str(value))
+            flat |= {f"{key}.{name}": csv_cell(v) for name, v in values.items()}
         else:
-            flat[key] = value
+            flat[key] = csv_cell(value)
     return flat

@@ -1,6 +1,7 @@
 """A run as it stands in its folder, for whoever wants to know of it; nothing is written."""
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.run_files import check_files
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
@@ -55,10 +57,13 @@ def read_run(path: Path) -> RunRecord:
     Raises
     ------
     RunRecordError
-        If it is no run folder, or its study or journal cannot be read. One line.
+        If it is no run folder, holds links or pipes, or its study or journal cannot be read.
+        One line.
     """
     if not path.is_dir():
         raise RunRecordError(f"{path}: no such run folder")
+    if os.path.lexists(path / STUDY):
+        check_files(path)
     if not (path / STUDY).is_file():
         raise RunRecordError(f"{path}: no run folder: it has no {STUDY}")
     try:

@@ -11,6 +11,7 @@ from typing import Self
 
 from bo_tuner.errors import OutputError
 from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.storage.run_files import is_same_file, open_file
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -41,8 +42,9 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            self._identity = path.stat()
             # The lock ends with the process, however that ends.
-            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+            self._lock = open_file(path / LOCK, os.O_RDWR | os.O_CREAT)
         except OSError as error:
             raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
         try:
@@ -87,6 +89,20 @@ class RunFolder:
             raise OutputError(f"{output}: cannot write runs there: {error.strerror}") from error
         return folder
 
+    def check(self) -> None:
+        """Refuse to go on in a folder that is no longer this process's own.
+
+        Raises
+        ------
+        OutputError
+            If the folder was deleted, moved or replaced, or its lock was, so that another process
+            may work in it, too.
+        """
+        if not is_same_file(self.path.resolve(), self._identity):
+            raise OutputError(f"{self.path}: the run folder was deleted or moved during the run")
+        if not is_same_file(self.path / LOCK, os.fstat(self._lock)):
+            raise OutputError(f"{self.path / LOCK}: was deleted or replaced during the run")
+
     def close(self) -> None:
         """Let other processes work in the folder."""
         os.close(self._lock)
@@ -111,6 +127,8 @@ class RunFolder:
         """
         link = self.path.with_name(f".{LATEST}-{os.getpid()}")
         target = self.path.with_name(LATEST)
+        if os.path.lexists(target) and not target.is_symlink():
+            raise OutputError(f"{target}: cannot point to the run: it is no symbolic link")
         try:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path.name)
@@ -141,6 +159,7 @@ class RunFolder:
         return self._write(SUMMARY, text + "\n")
 
     def _write(self, name: str, text: str) -> Path:
+        self.check()
         path = self.path / name
         try:
             path.write_text(text, encoding="utf-8")

@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.distributions import Distribution
 
 LINEAR, LOG = "linear", "log"
@@ -137,7 +137,12 @@ class Trigger:
         checks.matching(
             self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
         )
-        object.__setattr__(self, "timeout", checks.positive(self.timeout, "timeout"))
+        timeout = checks.positive(self.timeout, "timeout")
+        if timeout > maxima.TIMEOUT:
+            raise StudyError(
+                f"expected at most {maxima.TIMEOUT:g} s, found {timeout:g}", ("timeout",)
+            )
+        object.__setattr__(self, "timeout", timeout)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,6 +284,15 @@ class Constraint:
         return float(ndtri(self.probability))
 
 
+MOST = {
+    "trials": maxima.TRIALS,
+    "initial_trials": maxima.TRIALS,
+    "drawn_contexts": maxima.EVALUATIONS,
+    "search_evaluations": maxima.EVALUATIONS,
+    "validation_draws": maxima.DRAWS,
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Budget:
     """Number of trials and evaluations.
@@ -307,7 +321,8 @@ class Budget:
         """Check the fields."""
         for item in dataclasses.fields(self):
             lowest = 0 if item.name == "search_evaluations" else 1
-            checks.integer(getattr(self, item.name), item.name, at_least=lowest)
+            most = MOST[item.name]
+            checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)
         if self.initial_trials > self.trials:
             raise StudyError(
                 f"{self.initial_trials} are more than the {self.trials} trials in all",

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.parts import (
@@ -34,6 +34,16 @@ __all__ = [
     "Study",
     "Trigger",
 ]
+
+
+MOST = {
+    "nodes": maxima.NODES,
+    "parameters": maxima.PARAMETERS,
+    "contexts": maxima.CONTEXTS,
+    "metrics": maxima.METRICS,
+    "constraints": maxima.CONSTRAINTS,
+    "order": maxima.PARAMETERS,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +105,13 @@ class Study:
         checks.text(self.description, "description")
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
+        for section, most in MOST.items():
+            checks.at_most(getattr(self, section), most, section)
+        tuned = [name for name, item in self.parameters.items() if item.is_tuned]
+        if len(tuned) > maxima.TUNED:
+            raise StudyError(
+                f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}", ("parameters",)
+            )
         for section in ("nodes", "parameters", "metrics"):
             if not getattr(self, section):
                 raise StudyError("expected at least one", (section,))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from bo_tuner.backends.ros.study_client import (
     RefusedError,
     StudyClient,
 )
+from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.source import MetricSource
@@ -27,6 +29,12 @@ ATTACH_TIMEOUT = 5.0
 HIGHEST_DOMAIN = 232
 LEASE = 3.0
 """Time [s] after which the discovery profile has forgotten a killed node for sure."""
+ATTEMPTS = 3
+"""Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
+END_OF_TIME = 2**31 - 1
+"""Latest time [s] in a ROS message, in January 2038."""
+MARGIN = 86_400.0
+"""Time [s] before that for an evaluation."""
 LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
 
@@ -81,6 +89,7 @@ class RosBackend(SequentialBackend):
         self._client: StudyClient | None = None
         self._found: dict[str, dict[str, object]] = {}
         self._held: dict[str, dict[str, object]] = {}
+        self._suspension = Suspension()
         self.processes: dict[str, NodeProcess] = {}
 
     def open(self) -> None:
@@ -89,12 +98,14 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         BackendError
-            If another tuner is at work on these nodes, nodes to be started run already, one
-            cannot be started, one does not appear in time, or one runs more than once.
+            If the clock shows what no ROS message can, another tuner is at work on these nodes,
+            nodes to be started run already, one cannot be started, one does not appear in time, or
+            one runs more than once.
         StudyError
             If a node does not take its constant parameters, or the study does not say how to
             start it.
         """
+        _check_clock()
         given = _domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
         self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
@@ -139,8 +150,19 @@ class RosBackend(SequentialBackend):
         All parameters of the nodes that the study does not set are held at the values that the
         nodes had when the backend was opened. An evaluation during which any parameter had another
         value than it should is a failed one. After a lost evaluation the nodes are started anew,
-        or, attached, waited for.
+        or, attached, waited for. One during which this process was suspended says nothing of the
+        parameters, and is repeated.
         """
+        for _ in range(ATTEMPTS):
+            self._suspension.begin()
+            outcome = self._attempt(planned)
+            self._suspension.look()
+            seconds = self._suspension.seconds
+            if not seconds:
+                return outcome
+        return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
+
+    def _attempt(self, planned: Evaluation) -> Outcome:
         client = self._client
         if client is None:
             raise BackendError("the backend is not open")
@@ -198,6 +220,7 @@ class RosBackend(SequentialBackend):
                 client.warn(f"{self._study.nodes[key].node} is not set back: {error}")
 
     def _watch(self) -> None:
+        self._suspension.look()
         self._interrupted()
         for process in self.processes.values():
             if process.exit_reason is not None:
@@ -250,10 +273,12 @@ class RosBackend(SequentialBackend):
     def _recover(self, client: StudyClient) -> str:
         """Get the nodes back; returns what to add to the reason if that failed."""
         client.forget_parameters()
+        self._suspension.look()
         processes = list(self.processes.values())
         # Stopped ones are no longer watched.
         self.processes.clear()
         stop_all(processes)
+        self._suspension.skip()
         try:
             if not self._attach:
                 client.wait_until_gone(LEASE)
@@ -268,6 +293,22 @@ class RosBackend(SequentialBackend):
             # The next evaluation will be lost in turn; three lost trials end the run.
             return f"; not recovered: {error}"
         return ""
+
+
+def _check_clock() -> None:
+    """Refuse a wall clock whose time no ROS message can hold: every cut would be refused.
+
+    Raises
+    ------
+    BackendError
+        With the time.
+    """
+    now = time.time()
+    if not 0.0 <= now <= END_OF_TIME - MARGIN:
+        shown = time.strftime("%Y-%m-%d", time.gmtime(now))
+        raise BackendError(
+            f"the clock of this machine shows {shown}; ROS messages hold times from 1970 to 2038"
+        )
 
 
 def _domain_of_environment() -> int | None:
