@@ -110,7 +110,7 @@ def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attache
 
 
 def bag_of(record):
-    evaluation = find_evaluation(record, 1, None).evaluation
+    evaluation = find_evaluation(record, 1, None)
     return record.path / "replay" / f"trial_0001_evaluation_{evaluation.index:02d}"
 
 
@@ -134,7 +134,7 @@ def test_default_and_tuned_run_side_by_side(attached, read):
     }
     (start,) = {times[f"/{side}/mpc_controller/joint_trajectory"][0] for side in sides}
     for side, parameters in sides.items():
-        kept = in_process(parameters, recorded.evaluation)
+        kept = in_process(parameters, recorded)
         for topic, name in LOOP.items():
             found = values[f"/{side}/{topic}"]
             assert [found[start + k * PERIOD] for k in range(SAMPLES)] == kept[name]
