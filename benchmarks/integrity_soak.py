@@ -45,7 +45,8 @@ from milling_plant.settings import default_settings as plant_defaults
 from mpc_controller.settings import default_settings as controller_defaults
 
 SEED = 1
-NODES = {"plant": "milling_plant", "controller": "mpc_controller"}
+NODES = ("milling_plant", "mpc_controller")
+ROS_ARGUMENTS = ["--ros-args", "-r", "__ns:=/soak"]
 LONGEST_PAUSE = 0.6
 """Longest time [s] from a change that was found to the next one: some evaluations."""
 FOUND_WITHIN = 4
@@ -58,7 +59,7 @@ class Stranger:
 
     def __init__(self, domain: int) -> None:
         self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=domain)
+        rclpy.init(args=ROS_ARGUMENTS, context=self._context, domain_id=domain)
         self._node = Node("stranger", context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -145,7 +146,7 @@ class Soak:
     def run(self) -> None:
         """Change parameters; for a thread."""
         try:
-            names = [(node, n) for node in NODES.values() for n in self._stranger.names(node)]
+            names = [(node, n) for node in NODES for n in self._stranger.names(node)]
             self._wait_for(1)
             while sum(self.changed.values()) < self._count:
                 time.sleep(self._rng.uniform(0.0, LONGEST_PAUSE))
@@ -213,7 +214,7 @@ def short_study() -> Study:
 def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
     """Change parameters under a run, and look at its record."""
     study = short_study()
-    backend = RosBackend(study, folder, attach=True)
+    backend = RosBackend(study, folder, attach=True, ros_arguments=ROS_ARGUMENTS)
     states: Counter[str] = Counter()
     begin = time.perf_counter()
     backend.open()
@@ -263,16 +264,18 @@ def main() -> None:
     parser.add_argument("--result", type=Path, default=RESULTS / "integrity_soak.json")
     arguments = parser.parse_args()
     origin = provenance()
-    # Of a namespace of its own: that of the nodes is claimed by the backend.
-    claim = DomainClaim("/integrity_soak")
+    # The namespace of the nodes is claimed by the backend; this keeps other tuners away.
+    claim = DomainClaim("/")
     os.environ |= isolated_environment(claim.domain)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["ROS_LOG_DIR"] = name
         with (folder / "nodes").open("w") as log:
             nodes = [
-                subprocess.Popen([sys.executable, "-m", node], stdout=log, stderr=log)
-                for node in NODES.values()
+                subprocess.Popen(
+                    [sys.executable, "-m", node, *ROS_ARGUMENTS], stdout=log, stderr=log
+                )
+                for node in NODES
             ]
         try:
             time.sleep(2.0)

@@ -75,7 +75,11 @@ def attach(nodes, tmp_path):
         def make(study=None):
             attached = Attached(tmp_path, study or make_study())
             stack.callback(attached.backend.close)
-            attached.backend.open()
+            try:
+                attached.backend.open()
+            except BackendError:
+                attached.backend.close()
+                raise
             return attached
 
         yield make
@@ -151,6 +155,18 @@ class TestForeignChanges:
         attached.run()
         attached.backend.close()
         assert peer.get_parameters("mpc_controller", ["lambda_mpc"]) == [0.25]
+
+    def test_before_a_validation(self, attach, peer):
+        """The next backend of a run does not take what it finds for what the run began with."""
+        attach().backend.close()
+        assert peer.set_parameters("milling_plant", {"noise_variance": 0.02}).successful
+        expected = "plant: parameter noise_variance is 0.02, expected 0.001, as when the run began"
+        with pytest.raises(BackendError, match=f"^{expected}; set it back$"):
+            attach()
+        assert peer.set_parameters("milling_plant", {"noise_variance": 0.001}).successful
+        # What the study sets is the tuner's to set.
+        assert peer.set_parameters("mpc_controller", {"lambda_mpc": 0.25}).successful
+        assert attach().run().metrics
 
 
 class TestTwins:

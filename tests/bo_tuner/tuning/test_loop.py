@@ -171,6 +171,22 @@ class TestFailures:
         assert trial.reason == f"metric error is {value}; its log scale needs a positive value"
         assert trial.evaluations[0].outcome.metrics == {}
 
+    def test_a_run_that_diverged_is_a_failed_one(self, make_study, function_backend):
+        """A finite number that the surrogates cannot take used to end the run, and every resume."""
+        study = make_study().replace(trials=5, initial_trials=3)
+
+        def diverging(gain, **values):
+            said = smooth(gain=gain, **values)
+            return said | {"error": 1e150} if gain > 0.5 else said
+
+        trials = run(study, function_backend(study, diverging))
+        assert len(trials) == 5
+        for trial in trials:
+            expected = TrialState.FAILED if trial.parameters["gain"] > 0.5 else TrialState.COMPLETE
+            assert trial.state is expected
+            if trial.state is TrialState.FAILED:
+                assert trial.reason == "axis: metric error is 1e+150, beyond 1e+90"
+
     def test_three_lost_in_a_row_end_the_run(self, make_study, function_backend, failed):
         study = make_study()
         seen = []

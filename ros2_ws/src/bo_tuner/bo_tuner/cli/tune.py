@@ -34,8 +34,8 @@ Bayesian optimization, and validate them on fresh draws.
 EPILOG = """\
 exit codes:
   0    a feasible parameter set was found, and kept all limits in the validation
-  1    the run had to stop (nodes lost three times in a row, disk full); its
-       record is kept
+  1    the run had to stop (nodes lost or disturbed three times in a row, disk
+       full); its record is kept
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found
   130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort, 129: the

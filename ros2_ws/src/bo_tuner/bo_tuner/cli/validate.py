@@ -64,8 +64,8 @@ and the evaluations as CSV beside it
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost three times in a row, disk full); an existing
-       certificate is kept
+  1    no verdict (nodes lost or disturbed three times in a row, disk full); an
+       existing certificate is kept
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,

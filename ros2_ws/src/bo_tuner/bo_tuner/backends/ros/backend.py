@@ -1,6 +1,8 @@
 """Evaluations on ROS 2 nodes, which the backend starts, watches, and restarts when one is lost."""
 
+import contextlib
 import dataclasses
+import json
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -10,6 +12,7 @@ from rclpy.context import Context
 
 from bo_tuner.backends.protocol import ROS, SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
+from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import (
     DisturbedError,
@@ -27,6 +30,8 @@ from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
 HIGHEST_DOMAIN = 232
+HELD = "held_parameters.json"
+"""File beside the logs with the parameters that the study does not set, as the run began."""
 LEASE = 3.0
 """Time [s] after which the discovery profile has forgotten a killed node for sure."""
 ATTEMPTS = 3
@@ -100,7 +105,8 @@ class RosBackend(SequentialBackend):
         BackendError
             If the clock shows what no ROS message can, another tuner is at work on these nodes,
             nodes to be started run already, one cannot be started, one does not appear in time, or
-            one runs more than once.
+            one runs more than once; or if, attached, a parameter that the study does not set is
+            not what it was when the first backend with this log directory was opened.
         StudyError
             If a node does not take its constant parameters, or the study does not say how to
             start it.
@@ -133,6 +139,7 @@ class RosBackend(SequentialBackend):
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
+            self._compare_with_earlier({key: self._not_of_study(key, found[key]) for key in found})
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -197,6 +204,32 @@ class RosBackend(SequentialBackend):
         if self._claim is not None:
             self._claim.release()
             self._claim = None
+
+    def _not_of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
+        of_study = self._of_study(key, values)
+        return {name: value for name, value in values.items() if name not in of_study}
+
+    def _compare_with_earlier(self, values: Mapping[str, Mapping[str, object]]) -> None:
+        """Refuse nodes whose parameters, other than the study's, changed since the run began.
+
+        A validation, or the rest of a run, on attached nodes would else measure something else.
+        """
+        file = self._log_directory / HELD
+        try:
+            earlier = json.loads(file.read_text(encoding="utf-8"))
+            known = {key: dict(earlier[key]) for key in values}
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            known = {}
+        if not known:
+            with contextlib.suppress(OSError):
+                file.write_text(json.dumps(values, indent=1, default=str), encoding="utf-8")
+            return
+        if not self._attach:
+            return
+        for key, now in values.items():
+            common = {name: known[key][name] for name in now if name in known[key]}
+            if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
+                raise BackendError(f"{changed[0]}, as when the run began; set it back")
 
     def _of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         """Keep the parameters of a node that the study sets."""

@@ -148,7 +148,7 @@ class StudyClient:
         return [
             key
             for key in self._study.nodes
-            if not all(client.service_is_ready() for client in self._parameter_clients(key))
+            if not all(client.service_is_ready() for client, _ in self._parameter_calls(key))
             or self._node.count_publishers(self._result_topic(key)) == 0
             or (key == self._study.trigger.node and not self._trigger.service_is_ready())
         ]
@@ -175,11 +175,11 @@ class StudyClient:
                 raise LostError(f"{name}: no such node in ROS domain {domain} after {timeout:g} s")
             self._spin()
         for key in self._study.nodes:
-            for client in self._parameter_clients(key):
+            for client, request in self._parameter_calls(key):
                 # A node that was killed looks discovered until its lease ends.
                 while True:
                     try:
-                        self._call(client, client.srv_type.Request(), key, ANSWER_TIMEOUT)
+                        self._call(client, request, key, ANSWER_TIMEOUT)
                         break
                     except SilentError:
                         if time.monotonic() > deadline:
@@ -346,7 +346,8 @@ class StudyClient:
         except RefusedError:
             # What was changed by somebody else may be what the values do not go with.
             self._known[key] = self._read([key])[key]
-            if before and (changed := differences(key, self._known[key], before)):
+            changed = differences(key, self._known[key], before) + self._parameters.take_seen()
+            if changed:
                 raise _disturbed(changed[0]) from None
             raise
 
@@ -461,8 +462,13 @@ class StudyClient:
             Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
         )
 
-    def _parameter_clients(self, key: str) -> tuple[Client, ...]:
-        return self._setters[key], self._getters[key], self._listers[key]
+    def _parameter_calls(self, key: str) -> list[tuple[Client, Any]]:
+        """List the services of a node's parameters, each with a request that changes nothing."""
+        return [
+            (self._setters[key], SetParametersAtomically.Request()),
+            (self._getters[key], GetParameters.Request()),
+            (self._listers[key], ListParameters.Request()),
+        ]
 
     def _repeated(self) -> list[str]:
         """Name the nodes and services that more than one process gives."""
