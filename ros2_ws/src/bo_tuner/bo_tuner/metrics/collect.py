@@ -46,8 +46,8 @@ class Collector:
         Returns
         -------
         Outcome
-            Failed if a node says so, or more than `bo_tuner.study.maxima.ANSWER` values, or if a metric is missing or not finite: such a value never
-            becomes a number.
+            Failed if a node says so, or more than `bo_tuner.study.maxima.ANSWER` values, or if a
+            metric is missing or not finite: such a value never becomes a number.
         """
         for node, pairs in results.items():
             if len(pairs) > maxima.ANSWER:

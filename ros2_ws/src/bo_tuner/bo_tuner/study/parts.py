@@ -139,7 +139,9 @@ class Trigger:
         )
         timeout = checks.positive(self.timeout, "timeout")
         if timeout > maxima.TIMEOUT:
-            raise StudyError(f"expected at most {maxima.TIMEOUT:g} s, found {timeout:g}", ("timeout",))
+            raise StudyError(
+                f"expected at most {maxima.TIMEOUT:g} s, found {timeout:g}", ("timeout",)
+            )
         object.__setattr__(self, "timeout", timeout)
 
 
