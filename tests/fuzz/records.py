@@ -50,7 +50,8 @@ FILES = (SUMMARY, CERTIFICATE, BEST, f"{DEPLOY}/{ROLLBACK}")
 VALUES = (
     None, True, False, 0, -1, 1, 3, 2**63, -(2**70), 10**400, 0.5, -0.0, 1e-320, 1e99, 1e101, 1e308,
     -1e308, math.nan, math.inf, -math.inf, "", "x", "1", "0.5", "nan", "complete", "failed", "PASS",
-    "=1+1", "\x1b[2J\n\u202e", "\ud800", "x" * 5_000, [], [1], [[1]], {}, {"x": 1}, {"": None}, [None],
+    "=1+1", "\x1b[2J\n\u202e", "\ud800", "x" * 5_000, [], [1], [[1]], {}, {"x": 1}, {"": None},
+    [None],
 )  # fmt: skip
 
 

@@ -80,9 +80,8 @@ def read_run(path: Path) -> RunRecord:
     provenance = content.sessions[0] if content.sessions else {}
     algorithm = provenance.get("algorithm", "")
     if algorithm not in ALGORITHMS:
-        raise RunRecordError(
-            f"{path / JOURNAL}: no known algorithm in its provenance: {checks.quoted(algorithm) if algorithm else 'none'}"
-        )
+        named = checks.quoted(algorithm) if algorithm else "none"
+        raise RunRecordError(f"{path / JOURNAL}: no known algorithm in its provenance: {named}")
     return RunRecord(
         path=path,
         study=study,
