@@ -173,11 +173,11 @@ def _count(row: Row, column: str) -> int:
 
 
 def _number(value: object, column: str) -> Value:
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    if (whole and abs(value) < checks.INTEGER_LIMIT) or (  # type: ignore[operator]
-        isinstance(value, float) and math.isfinite(value)
-    ):
-        return value  # type: ignore[return-value]
+    if isinstance(value, int) and not isinstance(value, bool):
+        if abs(value) < checks.INTEGER_LIMIT:
+            return value
+    elif isinstance(value, float) and math.isfinite(value):
+        return value
     raise ValueError(f"{column}: expected a number, found {checks.show(value)}")
 
 
