@@ -53,8 +53,8 @@ def one_line(error):
     """Check that an error tells its user what is wrong, in a line of bearable length."""
     text = str(error)
     assert text
-    assert "\n" not in text
-    assert len(text) < 2_000
+    assert "\n" not in text, text[:200]
+    assert len(text) < 2_000, text[:200]
 
 
 def paths(value, path=()):

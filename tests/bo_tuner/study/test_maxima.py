@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from small_run import make_run
 
 from bo_tuner.cli import tune, validate
 from bo_tuner.errors import StudyError
@@ -67,8 +68,11 @@ def test_a_limit_of_the_record(size, capsys):
 
 
 def test_draws_of_a_certificate(tmp_path, capsys):
-    arguments = validate.make_parser().parse_args(["run", "--draws", str(10**18)])
-    assert arguments.draws > maxima.DRAWS
+    make_run(tmp_path / "run")
+    with pytest.raises(SystemExit) as end:
+        validate.run([str(tmp_path / "run"), "--draws", str(10**18)], None)
+    assert end.value.code == 2
+    assert "--draws: expected at most 100000" in capsys.readouterr().err
 
 
 def test_an_answer_of_megabytes(make_study):

@@ -38,6 +38,7 @@ from bo_tuner.monitoring.display import plain_console
 from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
@@ -265,8 +266,8 @@ def _digest(record: RunRecord, trial: Trial) -> str:
     """Return the digest of the parameter file after checking that it holds the trial's values."""
     path = record.path / BEST
     try:
-        content = path.read_bytes()
-        found = from_yaml(content.decode())
+        content = read_text(path)
+        found = from_yaml(content)
     except OSError as error:
         raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -275,7 +276,7 @@ def _digest(record: RunRecord, trial: Trial) -> str:
         raise RunRecordError(
             f"{path}: does not hold the values of trial {trial.number}, the result of the run"
         )
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def _report(certificate: Certificate, path: Path) -> None:

@@ -11,6 +11,7 @@ from bo_tuner.errors import BoTunerError
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
@@ -57,7 +58,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
     """Return in one line why a parameter set is not certified; empty if it is."""
     path = record.path / CERTIFICATE
     try:
-        certificate = json.loads(path.read_text(encoding="utf-8"))
+        certificate = json.loads(read_text(path))
     except FileNotFoundError:
         return f"{path}: no such certificate; run validate"
     except (OSError, ValueError, RecursionError) as error:

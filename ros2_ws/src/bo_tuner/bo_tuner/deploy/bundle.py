@@ -17,6 +17,7 @@ from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.text import csv_cell
@@ -144,7 +145,7 @@ def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
     path = record.path / DEPLOY / ROLLBACK
     expected = node_values(record.study, record.study.search_space().defaults)
     try:
-        values = from_yaml(path.read_text(encoding="utf-8"))
+        values = from_yaml(read_text(path))
     except OSError as error:
         raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:

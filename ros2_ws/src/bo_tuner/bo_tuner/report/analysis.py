@@ -109,11 +109,23 @@ class Analysis:
             return None
         try:
             default, tuned = (_validation(self.record.summary[key]) for key in ("default", "tuned"))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            for side in (default, tuned):
+                self._check_validation(side)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise RunRecordError(
-                f"{self.record.path}: its summary is not one of tune's: {error!r}"
+                f"{self.record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
             ) from error
         return default, tuned
+
+    def _check_validation(self, side: Validation) -> None:
+        """Refuse a validation of other parameters or constraints than the study's."""
+        space = self.study.search_space()
+        if side.parameters != space.completed(side.parameters):
+            raise ValueError("other values of tied or fixed parameters")
+        if side.constraints.keys() != self.study.constraints.keys():
+            raise ValueError(f"constraints {', '.join(side.constraints)}")
+        if not 0 <= side.failures <= side.draws:
+            raise ValueError(f"{side.failures} failures of {side.draws} draws")
 
     def outcome(self, trial: Trial) -> str:
         """Return the `Outcome` of a trial."""
@@ -188,4 +200,8 @@ def _validation(entry: object) -> Validation:
 
 def _number(value: object) -> float:
     """Read a number of the summary, where null stands for NaN."""
-    return math.nan if value is None else float(str(value))
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, found {value!r:.40}")
+    return float(value)

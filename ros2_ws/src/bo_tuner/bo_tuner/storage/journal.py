@@ -193,8 +193,8 @@ def harden(db: sqlite3.Connection) -> None:
     db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_VALUE)
     # From Python 3.12 on.
     if hasattr(db, "setconfig"):
-        db.setconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE, True)
-        db.setconfig(sqlite3.SQLITE_DBCONFIG_TRUSTED_SCHEMA, False)
+        for name, value in (("DEFENSIVE", True), ("TRUSTED_SCHEMA", False)):
+            db.setconfig(getattr(sqlite3, f"SQLITE_DBCONFIG_{name}"), value)
 
 
 def check_schema(path: Path, db: sqlite3.Connection) -> None:

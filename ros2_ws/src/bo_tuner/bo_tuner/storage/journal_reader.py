@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
-from bo_tuner.metrics.collect import metric_problem
+from bo_tuner.storage import rows
 from bo_tuner.storage.journal import (
     COLUMNS,
     Journal,
@@ -24,17 +24,8 @@ from bo_tuner.storage.journal import (
     harden,
 )
 from bo_tuner.study import maxima
-from bo_tuner.text import csv_cell
-from bo_tuner.trials import (
-    TUNING,
-    Evaluation,
-    EvaluationState,
-    Outcome,
-    Stage,
-    Trial,
-    TrialState,
-    WorstCase,
-)
+from bo_tuner.text import csv_cell, one_line
+from bo_tuner.trials import TUNING, Evaluation, Trial
 
 OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
 """Columns that hold JSON objects."""
@@ -100,12 +91,14 @@ def read_journal(path: Path) -> JournalContent:
             raise
         raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
     try:
-        evaluations = tuple(_evaluation(row) for row in evaluation_rows)
+        evaluations = tuple(rows.evaluation_of(row) for row in evaluation_rows)
         trials = tuple(_trials(trial_rows, evaluations))
-        provenances = tuple(dict(json.loads(str(row["provenance"]))) for row in sessions)
-    except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+        provenances = tuple(rows.provenance_of(row) for row in sessions)
+    except ValueError as error:
         # The checksums hold, so it was no disk: somebody else wrote this.
-        raise JournalError(f"{path}: rows that this program does not write: {error}") from error
+        raise JournalError(
+            f"{path}: rows that this program does not write: {one_line(str(error))[:200]}"
+        ) from error
     missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its evaluations"
     damage = damaged_evaluations or damaged_trials or damaged_sessions or missing
     return JournalContent(
@@ -171,15 +164,18 @@ def export_csv(path: Path, directory: Path) -> None:
                 found, _ = _rows(db, table)
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
-        rows = [_flat(row) for row in found]
+        try:
+            flat = [_flat(row) for row in found]
+        except (ValueError, AttributeError, RecursionError) as error:
+            raise JournalError(f"{path}: {table}: {one_line(str(error))}") from error
         names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
-        header = list(dict.fromkeys(key for row in rows for key in row)) or names
+        header = list(dict.fromkeys(key for row in flat for key in row)) or names
         file = directory / f"{table}s.csv"
         try:
             with file.open("w", newline="", encoding="utf-8") as stream:
                 writer = csv.DictWriter(stream, header)
                 writer.writeheader()
-                writer.writerows(rows)
+                writer.writerows(flat)
         except OSError as error:
             raise JournalError(f"{file}: cannot be written: {error.strerror}") from error
 
@@ -222,56 +218,22 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     return found, ""
 
 
-def _evaluation(row: Mapping[str, object]) -> Evaluation:
-    state = EvaluationState(str(row["state"]))
-    metrics, reason = json.loads(str(row["metrics"])), str(row["reason"])
-    for name, value in metrics.items():
-        # An earlier version recorded what is refused today.
-        if problem := metric_problem(value):
-            state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
-            break
-    outcome = Outcome(state, metrics, reason, json.loads(str(row["details"])))
-    return Evaluation(
-        trial=int(str(row["trial"])),
-        index=int(str(row["position"])),
-        stage=Stage(str(row["stage"])),
-        parameters=json.loads(str(row["parameters"])),
-        context=json.loads(str(row["context"])),
-        seed=int(str(row["seed"])),
-        outcome=outcome,
-        seconds=float(str(row["seconds"])),
-    )
-
-
-def _trials(rows: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
+def _trials(found: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial: dict[int, dict[int, Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.stage in TUNING:
             # A later one of the same place takes the place of one that a kill left behind.
             by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
-    for number, row in enumerate(sorted(rows, key=lambda row: int(str(row["number"])))):
+    for number, row in enumerate(sorted(found, key=rows.number_of)):
         of_trial = by_trial.get(number, {})
-        count = int(str(row["evaluations"]))
-        if row["number"] != number or any(index not in of_trial for index in range(count)):
+        count = rows.evaluations_of(row)
+        # Not more than there are, whatever the row says.
+        if rows.number_of(row) != number or count > len(of_trial):
             return
-        state, reason, worst = TrialState(str(row["state"])), str(row["reason"]), row["worst_case"]
-        failed = [e for e in of_trial.values() if e.outcome.state is not EvaluationState.COMPLETE]
-        if state is TrialState.COMPLETE and failed:
-            state, reason, worst = TrialState.FAILED, failed[0].outcome.reason, None
-        hyperparameters = json.loads(str(row["hyperparameters"]))
-        yield Trial(
-            number=number,
-            parameters=json.loads(str(row["parameters"])),
-            origin=str(row["origin"]),
-            state=state,
-            reason=reason,
-            evaluations=tuple(of_trial[index] for index in range(count)),
-            worst_case=WorstCase(**json.loads(str(worst))) if worst else None,
-            warnings=tuple(json.loads(str(row["warnings"]))),
-            hyperparameters={key: tuple(phi) for key, phi in hyperparameters.items()},
-            seconds=float(str(row["seconds"])),
-        )
+        if any(index not in of_trial for index in range(count)):
+            return
+        yield rows.trial_of(row, tuple(of_trial[index] for index in range(count)))
 
 
 def _lost_commits(path: Path) -> str:

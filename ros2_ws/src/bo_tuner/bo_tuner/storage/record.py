@@ -9,8 +9,10 @@ from pathlib import Path
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.storage.run_files import check_files
+from bo_tuner.storage.rows import check_study
+from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, Trial
@@ -71,12 +73,15 @@ def read_run(path: Path) -> RunRecord:
         content = read_journal(path / JOURNAL)
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error
+    try:
+        check_study(study, content.evaluations, content.trials)
+    except ValueError as error:
+        raise RunRecordError(f"{path / JOURNAL}: not of this study: {str(error)[:200]}") from error
     provenance = content.sessions[0] if content.sessions else {}
     algorithm = provenance.get("algorithm", "")
     if algorithm not in ALGORITHMS:
-        raise RunRecordError(
-            f"{path / JOURNAL}: no known algorithm in its provenance: {algorithm or 'none'}"
-        )
+        named = checks.quoted(algorithm) if algorithm else "none"
+        raise RunRecordError(f"{path / JOURNAL}: no known algorithm in its provenance: {named}")
     return RunRecord(
         path=path,
         study=study,
@@ -92,11 +97,14 @@ def read_run(path: Path) -> RunRecord:
 
 def _summary(path: Path) -> Mapping[str, object] | None:
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
+        summary = json.loads(read_text(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RunRecordError(f"{path}: cannot be read: {error}") from error
     if not isinstance(summary, dict):
         raise RunRecordError(f"{path}: expected an object")
+    trial = summary.get("trial")
+    if isinstance(trial, bool) or not isinstance(trial, int):
+        raise RunRecordError(f"{path}: trial: expected a number, found {checks.show(trial)}")
     return summary

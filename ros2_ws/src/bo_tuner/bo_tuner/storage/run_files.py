@@ -5,6 +5,7 @@ import stat
 from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
+from bo_tuner.study import maxima
 
 LOGS = "log"
 """Folder in which nodes may leave what they like, as ``launch`` does a link to its latest log."""
@@ -79,6 +80,23 @@ def open_file(path: Path, flags: int, mode: int = 0o666) -> int:
         os.close(descriptor)
         raise OSError(0, f"is {_kind(found)}, no file", str(path))
     return descriptor
+
+
+def read_text(path: Path) -> str:
+    """Read a file of UTF-8 text.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read, is too large, or is not a file.
+    UnicodeDecodeError
+        If it is no such text.
+    """
+    with os.fdopen(open_file(path, os.O_RDONLY), "rb") as file:
+        data = file.read(maxima.FILE_BYTES + 1)
+    if len(data) > maxima.FILE_BYTES:
+        raise OSError(0, f"is larger than {maxima.FILE_BYTES // 10**6} MB", str(path))
+    return data.decode()
 
 
 def _kind(mode: int) -> str:

@@ -11,6 +11,7 @@ from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,17 @@ def certificate(record: RunRecord) -> CertificateFile | None:
     """
     path = record.path / CERTIFICATE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return CertificateFile(content, _section(content, path))
+        content = json.loads(read_text(path))
+        found = CertificateFile(content, _section(content, path))
+        # All that the report takes from it, so that what is amiss is found here.
+        _ = (found.passed, found.trial, found.scope, found.reasons)
+        return found
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise RunRecordError(f"{path}: not a readable certificate: {error!r}") from error
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
+    except RecursionError as error:
+        raise RunRecordError(f"{path}: not a readable certificate: nested too deeply") from error
 
 
 def _section(content: Mapping[str, Any], path: Path) -> Section:
