@@ -138,7 +138,7 @@ class Session:
                         code = self._run(backend, journal, earlier)
                     except BaseException:
                         # What ended the run matters more than a table that cannot be written.
-                        with contextlib.suppress(JournalError):
+                        with contextlib.suppress(JournalError, OutputError):
                             export_csv(folder.journal, folder.path)
                         raise
                     export_csv(folder.journal, folder.path)

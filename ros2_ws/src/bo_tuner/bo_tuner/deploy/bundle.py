@@ -8,13 +8,13 @@ import csv
 import hashlib
 import io
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.certificate.certificate import CERTIFICATE
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
@@ -131,7 +131,9 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
             files[ROLLBACK] = (folder / ROLLBACK).read_bytes()
         files[PROVENANCE] = _provenance(record, trial, files).encode()
         for name, content in files.items():
-            _replace(folder / name, content)
+            write_atomically(folder / name, content)
+    except OutputError:
+        raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     return folder
@@ -194,19 +196,3 @@ def _table(rows: list[Difference]) -> str:
 def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
     for row in rows:
         yield row.node, row.parameter, row.unit, row.now, row.new, "" if row.equal else "yes"
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Replace a file atomically."""
-    if path.is_file() and path.read_bytes() == content:
-        return
-    temporary = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            # The rollback values must survive a power loss right after the nodes were changed.
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from there, see `salvage`.
 """
 
 import csv
+import io
 import json
 import sqlite3
 import struct
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
 from bo_tuner.trials import (
     TUNING,
@@ -150,7 +152,9 @@ def export_csv(path: Path, directory: Path) -> None:
     Raises
     ------
     JournalError
-        If the journal cannot be read, or a file cannot be written.
+        If the journal cannot be read.
+    OutputError
+        If a file cannot be written.
     """
     for table in ("trial", "evaluation"):
         try:
@@ -161,14 +165,11 @@ def export_csv(path: Path, directory: Path) -> None:
         rows = [_flat(row) for row in found]
         names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
         header = list(dict.fromkeys(key for row in rows for key in row)) or names
-        file = directory / f"{table}s.csv"
-        try:
-            with file.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.DictWriter(stream, header)
-                writer.writeheader()
-                writer.writerows(rows)
-        except OSError as error:
-            raise JournalError(f"{file}: cannot be written: {error.strerror}") from error
+        text = io.StringIO()
+        writer = csv.DictWriter(text, header)
+        writer.writeheader()
+        writer.writerows(rows)
+        write_atomically(directory / f"{table}s.csv", text.getvalue())
 
 
 def _connect(path: Path) -> sqlite3.Connection:

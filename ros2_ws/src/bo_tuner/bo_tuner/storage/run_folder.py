@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from bo_tuner.errors import OutputError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
@@ -80,7 +81,7 @@ class RunFolder:
             output.mkdir(parents=True, exist_ok=True)
             folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
             folder.log.mkdir()
-            (folder.path / STUDY).write_text(study_to_yaml(study), encoding="utf-8")
+            write_atomically(folder.path / STUDY, study_to_yaml(study))
         except OutputError:
             raise
         except OSError as error:
@@ -127,7 +128,7 @@ class RunFolder:
         OutputError
             If the file cannot be written.
         """
-        return self._write(BEST, to_yaml(node_values(study, parameters)))
+        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
 
     def write_summary(self, summary: Mapping[str, object]) -> Path:
         """Write ``summary.json``, with null for what is not a number, and return its path.
@@ -138,15 +139,7 @@ class RunFolder:
             If the file cannot be written.
         """
         text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
-        return self._write(SUMMARY, text + "\n")
-
-    def _write(self, name: str, text: str) -> Path:
-        path = self.path / name
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        return path
+        return write_atomically(self.path / SUMMARY, text + "\n")
 
 
 def _new_folder(path: Path) -> Path:
