@@ -5,11 +5,10 @@ import os
 import select
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
+from bo_tuner.cli.common import Parser, guarded, read_result, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.deploy.apply import (
     ApplyError,
@@ -34,7 +33,7 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.parameter_file import NodeValues, node_values
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 
 DESCRIPTION = """\
@@ -67,7 +66,7 @@ examples:
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("apply", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that has ended")
+    parser.add_run_argument("folder of a run that has ended")
     parser.add_argument("--yes", action="store_true", help="set without asking")
     parser.add_argument(
         "--rollback", action="store_true", help=f"set the values of the run's deploy/{ROLLBACK}"
@@ -93,7 +92,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """
     own, ros_arguments = split_ros_arguments(argv)
     arguments = make_parser().parse_args(own)
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     trial = result_of(record)
     if not arguments.rollback:
         problem = certificate_problem(record, trial)

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import BACKENDS, ROS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.certificate import (
     CERTIFICATE,
     DEFAULT,
@@ -23,7 +23,7 @@ from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import Parser, guarded, read_result, recorded_backend, split_ros_arguments
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
@@ -31,8 +31,9 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -80,7 +81,7 @@ FEWEST_DRAWS = 2
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_run_argument()
     parser.add_argument(
         "--draws",
         type=int,
@@ -126,7 +127,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")

@@ -16,7 +16,7 @@ from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
-from bo_tuner.tuning.limits import WITHIN, Sample, verdict
+from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.tuning.validation import Validation
 
@@ -108,7 +108,9 @@ class Analysis:
         if self.record.summary is None:
             return None
         try:
-            default, tuned = (_validation(self.record.summary[key]) for key in ("default", "tuned"))
+            default, tuned = (
+                Validation.from_mapping(self.record.summary[key]) for key in ("default", "tuned")
+            )
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise RunRecordError(
                 f"{self.record.path}: its summary is not one of tune's: {error!r}"
@@ -138,14 +140,19 @@ class Analysis:
 
         Over the draws of the validation that both completed; None without two of them.
         """
+        if self.answer is None:
+            return None
+        # In the validation, trial 0 is the default and trial 1 the tuned parameter set. A run that
+        # was extended may have validated another one before.
+        sides = (dict(self.defaults), dict(self.answer.parameters))
         seen: dict[int, dict[int, float]] = {}
         for evaluation in self.record.evaluations:
             if (
                 evaluation.stage is Stage.VALIDATION
+                and dict(evaluation.parameters) == sides[evaluation.trial]
                 and evaluation.outcome.state is EvaluationState.COMPLETE
             ):
                 value = evaluation.outcome.metrics[self.study.objective.metric]
-                # In the validation, trial 0 is the default and trial 1 the tuned parameter set.
                 seen.setdefault(evaluation.index, {})[evaluation.trial] = value
         pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
         if len(pairs) < 2:
@@ -162,30 +169,3 @@ class Analysis:
             if evaluation.outcome.state is EvaluationState.COMPLETE
             and space.key(evaluation.parameters) == key
         ]
-
-
-def _validation(entry: object) -> Validation:
-    if not isinstance(entry, Mapping):
-        raise TypeError(f"expected an object, found {entry!r}")
-    return Validation(
-        parameters=dict(entry["parameters"]),
-        draws=int(entry["draws"]),
-        failures=int(entry["failures"]),
-        objective=_number(entry["objective"]),
-        deviation=_number(entry["deviation"]),
-        constraints={
-            str(name): Sample(
-                name=str(sample["name"]),
-                worst=_number(sample["worst"]),
-                count=int(sample["count"]),
-                violations=int(sample["violations"]),
-                holds=bool(sample["holds"]),
-            )
-            for name, sample in entry["constraints"].items()
-        },
-    )
-
-
-def _number(value: object) -> float:
-    """Read a number of the summary, where null stands for NaN."""
-    return math.nan if value is None else float(str(value))

@@ -1,9 +1,11 @@
 """The folder of a run: the study as run, the journal, and what came out of it."""
 
+import contextlib
 import fcntl
 import json
 import math
 import os
+import shutil
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -22,6 +24,7 @@ STUDY = "study.yaml"
 JOURNAL = "journal.sqlite"
 BEST = "best.yaml"
 SUMMARY = "summary.json"
+RECORDING = "recording.json"
 REPORT = "report.html"
 
 
@@ -81,7 +84,7 @@ class RunFolder:
             output.mkdir(parents=True, exist_ok=True)
             folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
             folder.log.mkdir()
-            write_atomically(folder.path / STUDY, study_to_yaml(study))
+            folder.write_study(study)
         except OutputError:
             raise
         except OSError as error:
@@ -91,6 +94,21 @@ class RunFolder:
     def close(self) -> None:
         """Let other processes work in the folder."""
         os.close(self._lock)
+
+    def discard(self) -> None:
+        """Remove the folder of a run that did not start; what its nodes printed stays.
+
+        Does nothing if the run has a journal.
+        """
+        if self.journal.exists():
+            return
+        printed = [path for path in self.log.rglob("*") if path.is_file() and path.stat().st_size]
+        with contextlib.suppress(OSError):
+            if not printed:
+                shutil.rmtree(self.log)
+            for name in (STUDY, LOCK):
+                (self.path / name).unlink(missing_ok=True)
+            self.path.rmdir()
 
     @property
     def log(self) -> Path:
@@ -130,16 +148,26 @@ class RunFolder:
         """
         return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
 
-    def write_summary(self, summary: Mapping[str, object]) -> Path:
-        """Write ``summary.json``, with null for what is not a number, and return its path.
+    def write_study(self, study: Study) -> Path:
+        """Write ``study.yaml``, and return its path.
 
         Raises
         ------
         OutputError
             If the file cannot be written.
         """
-        text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
-        return write_atomically(self.path / SUMMARY, text + "\n")
+        return write_atomically(self.path / STUDY, study_to_yaml(study))
+
+    def write_json(self, name: str, content: Mapping[str, object]) -> Path:
+        """Write a file of JSON, with null for what is not a number, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+        return write_atomically(self.path / name, text + "\n")
 
 
 def _new_folder(path: Path) -> Path:

@@ -17,6 +17,11 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 from bo_tuner.study.distributions import Distribution
 
+ROS, IN_PROCESS = "ros", "inprocess"
+BACKENDS = (ROS, IN_PROCESS)
+"""Names of the backends, on the command line and on record: ROS nodes, the default, or objects in
+this process."""
+
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 CHANCE, WORST_CASE = "chance", "worst_case"

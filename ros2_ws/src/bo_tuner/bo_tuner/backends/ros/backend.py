@@ -7,13 +7,14 @@ from pathlib import Path
 
 from rclpy.context import Context
 
-from bo_tuner.backends.protocol import ROS, SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
