@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
+from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import Parser, guarded, read_result, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     Nodes,
-    certificate_problem,
     read_values,
     set_values,
 )
@@ -39,7 +39,9 @@ from bo_tuner.storage.run_folder import RunFolder
 DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
 values or none, reads them back, and saves the previous values in
-RUN/deploy/rollback.yaml. The certificate of the result must be a PASS.
+RUN/deploy/rollback.yaml. The result needs a certificate: a PASS for this study,
+these parameters and this code, with the draws and confidence that the study
+requires, and no later FAIL.
 """
 
 EPILOG = """\
@@ -50,8 +52,8 @@ exit codes:
   0    the nodes have the values, as read back from them
   1    a node refused or did not answer; the previous values were restored
   2    bad input: run, option or nodes, or no terminal to confirm in
-  3    nothing was set: the certificate is missing or not a PASS, you did not
-       confirm, or the nodes' values changed before you did
+  3    nothing was set: no certificate allows it, you did not confirm, or the
+       nodes' values changed before you did
   130  interrupted by Ctrl-C before anything was set (143: by SIGTERM)
 
 examples:
@@ -74,7 +76,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--without-certificate",
         action="store_true",
-        help="set the result even if its certificate is missing or not a PASS",
+        help="set the result even if no certificate allows it",
     )
     return parser
 

@@ -77,7 +77,7 @@ class Analysis:
     @cached_property
     def certificate(self) -> CertificateFile | None:
         """The certificate, if `validate` has written one."""
-        return certificate(self.record)
+        return certificate(self.record, self.answer)
 
     @cached_property
     def answer(self) -> Trial | None:

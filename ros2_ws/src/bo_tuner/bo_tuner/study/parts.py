@@ -285,6 +285,27 @@ class Constraint:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CertificateRequirement:
+    """What a certificate must have for `apply`, at least.
+
+    Attributes
+    ----------
+    draws : int
+        Fresh draws of context and noise; more where a chance constraint takes more to be shown.
+    confidence : float
+        Confidence of each bound, between 0 and 1.
+    """
+
+    draws: int = 300
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.integer(self.draws, "draws", at_least=2)
+        object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Budget:
     """Number of trials and evaluations.
 
