@@ -140,13 +140,13 @@ def test_without_a_terminal_it_only_shows(record, now, capsys):
 
 def test_without_a_certificate_only_if_told_so(record, now, capsys):
     before = now()
-    certificate = record.path / "certificate.json"
+    (certificate,) = (record.path / "certificates").glob("*.json")
     content = certificate.read_text()
     certificate.unlink()
     try:
         code, out, err = apply(capsys, record, "--yes")
         assert (code, out) == (3, "")
-        assert "no such certificate" in err
+        assert "no certificate of trial 1" in err
         assert now() == before
         code, out, err = apply(capsys, record, "--yes", "--without-certificate")
         assert code == 0

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bo_tuner.storage.journal
-from bo_tuner.errors import JournalError
+from bo_tuner.errors import JournalError, OutputError
 from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
 from bo_tuner.storage.journal_reader import export_csv, read_journal
@@ -269,5 +269,5 @@ class TestTables:
         (tmp_path / "trials.csv").mkdir()
         with Journal(tmp_path / "j", {}):
             pass
-        with pytest.raises(JournalError, match=r"trials\.csv"):
+        with pytest.raises(OutputError, match=r"trials\.csv"):
             export_csv(tmp_path / "j", tmp_path)

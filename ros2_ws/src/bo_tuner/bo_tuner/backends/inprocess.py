@@ -10,10 +10,11 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
-from bo_tuner.backends.protocol import IN_PROCESS, SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 

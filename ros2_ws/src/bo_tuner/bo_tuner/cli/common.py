@@ -4,17 +4,24 @@ import argparse
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.backends.protocol import BACKENDS
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, trust
+from bo_tuner.study.parts import BACKENDS
+from bo_tuner.tuning.summary import with_summary
+
+RUNS = Path("runs")
+"""Where run folders are created, and looked for."""
 
 Run = Callable[[Sequence[str], Interruption], int]
 
@@ -37,6 +44,21 @@ class Parser(argparse.ArgumentParser):
             epilog=epilog,
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
+        )
+        self.add_argument(
+            "--version",
+            action="version",
+            version=f"{prog} {version_of(OWN_PACKAGE)} (commit {commit()})",
+            help="show version and commit, and exit",
+        )
+
+    def add_run_argument(self, what: str = "run folder") -> None:
+        """Add the positional argument ``run``."""
+        self.add_argument(
+            "run",
+            type=Path,
+            metavar="RUN",
+            help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )
 
     def error(self, message: str) -> NoReturn:
@@ -124,6 +146,32 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
         trust(record.study)
     elif not attach:
         check_trust(record.study, record.path)
+
+
+def run_folder(given: Path) -> Path:
+    """Return the run folder that an argument names; ``latest`` alone is the latest in ``runs/``.
+
+    Raises
+    ------
+    RunRecordError
+        If there is no latest run.
+    """
+    if given != Path(LATEST) or given.exists():
+        return given
+    if not (RUNS / LATEST).exists():
+        raise RunRecordError(f"{RUNS / LATEST}: no such run folder; give its path")
+    return RUNS / LATEST
+
+
+def read_result(given: Path) -> RunRecord:
+    """Read the run that an argument names, with its summary; what is wrong with that is shown.
+
+    Raises
+    ------
+    RunRecordError
+        As in `read_run`.
+    """
+    return with_summary(read_run(run_folder(given)), lambda text: print(text, file=sys.stderr))
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -8,12 +8,13 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import BACKENDS, IN_PROCESS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     guarded,
+    read_result,
     recorded_backend,
     split_ros_arguments,
 )
@@ -35,7 +36,8 @@ from bo_tuner.replay.replay import (
 )
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.storage.provenance import provenance
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.parts import BACKENDS, IN_PROCESS
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
@@ -72,7 +74,7 @@ DEFAULT, TUNED = "default", "tuned"
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("replay", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_run_argument()
     parser.add_argument("which", nargs="?", metavar="TRIAL", help="short for --trial TRIAL")
     parser.add_argument(
         "--trial",
@@ -118,7 +120,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     if arguments.which is not None and arguments.trial is not None:
         parser.error("--trial is given twice")
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     name = arguments.backend or recorded_backend(record)
     if name == IN_PROCESS and arguments.attach:
         parser.error("--attach needs --backend ros")

@@ -4,15 +4,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.cli.common import Parser, guarded
+from bo_tuner.cli.common import Parser, guarded, read_result
 from bo_tuner.cli.exit_codes import EXIT_OK
-from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import NAME, figures, sections, write_page
-from bo_tuner.storage.record import read_run
-from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
@@ -36,16 +33,13 @@ examples:
   report latest --figures plots --format png,svg
 """
 
-RUNS = Path("runs")
 FORMATS = ("png", "svg")
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("report", DESCRIPTION, EPILOG)
-    parser.add_argument(
-        "run", type=Path, metavar="RUN", help=f"run folder, or '{LATEST}' for {RUNS / LATEST}"
-    )
+    parser.add_run_argument()
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help=f"HTML file (default: RUN/{NAME})"
     )
@@ -80,7 +74,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         Ends the command on a signal.
     """
     arguments = make_parser().parse_args(argv)
-    record = read_run(_folder(arguments.run))
+    record = read_result(arguments.run)
     if arguments.trust:
         trust(record.study)
     analysis = Analysis(record)
@@ -97,15 +91,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 say(f"figure: {written}")
             interruption.check()
     return EXIT_OK
-
-
-def _folder(given: Path) -> Path:
-    """Return the run folder; ``latest`` alone means the latest run in ``runs/``."""
-    if given == Path(LATEST) and not given.exists():
-        if not (RUNS / LATEST).exists():
-            raise RunRecordError(f"{RUNS / LATEST}: no such run folder; give its path")
-        return RUNS / LATEST
-    return given
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -1,21 +1,12 @@
 """Setting the result of a run on live nodes: certified, all or nothing, read back."""
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.certificate.certificate import CERTIFICATE
-from bo_tuner.certificate.verdict import FAIL, PASS
 from bo_tuner.errors import BoTunerError
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.storage.parameter_file import NodeValues
-from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
-from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import study_to_yaml
-from bo_tuner.trials import Trial
 
 
 class ApplyError(BoTunerError, RuntimeError):
@@ -52,32 +43,6 @@ class Nodes(Protocol):
         NodeError
             If the node does not answer; it may have set them.
         """
-
-
-def certificate_problem(record: RunRecord, trial: Trial) -> str:
-    """Return in one line why a parameter set is not certified; empty if it is."""
-    path = record.path / CERTIFICATE
-    try:
-        certificate = json.loads(read_text(path))
-    except FileNotFoundError:
-        return f"{path}: no such certificate; run validate"
-    except (OSError, ValueError, RecursionError) as error:
-        return f"{path}: cannot be read: {error}"
-    if not isinstance(certificate, dict):
-        return f"{path}: not a certificate; run validate"
-    if certificate.get("parameters") != dict(trial.parameters):
-        return f"{path}: certifies another parameter set; run validate"
-    if certificate.get("study_sha256") != study_sha256(record.study):
-        return f"{path}: belongs to another version of the study; run validate"
-    verdict = certificate.get("verdict")
-    if verdict == PASS:
-        return ""
-    return f"{path}: expected {PASS}, found {FAIL if verdict == FAIL else checks.show(verdict)}"
-
-
-def study_sha256(study: Study) -> str:
-    """Return the digest of a study, as in the provenance of a run."""
-    return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
 
 
 def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:

@@ -19,8 +19,8 @@ from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 3
-"""Of the tables below; a journal of another version is refused."""
+SCHEMA_VERSION = 4
+"""Of the tables below, and of what a session tells; a journal of another version is refused."""
 
 COLUMNS = {
     "session": ("provenance",),
@@ -224,7 +224,8 @@ def check_version(path: Path, version: int) -> None:
     """
     if version != SCHEMA_VERSION:
         raise JournalError(
-            f"{path}: journal version {version}; this program reads version {SCHEMA_VERSION}"
+            f"{path}: journal version {version}, but this version of bo_tuner reads version "
+            f"{SCHEMA_VERSION} only; use the version that made the run, or start a new run"
         )
 
 

@@ -5,6 +5,7 @@ from there, see `salvage`.
 """
 
 import csv
+import io
 import json
 import sqlite3
 import struct
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from bo_tuner.errors import JournalError
 from bo_tuner.storage import rows
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal import (
     COLUMNS,
     Journal,
@@ -156,7 +158,9 @@ def export_csv(path: Path, directory: Path) -> None:
     Raises
     ------
     JournalError
-        If the journal cannot be read, or a file cannot be written.
+        If the journal cannot be read.
+    OutputError
+        If a file cannot be written.
     """
     for table in ("trial", "evaluation"):
         try:
@@ -170,14 +174,11 @@ def export_csv(path: Path, directory: Path) -> None:
             raise JournalError(f"{path}: {table}: {one_line(str(error))}") from error
         names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
         header = list(dict.fromkeys(key for row in flat for key in row)) or names
-        file = directory / f"{table}s.csv"
-        try:
-            with file.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.DictWriter(stream, header)
-                writer.writeheader()
-                writer.writerows(flat)
-        except OSError as error:
-            raise JournalError(f"{file}: cannot be written: {error.strerror}") from error
+        text = io.StringIO()
+        writer = csv.DictWriter(text, header)
+        writer.writeheader()
+        writer.writerows(flat)
+        write_atomically(directory / f"{table}s.csv", text.getvalue())
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -1,15 +1,18 @@
 """The folder of a run: the study as run, the journal, and what came out of it."""
 
+import contextlib
 import fcntl
 import json
 import math
 import os
+import shutil
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
 from bo_tuner.errors import OutputError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import is_same_file, open_file
 from bo_tuner.study.study import Study
@@ -22,6 +25,7 @@ STUDY = "study.yaml"
 JOURNAL = "journal.sqlite"
 BEST = "best.yaml"
 SUMMARY = "summary.json"
+RECORDING = "recording.json"
 REPORT = "report.html"
 
 
@@ -82,7 +86,7 @@ class RunFolder:
             output.mkdir(parents=True, exist_ok=True)
             folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
             folder.log.mkdir()
-            (folder.path / STUDY).write_text(study_to_yaml(study), encoding="utf-8")
+            folder.write_study(study)
         except OutputError:
             raise
         except OSError as error:
@@ -106,6 +110,21 @@ class RunFolder:
     def close(self) -> None:
         """Let other processes work in the folder."""
         os.close(self._lock)
+
+    def discard(self) -> None:
+        """Remove the folder of a run that did not start; what its nodes printed stays.
+
+        Does nothing if the run has a journal.
+        """
+        if self.journal.exists():
+            return
+        printed = [path for path in self.log.rglob("*") if path.is_file() and path.stat().st_size]
+        with contextlib.suppress(OSError):
+            if not printed:
+                shutil.rmtree(self.log)
+            for name in (STUDY, LOCK):
+                (self.path / name).unlink(missing_ok=True)
+            self.path.rmdir()
 
     @property
     def log(self) -> Path:
@@ -145,27 +164,29 @@ class RunFolder:
         OutputError
             If the file cannot be written.
         """
-        return self._write(BEST, to_yaml(node_values(study, parameters)))
+        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
 
-    def write_summary(self, summary: Mapping[str, object]) -> Path:
-        """Write ``summary.json``, with null for what is not a number, and return its path.
+    def write_study(self, study: Study) -> Path:
+        """Write ``study.yaml``, and return its path.
 
         Raises
         ------
         OutputError
             If the file cannot be written.
         """
-        text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
-        return self._write(SUMMARY, text + "\n")
+        return write_atomically(self.path / STUDY, study_to_yaml(study))
 
-    def _write(self, name: str, text: str) -> Path:
+    def write_json(self, name: str, content: Mapping[str, object]) -> Path:
+        """Write a file of JSON, with null for what is not a number, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
         self.check()
-        path = self.path / name
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        return path
+        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+        return write_atomically(self.path / name, text + "\n")
 
 
 def _new_folder(path: Path) -> Path:

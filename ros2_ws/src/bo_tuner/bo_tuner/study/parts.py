@@ -17,6 +17,11 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.distributions import Distribution
 
+ROS, IN_PROCESS = "ros", "inprocess"
+BACKENDS = (ROS, IN_PROCESS)
+"""Names of the backends, on the command line and on record: ROS nodes, the default, or objects in
+this process."""
+
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 CHANCE, WORST_CASE = "chance", "worst_case"
@@ -291,6 +296,27 @@ MOST = {
     "search_evaluations": maxima.EVALUATIONS,
     "validation_draws": maxima.DRAWS,
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateRequirement:
+    """What a certificate must have for `apply`, at least.
+
+    Attributes
+    ----------
+    draws : int
+        Fresh draws of context and noise; more where a chance constraint takes more to be shown.
+    confidence : float
+        Confidence of each bound, between 0 and 1.
+    """
+
+    draws: int = 300
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.integer(self.draws, "draws", at_least=2)
+        object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from bo_tuner.study.parts import (
     CHANCE,
     WORST_CASE,
     Budget,
+    CertificateRequirement,
     Constraint,
     ContextVariable,
     Metric,
@@ -24,6 +25,7 @@ from bo_tuner.study.search_space import SearchSpace
 
 __all__ = [
     "Budget",
+    "CertificateRequirement",
     "Constraint",
     "ContextVariable",
     "Metric",
@@ -70,6 +72,8 @@ class Study:
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
         Limits on metrics; at most one is a worst case.
+    certificate : CertificateRequirement
+        What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
     seed_parameter : SeedParameter, optional
@@ -94,6 +98,7 @@ class Study:
     budget: Budget
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
+    certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
     seed_parameter: SeedParameter | None = None
     seed: int = 1

@@ -13,6 +13,7 @@ from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import (
     Budget,
+    CertificateRequirement,
     Constraint,
     ContextVariable,
     Metric,
@@ -34,6 +35,7 @@ _SINGLE: dict[str, type[Any]] = {
     "seed_parameter": SeedParameter,
     "objective": Objective,
     "budget": Budget,
+    "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
     "nodes": NodeSpec,

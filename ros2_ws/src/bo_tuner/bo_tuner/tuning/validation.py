@@ -1,7 +1,9 @@
 """Validation of parameter sets on fresh draws of context and noise (Sec. 5.2)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -37,6 +39,35 @@ class Validation:
     objective: float
     deviation: float
     constraints: Mapping[str, Sample]
+
+    @classmethod
+    def from_mapping(cls, entry: object) -> Self:
+        """Return the validation that a summary holds.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, AttributeError
+            If it is none.
+        """
+        if not isinstance(entry, Mapping):
+            raise TypeError(f"expected an object, found {entry!r}")
+        return cls(
+            parameters=dict(entry["parameters"]),
+            draws=int(entry["draws"]),
+            failures=int(entry["failures"]),
+            objective=_number(entry["objective"]),
+            deviation=_number(entry["deviation"]),
+            constraints={
+                str(name): Sample(
+                    name=str(sample["name"]),
+                    worst=_number(sample["worst"]),
+                    count=int(sample["count"]),
+                    violations=int(sample["violations"]),
+                    holds=bool(sample["holds"]),
+                )
+                for name, sample in entry["constraints"].items()
+            },
+        )
 
     @property
     def feasible(self) -> bool:
@@ -107,3 +138,8 @@ def _judge(
         deviation=float(objective.std(ddof=1)) if len(complete) > 1 else float("nan"),
         constraints=judge_samples(study, evaluations),
     )
+
+
+def _number(value: object) -> float:
+    """Read a number of a summary, where null stands for NaN."""
+    return math.nan if value is None else float(str(value))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rclpy.context import Context
 
-from bo_tuner.backends.protocol import ROS, SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
@@ -24,6 +24,7 @@ from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
