@@ -21,9 +21,10 @@ from bo_tuner.backends.ros.study_client import (
     StudyClient,
 )
 from bo_tuner.backends.ros.suspension import Suspension
-from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
@@ -222,8 +223,8 @@ class RosBackend(SequentialBackend):
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             known = {}
         if not known:
-            with contextlib.suppress(OSError):
-                file.write_text(json.dumps(values, indent=1, default=str), encoding="utf-8")
+            with contextlib.suppress(OutputError):
+                write_atomically(file, json.dumps(values, indent=1, default=str))
             return
         if not self._attach:
             return
