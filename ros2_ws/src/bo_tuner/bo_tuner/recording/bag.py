@@ -21,6 +21,8 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from bo_tuner.storage.atomic import write_atomically
+
 PARTIAL = ".partial"
 NOTES = "notes.json"
 METADATA_VERSION: Final = 9
@@ -165,7 +167,7 @@ class TrialBag:
             if storage.chunk.bio.tell():
                 storage.close_chunk()
             storage.bio.flush()
-        (self._partial / NOTES).write_text(json.dumps(dict(notes)), encoding="utf-8")
+        write_atomically(self._partial / NOTES, json.dumps(dict(notes)))
 
     def finish(self, notes: Mapping[str, str]) -> None:
         """Close the bag with `notes` as its custom data, and give it its name."""
