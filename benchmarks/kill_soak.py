@@ -11,7 +11,8 @@ a cut of the next one is on record, which begins with the surrogates. A run that
 makes place for the next one.
 
 Then runs in process are killed in the second after the summary, the certificate or the bundle has
-begun to be there. Each must be resumed, reported and certified afterwards as if nothing had been.
+begun to be there. Each must be resumed and reported afterwards as if nothing had been, and certified
+again if it was the certificate.
 """
 
 import argparse
@@ -187,7 +188,8 @@ def kill_at_the_end(folder: Path, moment: str, delay: float) -> dict[str, object
     process.kill()
     process.wait()
     after = [["tune", "--resume", str(run), "--quiet"], ["report", str(run)]]
-    after.append(["validate", str(run), "--draws", "74"])
+    if moment == "certificate":
+        after.append(["validate", str(run), "--draws", "74"])
     codes = [call(folder, arguments) for arguments in after]
     # A report has no verdict.
     refused = [a[0] for a, code in zip(after, codes, strict=True) if code not in FINISHED]
