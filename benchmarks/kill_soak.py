@@ -11,8 +11,8 @@ a cut of the next one is on record, which begins with the surrogates. A run that
 makes place for the next one.
 
 Then runs in process are killed in the second after the summary, the certificate or the bundle has
-begun to be there. Each must be resumed and reported afterwards as if nothing had been, and certified
-again if it was the certificate.
+begun to be there. Each must be resumed and reported afterwards as if nothing had been, and
+certified again if it was the certificate.
 """
 
 import argparse
