@@ -4,6 +4,9 @@ import os
 import shutil
 import sqlite3
 import stat
+import struct
+import subprocess
+import sys
 
 import pytest
 from axis import write_axis
@@ -198,3 +201,42 @@ class TestJournal:
         db.close()
         with pytest.raises(JournalError, match="is not as in a journal"):
             read_journal(path)
+
+    HALF = """
+import os, sqlite3, sys
+db = sqlite3.connect(sys.argv[1], isolation_level=None)
+db.execute("PRAGMA journal_mode = DELETE")
+db.execute("PRAGMA cache_size = 1")
+db.execute("BEGIN")
+for _ in range(200):
+    db.execute("INSERT INTO session VALUES (?, 1)", ("x" * 4000,))
+os._exit(0)
+"""
+
+    def half_written(self, run):
+        """Kill a writer in the middle of a change, as at the end of a run."""
+        path = run / "journal.sqlite"
+        subprocess.run([sys.executable, "-c", self.HALF, path], check=True)
+        rollback = run / "journal.sqlite-journal"
+        assert rollback.stat().st_size > 1000
+        return path, rollback
+
+    def test_a_change_half_made_is_taken_back(self, strangers, run):
+        path, rollback = self.half_written(run)
+        whole = read_journal(strangers / "journal.sqlite")
+        assert read_journal(path) == whole
+        assert not rollback.exists()
+
+    def test_a_rollback_journal_deletes_no_file_of_others(self, run, tmp_path):
+        path, rollback = self.half_written(run)
+        victim = tmp_path / "victim"
+        victim.write_text("precious")
+        name = bytes(victim)
+        record = struct.pack(">I", 2**30 // 4096 + 1) + name
+        record += struct.pack(">II", len(name), sum(name)) + bytes.fromhex("d9d505f920a163d7")
+        with rollback.open("ab") as file:
+            file.write(record)
+        for look in (lambda: read_journal(path), lambda: Journal(path, {})):
+            with pytest.raises(JournalError, match="names another file"):
+                look()
+        assert victim.read_text() == "precious"

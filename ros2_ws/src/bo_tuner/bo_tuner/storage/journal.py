@@ -6,6 +6,7 @@ values, since SQLite itself notices damage to its structure, but not to what is 
 
 import contextlib
 import json
+import os
 import sqlite3
 import zlib
 from collections.abc import Mapping, Sequence
@@ -53,6 +54,9 @@ CREATE TABLE evaluation (
 
 _OBJECTS = "SELECT type, name, tbl_name, sql FROM sqlite_master"
 
+_SUPER = bytes.fromhex("d9d505f920a163d7")
+"""Ends a rollback journal that names a super-journal."""
+
 LONGEST_VALUE = 10_000_000
 """Size [byte] of a value that is neither read nor written any more."""
 
@@ -77,6 +81,7 @@ class Journal:
 
     def __init__(self, path: Path, provenance: Mapping[str, str]) -> None:
         self._path = path
+        check_rollback(path)
         new = not path.exists()
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
@@ -195,6 +200,28 @@ def harden(db: sqlite3.Connection) -> None:
     if hasattr(db, "setconfig"):
         for name, value in (("DEFENSIVE", True), ("TRUSTED_SCHEMA", False)):
             db.setconfig(getattr(sqlite3, f"SQLITE_DBCONFIG_{name}"), value)
+
+
+def check_rollback(path: Path) -> None:
+    """Refuse a rollback journal that leads to other files: SQLite would delete what it names.
+
+    Raises
+    ------
+    JournalError
+        If there is one; a journal of one database never has it. See section "The Super-Journal" of
+        https://www.sqlite.org/atomiccommit.html.
+    """
+    rollback = path.with_name(f"{path.name}-journal")
+    try:
+        with rollback.open("rb") as file:
+            file.seek(-min(len(_SUPER), rollback.stat().st_size), os.SEEK_END)
+            end = file.read()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise JournalError(f"{rollback}: cannot be read: {error.strerror}") from error
+    if end == _SUPER:
+        raise JournalError(f"{rollback}: is not of a run: names another file")
 
 
 def check_schema(path: Path, db: sqlite3.Connection) -> None:

@@ -20,6 +20,7 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal import (
     COLUMNS,
     Journal,
+    check_rollback,
     check_schema,
     check_version,
     checksum,
@@ -183,9 +184,18 @@ def export_csv(path: Path, directory: Path) -> None:
 
 def _connect(path: Path) -> sqlite3.Connection:
     """Open a journal to be read; one that was cut off is made readable in memory."""
+    check_rollback(path)
     db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
     try:
-        db.execute("SELECT 1 FROM sqlite_master").fetchone()
+        try:
+            db.execute("SELECT 1 FROM sqlite_master").fetchone()
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
+                raise
+            # A kill has left a change half made, which only a writer may take back.
+            with closing(sqlite3.connect(path)) as writer:
+                writer.execute("SELECT 1 FROM sqlite_master").fetchone()
+            db.execute("SELECT 1 FROM sqlite_master").fetchone()
     except (sqlite3.DatabaseError, UnicodeDecodeError):
         db.close()
         data = bytearray(path.read_bytes())
