@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from math import isfinite
 
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import ReportedMetric, Study
 from bo_tuner.trials import EvaluationState, Outcome
 
 STATUS_OK = "ok"
@@ -69,7 +69,9 @@ class Collector:
                 value = float("nan")
             if not isfinite(value):
                 shown = one_line(str(found)[:40])
-                reason = f"{metric.node}: metric {metric.key} is {shown}"
+                reason = f"metric {name} is {shown}"
+                if isinstance(metric, ReportedMetric):
+                    reason = f"{metric.node}: metric {metric.key} is {shown}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
             metrics[name] = value
         return Outcome(EvaluationState.COMPLETE, metrics, "", details)

@@ -9,10 +9,17 @@ from rclpy.context import Context
 
 from bo_tuner.backends.protocol import ROS, SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
+from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
+from bo_tuner.metrics.recording import (
+    NOTHING_RECORDED,
+    FailedRunError,
+    Recording,
+    signal_sources,
+)
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
@@ -66,7 +73,8 @@ class RosBackend(SequentialBackend):
         sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
-        self._collector = Collector(study, sources)
+        signals = signal_sources(study, lambda: self._recording)
+        self._collector = Collector(study, {**signals, **(sources or {})})
         self._log_directory = log_directory
         self._attach = attach
         self._ros_arguments = ros_arguments or []
@@ -74,6 +82,7 @@ class RosBackend(SequentialBackend):
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
         self._client: StudyClient | None = None
+        self._procedure: Procedure | None = None
         self._found: dict[str, dict[str, object]] = {}
         self.processes: dict[str, NodeProcess] = {}
 
@@ -86,7 +95,8 @@ class RosBackend(SequentialBackend):
             If another tuner is at work on these nodes, nodes to be started run already, one
             cannot be started, or one does not appear in time.
         StudyError
-            If a node refuses its constant parameters, or the study does not say how to start it.
+            If a node refuses its constant parameters, the study does not say how to start it, or
+            a topic or service of its run is not there.
         """
         given = _domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
@@ -110,6 +120,8 @@ class RosBackend(SequentialBackend):
             if self._attach:
                 self._found = {key: client.get(key, self._names(key)) for key in self._study.nodes}
             self._set_constants(client)
+            if self._study.run is not None:
+                self._procedure = Procedure(self._study, self._study.run, client)
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -135,17 +147,37 @@ class RosBackend(SequentialBackend):
                 client.set(key, self._study.nodes[key].parameters)
             for key, values in assignments.items():
                 client.set(key, values)
-            said = client.run_cut()
+            said = self._run(client)
             if lost := client.restarted():
                 raise LostError(f"{self._study.nodes[lost[0]].node} was started anew in the cut")
             result = self._collector.outcome(said)
-        except RefusedError as refusal:
-            return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)))
+        except (RefusedError, FailedRunError) as refusal:
+            counts = self._recording.counts()
+            return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
         except LostError as loss:
             reason = one_line(f"{loss}{self._recover(client)}")
             return Outcome(EvaluationState.LOST, {}, reason)
         ignored = {"ignored_results": str(client.results.take_ignored())}
-        return dataclasses.replace(result, details={**result.details, **ignored})
+        return dataclasses.replace(
+            result, details={**result.details, **ignored, **self._recording.counts()}
+        )
+
+    def _run(self, client: StudyClient) -> dict[str, dict[str, object]]:
+        """Run once; returns what nodes said of it, which those of a procedure do not."""
+        if self._procedure is None:
+            return client.run_cut()
+        try:
+            self._procedure.run()
+        finally:
+            # Without a result, a node that died in the run would go unnoticed.
+            for key in self._study.nodes:
+                client.expect_answer(key)
+        return {}
+
+    @property
+    def _recording(self) -> Recording:
+        """What was recorded of the last run."""
+        return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
 
     @property
     def nodes(self) -> list[str]:
@@ -156,6 +188,9 @@ class RosBackend(SequentialBackend):
         """End the started nodes, leave attached ones as they were found, and leave ROS."""
         stop_all(self.processes.values())
         self.processes.clear()
+        if self._procedure is not None:
+            self._procedure.close()
+            self._procedure = None
         if self._client is not None:
             self._restore(self._client)
             self._client.close()

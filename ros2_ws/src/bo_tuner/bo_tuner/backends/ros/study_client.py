@@ -15,18 +15,22 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BackendError
 from bo_tuner.metrics.collect import STATUS_OK
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.study.study import Trigger as TriggerSpec
 
 NODE_NAME = "bo_tuner"
 RESULT_QOS = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.RELIABLE)
 CALL_TIMEOUT = 5.0
 ANSWER_TIMEOUT = 1.0
 SPIN_PERIOD = 0.1
+
+PARAMETER_EVENTS = "/parameter_events"
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
@@ -111,6 +115,11 @@ class StudyClient:
         self._node.get_logger().warning(text)
 
     @property
+    def node(self) -> Node:
+        """The tuner's node, which `spin_once` serves."""
+        return self._node
+
+    @property
     def full_name(self) -> str:
         """Name of the tuner's node, with its namespace."""
         return self._node.get_fully_qualified_name()
@@ -126,8 +135,8 @@ class StudyClient:
             key
             for key in self._study.nodes
             if not self._setters[key].service_is_ready()
-            or self._node.count_publishers(self._result_topic(key)) == 0
-            or (key == self._study.trigger.node and not self._trigger.service_is_ready())
+            or self._node.count_publishers(self._sign_of_life(key)) == 0
+            or (key == self._triggered and not self._trigger.service_is_ready())
         ]
 
     def spin_for(self, period: float) -> None:
@@ -176,7 +185,11 @@ class StudyClient:
         found = []
         for key, spec in self._study.nodes.items():
             names = (spec.node.rpartition("/")[2], UNKNOWN_NODE)
-            infos = self._node.get_publishers_info_by_topic(self._result_topic(key))
+            infos = self._node.get_publishers_info_by_topic(self._sign_of_life(key))
+            if not spec.result:
+                # The topic of every node: only where it is named it is known to be this one.
+                path = self._node.resolve_service_name(spec.node)
+                infos = [i for i in infos if _path(i) == path]
             present = {bytes(i.endpoint_gid) for i in infos if i.node_name in names}
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
@@ -250,17 +263,19 @@ class StudyClient:
             timeout, or a node that has not said anything of a failed evaluation does not answer.
         """
         trigger = self._study.trigger
+        if trigger is None:
+            raise BackendError("the study has no trigger")
         deadline = time.monotonic() + trigger.timeout
         self.results.begin()
         try:
-            self.results.identify(self._start_evaluation(deadline))
-            return self._await_results(deadline)
+            self.results.identify(self._start_evaluation(trigger, deadline))
+            return self._await_results(trigger, deadline)
         finally:
             self.results.end()
 
-    def _await_results(self, deadline: float) -> dict[str, dict[str, object]]:
-        trigger = self._study.trigger
-        awaited = {trigger.node} | {metric.node for metric in self._study.metrics.values()}
+    def _await_results(self, trigger: TriggerSpec, deadline: float) -> dict[str, dict[str, object]]:
+        metrics = self._study.metrics.values()
+        awaited = {trigger.node} | {m.node for m in metrics if isinstance(m, ReportedMetric)}
         while True:
             said = self.results.said
             if any(pairs["status"] != STATUS_OK for pairs in said.values()):
@@ -277,8 +292,7 @@ class StudyClient:
                 )
             self._spin()
 
-    def _start_evaluation(self, deadline: float) -> str:
-        trigger = self._study.trigger
+    def _start_evaluation(self, trigger: TriggerSpec, deadline: float) -> str:
         while True:
             response = self._call(self._trigger, Trigger.Request(), trigger.node)
             if response.success:
@@ -299,17 +313,22 @@ class StudyClient:
             self._getters[key] = self._node.create_client(
                 GetParameters, f"{spec.node}/get_parameters"
             )
-            self._node.create_subscription(
-                DiagnosticArray, self._result_topic(key), partial(self._on_result, key), RESULT_QOS
-            )
+            if spec.result:
+                topic = _of_node(spec.node, spec.result)
+                self._node.create_subscription(
+                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS
+                )
         trigger = self._study.trigger
-        self._trigger = self._node.create_client(
-            Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
-        )
+        self._triggered = None if trigger is None else trigger.node
+        if trigger is not None:
+            self._trigger = self._node.create_client(
+                Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
+            )
 
-    def _result_topic(self, key: str) -> str:
+    def _sign_of_life(self, key: str) -> str:
+        """Topic on which a node has a publisher from its start on, and anew when it restarts."""
         spec = self._study.nodes[key]
-        return _of_node(spec.node, spec.result)
+        return _of_node(spec.node, spec.result) if spec.result else PARAMETER_EVENTS
 
     def _on_result(self, key: str, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -320,20 +339,37 @@ class StudyClient:
             self.results.add(key, pairs)
 
     def _call(self, client: Client, request: Any, key: str, timeout: float = CALL_TIMEOUT) -> Any:
+        return self.call(client, request, self._study.nodes[key].node, timeout)
+
+    def call(self, client: Client, request: Any, name: str, timeout: float = CALL_TIMEOUT) -> Any:
+        """Call a service and return its answer; `name` is that of its node, for a complaint.
+
+        Raises
+        ------
+        SilentError
+            If it does not answer within `timeout` seconds.
+        """
         future = client.call_async(request)
         deadline = time.monotonic() + timeout
         while not future.done():
             # A dead server looks ready until its lease ends, and the call would never return.
             if time.monotonic() > deadline:
                 client.remove_pending_request(future)
-                name = self._study.nodes[key].node
                 raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
             self._spin()
         return future.result()
 
-    def _spin(self) -> None:
+    def spin_once(self, period: float) -> None:
+        """Take one message or answer, if one comes within `period` seconds."""
         self._watch()
-        self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+        self._executor.spin_once(timeout_sec=period)
+
+    def _spin(self) -> None:
+        self.spin_once(SPIN_PERIOD)
+
+
+def _path(info: TopicEndpointInfo) -> str:
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def _of_node(node: str, name: str) -> str:
