@@ -56,6 +56,7 @@ def main() -> None:
         signal.signal(signum, lambda signum, _frame: signals.append(signum))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Pid()
+    node.get_logger().info("ready")
     while not signals:
         rclpy.spin_once(node, timeout_sec=0.1)
     node.destroy_node()

@@ -117,9 +117,7 @@ def test_every_trial_is_listed_with_its_values(page, tuned):
 
 
 def test_failures_are_listed_with_what_repeats_them(page, tuned):
-    (rows,) = [
-        rows for name, rows in page.tables.items() if name.startswith("Failed evaluations")
-    ]
+    (rows,) = [rows for name, rows in page.tables.items() if name.startswith("Failed evaluations")]
     failed = [r for r in tuned.evaluations if r.outcome.state is not EvaluationState.COMPLETE]
     assert failed
     assert [row[0] for row in rows[1:]] == [str(evaluation.trial) for evaluation in failed]

@@ -121,13 +121,19 @@ class Recording:
             if not len(seen.time):
                 raise MissingMetricError(f"signal {name} has no message")
         begin = max([0.0, *(seen.time[0] for seen in used.values())])
-        ends = [begin, self.end] if held else []
-        stamps = np.concatenate([ends, *(seen.time for seen in used.values())])
-        time = np.unique(stamps[(stamps >= begin) & (stamps <= self.end)])
+        runs = [np.array([begin, self.end] if held else []), *(s.time for s in used.values())]
+        stamps = np.concatenate(runs)
+        # Sorted runs, which a merge sort takes in one pass. Counted along it, the messages of a
+        # signal give which one holds; of equal times the last place knows of all of them.
+        order = np.argsort(stamps, kind="stable")
+        source = np.repeat(np.arange(len(runs)), [len(run) for run in runs])[order]
+        time = stamps[order]
+        keep = np.append(np.diff(time) > 0.0, True) & (time >= begin) & (time <= self.end)
         values = {
-            name: seen.value[np.searchsorted(seen.time, time, side="right") - 1]
-            for name, seen in used.items()
+            name: seen.value[np.cumsum(source == k)[keep] - 1]
+            for k, (name, seen) in enumerate(used.items(), start=1)
         }
+        time = time[keep]
         found = expression(values | {TIME: time})
         return time, np.broadcast_to(found, time.shape).astype(np.float64)
 

@@ -11,9 +11,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
 from bo_tuner.backends.ros.messages import interface_class, make_message
-from bo_tuner.backends.ros.signals import NODE_NAME as SIGNALS_NODE
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.study_client import StudyClient
+from bo_tuner.backends.ros.study_client import NODE_NAME, StudyClient
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
@@ -64,7 +63,7 @@ class Procedure:
         self._end = self._condition(self._run.end.when)
         self._actions: dict[KeyPath, _Publication | _Service] = {}
         self._publishers: dict[str, Publisher] = {}
-        self._recording = False
+        self._is_recording = False
         self._began = 0.0
         self._judged = 0.0
         try:
@@ -111,7 +110,7 @@ class Procedure:
         self._recorder.begin()
         self._began = time.monotonic()
         self._judged = 0.0
-        self._recording = True
+        self._is_recording = True
         try:
             self._perform("start", run.start)
             if run.end.after is not None:
@@ -125,7 +124,7 @@ class Procedure:
                 )
             return self._recorder.recording(ended)
         finally:
-            self._recording = False
+            self._is_recording = False
 
     def _watch_until(self, end: float, ends: bool = False) -> float | None:
         """Look on until `end` [s]; with `ends`, return when before it the run's condition held."""
@@ -166,7 +165,7 @@ class Procedure:
     def _perform(self, phase: str, steps: Sequence[Step]) -> None:
         for index, step in enumerate(steps):
             if step.wait is not None:
-                if self._recording:
+                if self._is_recording:
                     self._watch_until(self._now + step.wait)
                 else:
                     self._sleep(step.wait)
@@ -219,7 +218,8 @@ class Procedure:
 
         def others() -> list[Any]:
             found = node.get_subscriptions_info_by_topic(topic)
-            return [info for info in found if info.node_name != SIGNALS_NODE]
+            # The tuner's own nodes, which record the topic, do not count.
+            return [info for info in found if not info.node_name.startswith(NODE_NAME)]
 
         if not self._wait_until(lambda: bool(others())):
             names = sorted(n for n, _ in node.get_topic_names_and_types() if n != topic)
@@ -249,7 +249,10 @@ class Procedure:
             qos = QoSProfile(depth=10, durability=durability)
             publisher = self._publishers[topic] = node.create_publisher(cls, topic, qos)
         publication = _Publication(self._client, publisher, others, publish, cls, self._wait_until)
-        publication.wait()
+        try:
+            publication.wait()
+        except FailedRunError as error:
+            raise StudyError(str(error), ("publish", "topic")) from None
         return publication
 
 

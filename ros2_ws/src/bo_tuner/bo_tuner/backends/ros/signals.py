@@ -18,16 +18,16 @@ from bo_tuner.backends.ros.messages import (
     interface_class,
     number_reader,
 )
+from bo_tuner.backends.ros.study_client import NODE_NAME as TUNER
+from bo_tuner.backends.ros.study_client import UNKNOWN_NODE
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
 from bo_tuner.study import checks
 from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 
-NODE_NAME = "bo_tuner_signals"
+NODE_NAME = f"{TUNER}_signals"
 DEPTH = 5000
 """Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
-UNNAMED = "_NODE_NAME_UNKNOWN_"
-"""What the graph calls the node of a publisher that it has only just discovered."""
 
 
 class SignalRecorder:
@@ -129,7 +129,7 @@ class SignalRecorder:
             raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
         found = publishers(topic)
         if len(found) > 1:
-            nodes = " and ".join(sorted(i.node_name for i in found if i.node_name != UNNAMED))
+            nodes = " and ".join(sorted(i.node_name for i in found if i.node_name != UNKNOWN_NODE))
             raise StudyError(
                 f"{topic} has {len(found)} publishers ({nodes}), whose messages would mix",
                 ("topic",),
