@@ -1,5 +1,8 @@
 """10,000 hostile inputs: study files, journals, parameter values and results of anybody.
 
+And 5,000 records of a whole run with values of other types and sizes under checksums that fit, each
+read by report, replay, validate, apply and resume.
+
 The contracts are those of tests/fuzz: an answer or one line of refusal, no traceback, no file but
 the one that was given. Hypothesis draws the inputs; study files go to atheris, too, if that is
 installed (``pip install atheris``), which looks for bytes that lead into code not yet run.
@@ -13,7 +16,10 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
+from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from common import BENCHMARKS, RESULTS, provenance, table, write_result
@@ -77,6 +83,43 @@ def by_hypothesis(count: int, folder: Path) -> dict[str, dict[str, float]]:
     return result
 
 
+def mutated_records(count: int, processes: int) -> dict[str, object]:
+    """Let all readers read mutated records; returns how many they answered and refused."""
+    begin = time.perf_counter()
+    shares = [range(k, count, processes) for k in range(processes)]
+    with ProcessPoolExecutor(processes) as pool:
+        found = sum(pool.map(_read_records, shares), Counter())
+    answered = {name: number for name, number in found.items() if not name.startswith("failure: ")}
+    failures = {name: number for name, number in found.items() if name.startswith("failure: ")}
+    return {
+        "records": count,
+        "answered": answered,
+        "tracebacks": sum(failures.values()),
+        "failures": failures,
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def _read_records(numbers: range) -> Counter[str]:
+    import records as r
+    from threadpoolctl import threadpool_limits
+
+    found: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as name, threadpool_limits(1):
+        whole = r.make_whole_run(Path(name) / "whole")
+        for number in numbers:
+            try:
+                answered = r.check_record(whole, Path(name) / "scratch", number)
+            except Exception as error:
+                at = traceback.extract_tb(error.__traceback__)[-1]
+                notes = getattr(error, "__notes__", [])
+                place = f"{Path(at.filename).name}:{at.lineno}"
+                found[f"failure: {place} {type(error).__name__} {notes}"] += 1
+            else:
+                found.update(reader for reader, has in answered.items() if has)
+    return found
+
+
 def by_atheris(count: int) -> dict[str, object]:
     """Let atheris look for study files in a process of its own, which it never returns from."""
     with tempfile.TemporaryDirectory() as name:
@@ -128,23 +171,27 @@ def main() -> None:
     """Fuzz and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--inputs", type=int, default=10_000, help="(default: %(default)s)")
+    parser.add_argument("--records", type=int, default=5_000, help="(default: %(default)s)")
+    parser.add_argument("--processes", type=int, default=2, help="(default: %(default)s)")
     parser.add_argument("--atheris-inputs", type=int, default=10_000, help="(default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "fuzz.json")
     parser.add_argument("--atheris", nargs=2, metavar=("COUNT", "FOLDER"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    sys.path.append(str(CONTRACTS))
+    sys.path += [str(CONTRACTS), str(CONTRACTS.parent / "harness")]
     random.seed(SEED)
     if arguments.atheris:
         run_atheris(int(arguments.atheris[0]), Path(arguments.atheris[1]))
     packages = ("hypothesis", "atheris", "PyYAML")
     origin = provenance(packages)
+    records = mutated_records(arguments.records, arguments.processes)
     with tempfile.TemporaryDirectory() as name:
         drawn = by_hypothesis(arguments.inputs, Path(name))
     result = {
         "provenance": origin,
         "seed": SEED,
         "inputs": sum(int(kind["inputs"]) for kind in drawn.values()),
-        "failures": 0,
+        "failures": records["tracebacks"],
+        "mutated_records": records,
         "hypothesis": drawn,
         "atheris_on_study_files": by_atheris(arguments.atheris_inputs),
     }
@@ -152,6 +199,7 @@ def main() -> None:
     print(table(["kind", "inputs", "seconds"], [[k, *v.values()] for k, v in drawn.items()]))
     print(f"atheris: {json.dumps(result['atheris_on_study_files'])}")
     print(f"{result['inputs']} inputs by hypothesis, no failure")
+    print(f"{records['records']} mutated records, {records['tracebacks']} tracebacks")
 
 
 if __name__ == "__main__":

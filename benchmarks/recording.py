@@ -55,7 +55,9 @@ def main() -> None:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=20, help="(default: %(default)s)")
-    parser.add_argument("--cuts", type=int, default=12, help="of a trial (default: %(default)s)")
+    parser.add_argument(
+        "--evaluations", type=int, default=12, help="of a trial (default: %(default)s)"
+    )
     parser.add_argument("--result", type=Path, default=RESULTS / "recording.json")
     arguments = parser.parse_args()
     study = load_study("benchmark")

@@ -143,7 +143,7 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
 def main() -> None:
     """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--cuts", type=int, default=10_000, help="(default: %(default)s)")
+    parser.add_argument("--evaluations", type=int, default=10_000, help="(default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "soak.json")
     arguments = parser.parse_args()
     origin = provenance()

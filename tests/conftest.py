@@ -1,6 +1,8 @@
 """Fixtures of all tests: settings by difference from the shipped ones, and repeatable examples."""
 
+import os
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +15,10 @@ from hypothesis import HealthCheck, settings
 # harness, are put on the path.
 for folder in ("references", "harness"):
     sys.path.append(str(Path(__file__).parent / folder))
+
+# Studies that tests run are trusted by the tests alone.
+_STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
+os.environ["XDG_STATE_HOME"] = _STATE.name
 
 settings.register_profile(
     "repeatable",

@@ -18,6 +18,7 @@ from bo_tuner.metrics.collect import Collector
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import salvage
+from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, STUDY
 from bo_tuner.study import strict_yaml
@@ -53,8 +54,8 @@ def one_line(error):
     """Check that an error tells its user what is wrong, in a line of bearable length."""
     text = str(error)
     assert text
-    assert "\n" not in text
-    assert len(text) < 2_000
+    assert "\n" not in text, text[:200]
+    assert len(text) < 2_000, text[:200]
 
 
 def paths(value, path=()):
@@ -135,7 +136,7 @@ def make_run(folder):
     (folder / STUDY).write_text(study_to_yaml(study))
     backend = InProcessBackend(study)
     backend.open()
-    provenance = {"algorithm": "IV", "backend": "inprocess"}
+    provenance = session_provenance(study, "inprocess", "IV")
     with Journal(folder / JOURNAL, provenance) as journal:
         for trial in Tuning(study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)):
             journal.record_trial(trial)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import contracts
 import pytest
+import records
 from hypothesis import HealthCheck, example, given, settings
 
 import bo_tuner
@@ -103,3 +104,13 @@ def test_parameter_values(changes):
 @given(early=contracts.messages, late=contracts.messages)
 def test_results_of_anybody(early, late):
     contracts.check_results(early, late)
+
+
+def test_mutated_records(tmp_path):
+    """Values of other types under checksums that fit; benchmarks/fuzz.py reads 5,000."""
+    whole = records.make_whole_run(tmp_path / "whole")
+    for reader in records.READERS.values():
+        reader(whole)
+    answered = [records.check_record(whole, tmp_path / "copy", number) for number in range(120)]
+    for reader in records.READERS:
+        assert {True, False} == {each[reader] for each in answered}, reader

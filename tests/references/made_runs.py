@@ -3,9 +3,10 @@
 import hashlib
 import json
 
+from bo_tuner.certificate.store import FORMAT, evaluations_path, next_path, parameters_sha256
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.provenance import provenance, session_provenance, study_sha256
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.journaling import JournalObserver
@@ -34,7 +35,8 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
     (folder / "study.yaml").write_text(study_to_yaml(study))
     backend.open()
     try:
-        with Journal(folder / "journal.sqlite", provenance(study, backend_name, "IV")) as journal:
+        who = session_provenance(study, backend_name, "IV")
+        with Journal(folder / "journal.sqlite", who) as journal:
             for trial in Tuning(
                 study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)
             ):
@@ -42,16 +44,49 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
     finally:
         backend.close()
     if result is not None:
-        summary = {"trial": result, "feasible": True}
+        summary = summary_of(read_run(folder), result)
         (folder / "summary.json").write_text(json.dumps(summary))
     return read_run(folder)
 
 
-def write_certificate(record, trial, verdict="PASS", study=None, **parameters):
-    """Certify a trial, with some of its parameters, or the study, changed."""
-    content = {
-        "verdict": verdict,
-        "parameters": dict(trial.parameters) | parameters,
-        "study_sha256": hashlib.sha256(study_to_yaml(study or record.study).encode()).hexdigest(),
+def summary_of(record, result):
+    """A summary that names a trial as the result, which kept all limits in no draws at all."""
+    study = record.study
+    sample = {"worst": None, "count": 0, "violations": 0, "holds": True}
+    of_both = {
+        "draws": 0, "failures": 0, "objective": None, "deviation": None, "feasible": True,
+        "constraints": {name: sample | {"name": name} for name in study.constraints},
+    }  # fmt: skip
+    return {
+        "study_sha256": study_sha256(study),
+        "trials": len(record.trials),
+        "evaluations": len(record.evaluations),
+        "feasible": True,
+        "trial": result,
+        "stopped_early": False,
+        "default": of_both | {"parameters": study.search_space().defaults},
+        "tuned": of_both | {"parameters": dict(record.trials[result].parameters)},
     }
-    (record.path / "certificate.json").write_text(json.dumps(content))
+
+
+def write_certificate(record, trial, verdict="PASS", study=None, number=None, **changes):
+    """Certify a trial, with some of the content, the study or the parameters changed."""
+    study = study or record.study
+    parameters = dict(trial.parameters) | changes.pop("parameters", {})
+    path = next_path(record.path)
+    if number is not None:
+        path = path.with_name(f"{number:04d}.json")
+    evaluations_path(path).write_text("evaluations")
+    content = {
+        "format": FORMAT,
+        "verdict": verdict,
+        "parameters": parameters,
+        "parameters_sha256": parameters_sha256(parameters),
+        "study_sha256": study_sha256(study),
+        "evaluations_sha256": hashlib.sha256(b"evaluations").hexdigest(),
+        "draws": study.certificate.draws,
+        "confidence": study.certificate.confidence,
+        "provenance": provenance(study, record.backend, record.algorithm),
+    } | changes
+    path.write_text(json.dumps(content))
+    return path

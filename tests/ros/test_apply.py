@@ -140,13 +140,13 @@ def test_without_a_terminal_it_only_shows(record, now, capsys):
 
 def test_without_a_certificate_only_if_told_so(record, now, capsys):
     before = now()
-    certificate = record.path / "certificate.json"
+    (certificate,) = (record.path / "certificates").glob("*.json")
     content = certificate.read_text()
     certificate.unlink()
     try:
         code, out, err = apply(capsys, record, "--yes")
         assert (code, out) == (3, "")
-        assert "no such certificate" in err
+        assert "no certificate of trial 1" in err
         assert now() == before
         code, out, err = apply(capsys, record, "--yes", "--without-certificate")
         assert code == 0
@@ -168,6 +168,25 @@ def test_one_node_refuses_and_both_stay_as_they_were(client, record, now, capsys
     assert "; previous values of milling_plant restored; " in line
     assert now() == before
     assert rollback_file(record) == before
+
+
+@pytest.mark.parametrize("rollback", [False, True])
+def test_two_controllers(record, now, start_node, peer, capsys, rollback):
+    before = now()
+    if rollback:
+        assert apply(capsys, record, "--yes")[0] == 0
+        before = now()
+    twin = start_node("mpc_controller")
+    service = "mpc_controller/set_parameters_atomically"
+    peer.spin_until(lambda: peer.node.count_services(service) == 2, "both")
+    code, out, err = apply(capsys, record, "--yes", *["--rollback"][:rollback])
+    assert (code, out) == (2, "")
+    domain = os.environ["ROS_DOMAIN_ID"]
+    expected = f"mpc_controller runs more than once in ROS domain {domain}; end all but one"
+    assert err == f"error: {expected}\n"
+    twin.end()
+    peer.spin_until(lambda: peer.node.count_services(service) == 1, "one")
+    assert now() == before
 
 
 def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):

@@ -197,6 +197,17 @@ class TestEvaluation:
         assert reason in found.reason
 
 
+class TestBatch:
+    def test_results_come_one_by_one_in_the_order_given(self, make_study, function_backend):
+        backend = function_backend(make_study(), lambda gain, **_: {"error": gain, "peak": 0.0})
+        batch = [planned({"gain": gain}, {"load": 1.5}) for gain in (0.25, 0.5, 0.75)]
+        results = backend.run(iter(batch))
+        assert backend.calls == []
+        assert next(results).outcome.metrics["error"] == 0.25
+        assert len(backend.calls) == 1
+        assert [result.parameters["gain"] for result in results] == [0.5, 0.75]
+
+
 class TestMilling:
     """The shipped study on its own objects."""
 
@@ -212,7 +223,7 @@ class TestMilling:
         backend.open()
         return backend
 
-    def test_a_evaluation_depends_on_nothing_before_it(self, backend):
+    def test_an_evaluation_depends_on_nothing_before_it(self, backend):
         first = self.evaluation(backend)
         assert first.state is EvaluationState.COMPLETE
         self.evaluation(backend, lambda_mpc=-1.0)

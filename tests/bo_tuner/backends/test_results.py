@@ -25,6 +25,24 @@ def test_results_of_the_present_evaluation_are_kept_and_others_counted():
     assert results.take_ignored() == 0
 
 
+def test_another_result_of_the_present_evaluation_contradicts_the_first():
+    results = RunResults()
+    results.begin()
+    results.add("plant", pairs("7", error="1.0"))
+    results.add("plant", pairs("6", error="1.0"))
+    results.add("plant", pairs("6", error="2.0"))
+    results.identify("7")
+    results.add("plant", pairs("7", error="1.0"))
+    assert results.contradicted == []
+    results.add("plant", pairs("7", error="3.0"))
+    assert results.contradicted == ["plant"]
+    results.end()
+    results.begin()
+    results.identify("8")
+    results.add("plant", pairs("8", error="1.0"))
+    assert results.contradicted == []
+
+
 def test_a_result_ahead_of_its_identifier_is_kept():
     results = RunResults()
     results.begin()
@@ -60,7 +78,7 @@ def test_a_flood_of_other_evaluations_takes_no_memory_and_hides_nothing():
     assert results.take_ignored() == 10 * MOST_EARLY
 
 
-def test_a_evaluation_that_did_not_start_leaves_nothing():
+def test_an_evaluation_that_did_not_start_leaves_nothing():
     results = RunResults()
     results.begin()
     results.add("plant", pairs("1"))

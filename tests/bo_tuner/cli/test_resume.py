@@ -6,10 +6,11 @@ import shutil
 import signal
 import sqlite3
 import struct
+from dataclasses import replace
 
 import pytest
 from axis import node, write_axis
-from commands import finish, start
+from commands import finish, run, start
 from functions import planned
 from waiting import count_in, wait_until
 
@@ -18,8 +19,9 @@ from bo_tuner.errors import OutputError
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.study.study_file import load_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 RESULTS = ("trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
 
@@ -142,6 +144,124 @@ class TestResume:
         finally:
             folder.close()
         RunFolder(folder.path).close()
+
+
+class TestStudyOnRecord:
+    @pytest.fixture
+    def copy(self, runs, whole, request):
+        name = request.node.name.translate(str.maketrans("[]./-", "-----"))
+        runs.copy(whole, name)
+        return name
+
+    @pytest.mark.parametrize("command", ["tune", "validate", "report", "replay", "apply"])
+    def test_a_changed_study_is_refused_with_what_changed(self, runs, copy, command):
+        study = runs.latest(copy) / "study.yaml"
+        text = study.read_text()
+        assert text.count("upper: 1.0") == 1
+        study.write_text(text.replace("upper: 1.0", "upper: 1.5"))
+        arguments = ("--resume", runs.latest(copy)) if command == "tune" else (runs.latest(copy),)
+        code, out, err = run(command, *arguments, folder=runs.folder)
+        assert (code, out) == (2, "")
+        (line,) = err.splitlines()
+        assert "study.yaml: is not the study on record: constraints.peak.upper 1.0 -> 1.5" in line
+
+    def test_comments_are_no_change(self, runs, copy):
+        study = runs.latest(copy) / "study.yaml"
+        study.write_text("# ours\n" + study.read_text())
+        assert read_run(runs.latest(copy)).study.name == "function"
+
+    def test_more_trials(self, runs, whole, copy):
+        """The trials before stay as they are; the result is that of all."""
+        folder = runs.latest(copy)
+        code, _, err = runs.resume(copy, "--trials", 7)
+        assert code in (0, 3), err
+        before, after = read_run(runs.latest(whole)), read_run(folder)
+        assert len(after.trials) == 7
+        assert after.trials[:5] == before.trials
+        assert after.evaluations[: len(before.evaluations)] == before.evaluations
+        assert load_study(folder / "study.yaml") == after.study
+        assert after.study == before.study.replace(trials=7)
+        first, second = read_journal(folder / "journal.sqlite").sessions
+        assert first["study_sha256"] == before.provenance["study_sha256"] != second["study_sha256"]
+        assert after.summary == summary_from_record(after)
+
+    def test_a_kill_before_the_study_is_rewritten(self, runs, copy):
+        """The session is on record first; its study is what counts."""
+        folder = runs.latest(copy)
+        old = (folder / "study.yaml").read_bytes()
+        code, _, err = runs.resume(copy, "--trials", 6)
+        assert code in (0, 3), err
+        (folder / "study.yaml").write_bytes(old)
+        assert read_run(folder).study.budget.trials == 6
+        assert runs.resume(copy)[0] == code
+        assert load_study(folder / "study.yaml").budget.trials == 6
+
+    @pytest.mark.parametrize("trials", [5, 3, 0, -1])
+    def test_fewer_trials(self, runs, copy, trials):
+        code, out, err = runs.resume(copy, "--trials", trials)
+        assert (code, out) == (2, "")
+        assert f"--trials: expected more than the 5 of the run, found {trials}" in err
+
+    def test_other_code(self, runs, copy):
+        module = runs.folder / "counting_axis.py"
+        text = module.read_text()
+        try:
+            module.write_text(text + "# newer\n")
+            code, _, err = runs.resume(copy)
+        finally:
+            module.write_text(text)
+        assert code == 0
+        assert "the code of counting_axis has changed since the last session" in err
+        first, second = read_journal(runs.latest(copy) / "journal.sqlite").sessions
+        key = "sources_sha256.counting_axis"
+        assert first[key] != second[key]
+
+
+class TestSummary:
+    """Everything in it comes from the journal."""
+
+    def test_is_the_same_from_the_record(self, runs, whole):
+        record = read_run(runs.latest(whole))
+        assert summary_from_record(record) == record.summary
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            None,
+            lambda summary: "{",
+            lambda summary: "[" * 100_000,
+            lambda summary: [summary],
+            lambda summary: summary | {"trial": "1"},
+            lambda summary: summary | {"trial": True},
+            lambda summary: summary | {"trial": 10**400},
+            lambda summary: summary | {"feasible": "yes"},
+            lambda summary: summary | {"evaluations": 1},
+            lambda summary: summary | {"study_sha256": "0" * 64},
+            lambda summary: summary | {"tuned": 7},
+            lambda summary: summary | {"tuned": summary["default"]},
+            lambda summary: summary | {"default": summary["default"] | {"draws": []}},
+            lambda summary: summary | {"default": summary["default"] | {"constraints": {}}},
+        ],
+    )
+    def test_one_that_is_none_is_made_anew(self, runs, whole, tmp_path, change):
+        folder = shutil.copytree(runs.latest(whole).resolve(), tmp_path / "run")
+        path, expected = folder / "summary.json", read_run(folder).summary
+        if change is None:
+            path.unlink()
+        else:
+            content = change(expected)
+            path.write_text(content if isinstance(content, str) else json.dumps(content))
+        told = []
+        assert with_summary(read_run(folder), told.append).summary == expected
+        (line,) = told
+        assert line.endswith("; made from the journal")
+
+    def test_none_without_the_validation(self, runs, whole):
+        record = read_run(runs.latest(whole))
+        told = []
+        unfinished = replace(record, evaluations=record.evaluations[:-1])
+        assert with_summary(unfinished, told.append).summary is None
+        assert "ignored, since the run has not ended" in told[0]
 
 
 class TestDamage:

@@ -9,6 +9,7 @@ import pty
 import re
 import resource
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.interruption import Interruption
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import EvaluationState, TrialState
 
@@ -79,8 +81,8 @@ class TestRun:
         assert code == 3, err
         assert (latest(tmp_path) / "best.yaml").exists()
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
-        assert "no parameter set is feasible" in out
-        assert "the file holds the one nearest to it" in out
+        assert "no feasible parameter set was found" in out
+        assert "the file contains the one closest to feasible" in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1000"}))
@@ -250,6 +252,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("arguments", "complaint"),
         [
+            (["--study", ""], "unknown study ''; shipped are benchmark, full"),
             (["--study", "bench"], "unknown study 'bench'; shipped are benchmark, full"),
             (["--study", "./nowhere.yaml"], "./nowhere.yaml: cannot be read: No such file"),
             (["--study", "./"], "cannot be read: Is a directory"),
@@ -285,6 +288,23 @@ class TestBadInput:
         assert old in text
         study_file.write_text(text.replace(old, new))
         assert complaint in refusal("--backend", "inprocess", "--study", str(study_file))
+
+    def test_a_start_that_fails_leaves_no_folder(self, refusal, study_file, tmp_path):
+        study_file.write_text(study_file.read_text().replace("axis_objects:Axis", "no_such:Axis"))
+        refusal("--backend", "inprocess", "--study", str(study_file))
+        assert list((tmp_path / "runs").iterdir()) == []
+
+    def test_a_resume_that_fails_leaves_the_run(self, tune, study_file, tmp_path, refusal):
+        assert finish(tune())[0] == 0
+        folder = latest(tmp_path).resolve()
+        before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+        (tmp_path / "axis_objects.py").rename(tmp_path / "elsewhere.py")
+        sys.modules.pop("axis_objects", None)
+        line = refusal("--resume", str(folder), "--trials", "6")
+        assert "No module named 'axis_objects'" in line
+        for name in ("study.yaml", "summary.json", "best.yaml"):
+            assert (folder / name).read_bytes() == before[name]
+        assert read_run(folder).study.budget.trials == 5
 
     def test_a_study_error_names_file_and_line(self, refusal, study_file):
         lines = study_file.read_text().splitlines()

@@ -17,11 +17,16 @@ from commands import finish, start
 from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.certificate.certificate import parameters_sha256
+from bo_tuner.certificate import certificate as certificate_module
+from bo_tuner.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.cli import validate as validate_command
+from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.provenance import session_provenance
+from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.study.study_file import load_study, study_to_yaml
 from bo_tuner.trials import EvaluationState, Outcome
 
 CHANCE = {
@@ -85,19 +90,20 @@ def here(runs, monkeypatch, capsys):
 def refusal(here):
     """Function that runs the command and returns its one line of complaint."""
 
-    def run(*arguments, code=2):
+    def run(*arguments, code=2, warnings=0):
         found, out, err = here(*arguments)
         assert found == code, err
         assert out == ""
-        (line,) = err.splitlines()
+        *warned, line = err.splitlines()
+        assert len(warned) == warnings
         assert line.startswith("error: ")
         return line
 
     return run
 
 
-def certificate(folder, name="certificate.json"):
-    return json.loads((folder / name).read_text())
+def certificate(folder, number=1):
+    return json.loads((folder / "certificates" / f"{number:04d}.json").read_text())
 
 
 class TestVerdict:
@@ -106,10 +112,10 @@ class TestVerdict:
         code, out, err = runs.run("validate", folder, "--draws", "80")
         assert code == 0, err
         assert out.splitlines()[-1] == "PASS"
-        assert f"certificate: {folder}/certificate.json" in out
+        assert f"certificate: {folder}/certificates/0001.json" in out
         # One line for each phase, since this is no terminal.
         assert [line.split(":")[0] for line in err.splitlines()] == [
-            "draws", "worst case of default", "worst case of tuned", "report", "bundle",
+            "draws", "worst case of default", "worst case of tuned", "warning", "report", "bundle",
         ]  # fmt: skip
         found = certificate(folder)
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
@@ -122,7 +128,7 @@ class TestVerdict:
         assert found["best_yaml_sha256"] == hashlib.sha256(best).hexdigest()
         study = hashlib.sha256((folder / "study.yaml").read_bytes()).hexdigest()
         assert found["study_sha256"] == found["provenance"]["study_sha256"] == study
-        evaluations = (folder / "certificate_evaluations.csv").read_bytes()
+        evaluations = (folder / "certificates" / "0001_evaluations.csv").read_bytes()
         assert found["evaluations_sha256"] == hashlib.sha256(evaluations).hexdigest()
         rows = evaluations.decode().splitlines()[1:]
         assert len(rows) == found["default"]["evaluations"] + found["tuned"]["evaluations"]
@@ -130,7 +136,9 @@ class TestVerdict:
         # All else of the run is as it was; a reader of the journal leaves files of its own.
         names = {path.name for path in folder.iterdir() if path.is_file()}
         new = {name for name in names - set(before) if not name.startswith("journal")}
-        assert new == {"certificate.json", "certificate_evaluations.csv"}
+        assert new == set()
+        of_certificate = {path.name for path in (folder / "certificates").iterdir()}
+        assert of_certificate == {"0001.json", "0001_evaluations.csv"}
         assert all(
             (folder / name).read_bytes() == content
             for name, content in before.items()
@@ -159,11 +167,12 @@ class TestVerdict:
 
     def test_the_same_again(self, here, folder):
         found = []
-        for _ in range(2):
+        for number in (1, 2):
             assert here(folder, "--draws", "80")[0] == 0
-            content = certificate(folder)
+            content = certificate(folder, number)
             del content["finished"], content["provenance"]
-            found.append((content, (folder / "certificate_evaluations.csv").read_bytes()))
+            evaluations = folder / "certificates" / f"{number:04d}_evaluations.csv"
+            found.append((content, evaluations.read_bytes()))
         assert found[0] == found[1]
 
     def test_fail(self, here, folder, monkeypatch):
@@ -194,13 +203,12 @@ class TestVerdict:
     def test_another_trial(self, here, folder):
         best = json.loads((folder / "summary.json").read_text())["trial"]
         other = (best + 1) % 5
-        code, out, err = here(folder, "--draws", "80", "--trial", other)
+        code, _, err = here(folder, "--draws", "80", "--trial", other)
         assert code == 0, err
-        assert not (folder / "certificate.json").exists()
-        found = certificate(folder, f"certificate_trial_{other}.json")
+        found = certificate(folder)
         assert found["trial"] == other
         assert found["best_yaml_sha256"] is None
-        assert f"certificate_trial_{other}.json" in out
+        assert not (folder / "deploy" / "certificate.json").exists()
 
     def test_draws_and_confidence(self, here, folder):
         assert here(folder, "--draws", "459", "--confidence", "0.99")[0] == 0
@@ -212,11 +220,7 @@ class TestVerdict:
 
 class TestInterruption:
     @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-    def test_the_old_certificate_stays(self, runs, folder, signum, code):
-        old = {}
-        for name in ("certificate.json", "certificate_evaluations.csv"):
-            (folder / name).write_text(f"old {name}")
-            old[name] = (folder / name).read_text()
+    def test_leaves_no_certificate(self, runs, folder, signum, code):
         counter = folder / "cuts"
         environment = {"CUTS": str(counter), "HOLD": "5"}
         process = runs.start("validate", folder, environment=environment)
@@ -226,28 +230,70 @@ class TestInterruption:
         found, _, err = finish(process)
         assert found == code, err
         assert err.splitlines()[-1].startswith("interrupted by SIG")
-        assert {name: (folder / name).read_text() for name in old} == old
+        assert not (folder / "certificates").exists()
 
 
 class TestFaults:
     def test_nodes_lost_for_good(self, here, folder, monkeypatch):
         lost = Outcome(EvaluationState.LOST, {}, "axis is gone")
         monkeypatch.setattr(InProcessBackend, "outcome", lambda *_: lost)
-        (folder / "certificate.json").write_text("old")
         code, out, err = here(folder)
         assert code == 1
         assert err.splitlines()[-1] == (
             "error: 3 evaluations in a row were lost with their nodes: axis is gone"
         )
         assert out == ""
-        assert (folder / "certificate.json").read_text() == "old"
+        assert not (folder / "certificates").exists()
 
     def test_a_certificate_that_cannot_be_written(self, here, folder):
-        (folder / "certificate.json").mkdir()
+        (folder / "certificates").touch()
         code, _, err = here(folder, "--draws", "80")
         assert code == 1
-        assert "certificate.json: cannot be written: Is a directory" in err.splitlines()[-1]
-        assert not list(folder.glob(".*.new"))
+        assert "certificates: cannot be written: File exists" in err.splitlines()[-1]
+
+    def test_a_crash_between_its_two_files_leaves_the_one_before(self, here, folder, monkeypatch):
+        assert here(folder)[0] == 0
+        write = certificate_module.write_atomically
+
+        def crash(path, content):
+            if path.suffix == ".json":
+                raise OutputError(f"{path}: cannot be written: No space left on device")
+            return write(path, content)
+
+        monkeypatch.setattr(certificate_module, "write_atomically", crash)
+        assert here(folder, "--draws", "80")[0] == 1
+        names = {path.name for path in (folder / "certificates").iterdir()}
+        assert names == {"0001.json", "0001_evaluations.csv", "0002_evaluations.csv"}
+        record = read_run(folder)
+        assert certificate_problem(record, record.trials[record.summary["trial"]]) == ""
+
+
+class TestKey:
+    """What opens `apply`."""
+
+    def problem(self, folder):
+        record = read_run(folder)
+        return certificate_problem(record, record.trials[record.summary["trial"]])
+
+    def test_a_quick_look_does_not(self, here, folder):
+        code, _, err = here(folder, "--draws", "2", "--confidence", "0.001")
+        assert code == 0
+        assert "warning: not sufficient for apply: made with 2 draws, the study requires 300" in err
+        assert "the study requires 300" in self.problem(folder)
+
+    def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):
+        monkeypatch.setenv("PEAK", "1.5")
+        assert here(folder)[0] == 3
+        monkeypatch.delenv("PEAK")
+        assert here(folder, "--draws", "2", "--confidence", "0.001")[0] == 0
+        assert certificate(folder, 1)["verdict"] == "FAIL"
+        assert certificate(folder, 2)["verdict"] == "PASS"
+        assert "0002.json: made with 2 draws" in self.problem(folder)
+
+    def test_by_default_it_is_what_the_study_requires(self, here, folder):
+        assert here(folder)[0] == 0
+        assert certificate(folder)["draws"] == 300
+        assert self.problem(folder) == ""
 
 
 class TestBadInput:
@@ -278,8 +324,12 @@ class TestBadInput:
         assert "it has no study.yaml" in refusal(tmp_path)
 
     def test_a_run_without_a_result(self, refusal, folder):
-        (folder / "summary.json").unlink()
-        line = refusal(folder)
+        study = load_study(folder / "study.yaml")
+        # A session that began to continue the run.
+        provenance = session_provenance(study.replace(trials=9), "inprocess", "IV")
+        with Journal(folder / "journal.sqlite", provenance):
+            pass
+        line = refusal(folder, warnings=1)
         assert "has no result: it has not ended, or every trial failed; continue with" in line
 
     def test_a_parameter_file_of_other_values(self, refusal, folder):
@@ -289,10 +339,17 @@ class TestBadInput:
         assert changed != text
         (folder / "best.yaml").write_text(changed)
         assert "best.yaml: does not hold the values of trial " in refusal(folder)
-        (folder / "best.yaml").write_text("{")
-        assert "best.yaml: " in refusal(folder)
+
+    @pytest.mark.parametrize("content", [None, "{", ""])
+    def test_a_parameter_file_that_is_lost_is_made_anew(self, here, folder, content):
+        text = (folder / "best.yaml").read_text()
         (folder / "best.yaml").unlink()
-        assert "best.yaml: cannot be read: No such file" in refusal(folder)
+        if content is not None:
+            (folder / "best.yaml").write_text(content)
+        code, _, err = here(folder, "--draws", "80")
+        assert code == 0
+        assert "best.yaml: missing or damaged; made from the journal" in err
+        assert (folder / "best.yaml").read_text() == text
 
     def test_a_run_that_is_going_on(self, refusal, folder):
         held = RunFolder(folder)

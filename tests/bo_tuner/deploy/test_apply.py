@@ -8,17 +8,18 @@ from dataclasses import replace
 import pytest
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 
+from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     RefusedError,
-    certificate_problem,
     read_values,
     set_values,
 )
 from bo_tuner.deploy.bundle import differences
 from bo_tuner.interruption import Interrupted
+from bo_tuner.storage import provenance as provenance_module
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}
 NEW = {"drive": {"gain": 2.5, "taps": 4}, "axis": {"load": [0.25, 2.0]}}
@@ -107,6 +108,20 @@ def record(tmp_path, make_study, function_backend):
     return make_run(tmp_path / "run", study, backend, result=1)
 
 
+@pytest.fixture
+def objects(tmp_path, monkeypatch):
+    """Function that writes the code of the study's object, which is there."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(text):
+        (tmp_path / "axis_objects.py").write_text(text)
+        provenance_module._digest.cache_clear()
+
+    write("VALUE = 1")
+    yield write
+    provenance_module._digest.cache_clear()
+
+
 def apply(capsys, *arguments):
     """Run the command; returns its exit code and its one line of complaint."""
     code = command.run([str(argument) for argument in arguments], Uninterrupted())
@@ -122,54 +137,109 @@ class TestCertificate:
         assert certificate_problem(record, record.trials[1]) == ""
 
     @pytest.mark.parametrize(
-        ("write", "complaint"),
+        ("changes", "complaint"),
         [
-            (lambda record, trial: None, "no such certificate; run validate"),
-            (
-                lambda record, trial: write_certificate(record, trial, "FAIL"),
-                "expected PASS, found FAIL",
-            ),
-            (
-                lambda record, trial: write_certificate(record, trial, None),
-                "expected PASS, found nothing",
-            ),
-            (
-                lambda record, trial: write_certificate(record, trial, gain=0.123),
-                "certifies another parameter set; run validate",
-            ),
-            (
-                lambda record, trial: write_certificate(record, record.trials[2]),
-                "certifies another parameter set; run validate",
-            ),
-            (
-                lambda record, trial: write_certificate(
-                    record, trial, study=record.study.replace(trials=4)
-                ),
-                "belongs to another version of the study; run validate",
-            ),
-            (
-                lambda record, trial: write_certificate(record, trial, more=1.0),
-                "certifies another parameter set; run validate",
-            ),
+            ({"verdict": "FAIL"}, "expected PASS, found FAIL"),
+            ({"verdict": None}, "expected PASS or FAIL, found nothing"),
+            ({"verdict": ["PASS"]}, "expected PASS or FAIL, found a list of 1"),
+            ({"parameters": {"gain": 0.123}}, "no certificate of trial 1; run validate"),
+            ({"parameters": {"more": 1.0}}, "no certificate of trial 1; run validate"),
+            ({"parameters_sha256": "0" * 64}, "parameters do not have the digest in it"),
+            ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
+            ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not have the digest"),
+            ({"draws": 299}, "made with 299 draws, the study requires 300; run validate"),
+            ({"draws": "300"}, "made with text '300' draws"),
+            ({"draws": 1e9}, "made with 1000000000.0 draws"),
+            ({"confidence": 0.94}, "has a confidence of 0.94, the study requires 0.95"),
+            ({"confidence": None}, "has a confidence of nothing"),
+            ({"confidence": float("nan")}, "has a confidence of nan"),
+            ({"provenance": {}}, "the code of bo_tuner has changed since"),
+            ({"provenance": 7}, "does not name the code"),
+            ({"format": 1}, "not a certificate of this version"),
         ],
     )
-    def test_not_passed(self, record, capsys, write, complaint):
-        write(record, record.trials[1])
+    def test_not_passed(self, record, capsys, objects, changes, complaint):
+        write_certificate(record, record.trials[1], **changes)
         assert complaint in certificate_problem(record, record.trials[1])
         code, line = apply(capsys, record.path, "--yes")
         assert code == 3
         assert line.startswith("error: ")
         assert complaint in line
 
-    @pytest.mark.parametrize(
-        "content", ["", "{", "[]", "7", '{"verdict": "PASS"}', '{"parameters": 7}', "\x00"]
-    )
-    def test_garbage(self, record, capsys, content):
-        write_certificate(record, record.trials[1])
-        (record.path / "certificate.json").write_text(content)
+    def test_none(self, record, capsys):
         code, line = apply(capsys, record.path, "--yes")
         assert code == 3
-        assert "certificate.json: " in line
+        assert "certificates: no certificate of trial 1; run validate" in line
+
+    def test_of_another_study(self, record):
+        write_certificate(record, record.trials[1], study=record.study.replace(trials=4))
+        assert "another version of the study" in certificate_problem(record, record.trials[1])
+
+    def test_other_code(self, record, objects):
+        write_certificate(record, record.trials[1])
+        assert certificate_problem(record, record.trials[1]) == ""
+        objects("VALUE = 2")
+        assert "the code of axis_objects has changed since; run validate" in certificate_problem(
+            record, record.trials[1]
+        )
+
+    def test_evaluations_that_were_changed_or_are_gone(self, record):
+        path = evaluations_path(write_certificate(record, record.trials[1]))
+        path.write_text("other")
+        assert "does not have the digest" in certificate_problem(record, record.trials[1])
+        path.unlink()
+        assert "cannot be read" in certificate_problem(record, record.trials[1])
+
+    def test_evaluations_alone_are_no_certificate(self, record):
+        """As a crash between the two files leaves them: the certificate before counts."""
+        old = write_certificate(record, record.trials[1])
+        evaluations_path(old.with_name("0002.json")).write_text("newer")
+        assert certificate_problem(record, record.trials[1]) == ""
+        assert next_path(record.path).name == "0003.json"
+
+    @pytest.mark.parametrize(
+        ("in_order", "opens"),
+        [
+            (["FAIL", "PASS"], True),
+            (["PASS", "FAIL"], False),
+            (["FAIL", "quick PASS"], False),
+            (["PASS", "quick PASS"], True),
+            (["PASS", "FAIL", "quick PASS"], False),
+            (["PASS", "damaged"], False),
+            (["PASS", "FAIL of another"], True),
+            (["FAIL", "PASS of another"], False),
+        ],
+    )
+    def test_a_fail_stands_until_a_sufficient_pass(self, record, in_order, opens):
+        for what in in_order:
+            verdict, _, of_another = what.partition(" of ")
+            trial = record.trials[2 if of_another else 1]
+            draws = {"draws": 2, "confidence": 0.001} if verdict.startswith("quick") else {}
+            path = write_certificate(record, trial, verdict.split()[-1], **draws)
+            if what == "damaged":
+                path.write_text(path.read_text()[:-5])
+        assert (certificate_problem(record, record.trials[1]) == "") is opens
+
+    def test_a_study_may_require_more(self, tmp_path, make_study, function_backend):
+        chance = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.999}
+        study = make_study(constraints={"peak": chance}, budget=INITIAL)
+        backend = function_backend(study, lambda gain, load, seed: {"error": 1.0, "peak": 0.5})
+        record = make_run(tmp_path / "strict", study, backend, result=1)
+        write_certificate(record, record.trials[1])
+        # 0.999^n <= 0.05 from n = 2995 on.
+        assert "300 draws, the study requires 2995" in certificate_problem(record, record.trials[1])
+        write_certificate(record, record.trials[1], draws=2995)
+        assert certificate_problem(record, record.trials[1]) == ""
+
+    @pytest.mark.parametrize(
+        "content",
+        ["", "{", "[]", "7", '{"verdict": "PASS"}', '{"parameters": 7}', "\x00", "[" * 100_000],
+    )
+    def test_garbage(self, record, capsys, content):
+        write_certificate(record, record.trials[1]).write_text(content)
+        code, line = apply(capsys, record.path, "--yes")
+        assert code == 3
+        assert "certificates/0001.json: " in line
 
 
 class TestQuestion:
@@ -217,10 +287,12 @@ class TestMistakes:
         assert "has no result" in line
 
     def test_a_result_that_is_not_on_record(self, record, capsys):
-        (record.path / "summary.json").write_text(json.dumps({"trial": 77}))
-        code, line = apply(capsys, record.path, "--yes")
+        (record.path / "summary.json").write_text(json.dumps(record.summary | {"trial": 77}))
+        code = command.run([str(record.path), "--yes"], Uninterrupted())
+        warning, line = capsys.readouterr().err.splitlines()
         assert code == 2
-        assert "its summary names trial 77, not on record" in line
+        assert "summary.json: not the summary of this record; ignored, since the run has" in warning
+        assert "has no result" in line
 
     def test_unknown_option(self, record, capsys):
         with pytest.raises(SystemExit) as caught:
@@ -239,5 +311,5 @@ class TestMistakes:
 
 def test_a_certificate_of_other_types_of_numbers_is_of_the_same_parametrization(record):
     trial = replace(record.trials[1], parameters={"gain": 1.0})
-    write_certificate(record, trial, gain=1)
+    write_certificate(record, trial, parameters={"gain": 1})
     assert certificate_problem(record, trial) == ""

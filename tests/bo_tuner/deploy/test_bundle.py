@@ -19,6 +19,14 @@ from bo_tuner.storage.run_folder import RunFolder
 FILES = {"parameters.yaml", "rollback.yaml", "difference.csv", "provenance.json"}
 
 
+VALUES = "/**/x_drive: {{ros__parameters: {{mode: a, limits: [1.0], gain: {gain}, n: {n}}}}}"
+
+
+def sealed(text):
+    """A rollback file whose digest fits."""
+    return f"# sha256 of all that follows: {hashlib.sha256(text.encode()).hexdigest()}\n{text}"
+
+
 @pytest.fixture
 def study(make_study):
     node = {"node": "axis"}
@@ -100,8 +108,7 @@ class TestBundle:
 
     def test_what_the_run_has_is_copied_and_what_it_has_no_more_goes(self, record):
         assert set(contents(write_bundle(record))) == FILES
-        write_certificate(record, record.trials[2])
-        (record.path / "certificate_evaluations.csv").write_text("1,2")
+        certificate = write_certificate(record, record.trials[2])
         (record.path / "report.html").write_text("<html>")
         files = contents(write_bundle(record))
         assert set(files) == FILES | {
@@ -111,10 +118,17 @@ class TestBundle:
         }
         assert files["report.html"] == b"<html>"
         assert json.loads(files["certificate.json"])["verdict"] == "PASS"
-        (record.path / "certificate.json").unlink()
+        assert files["certificate_evaluations.csv"] == b"evaluations"
+        certificate.unlink()
         files = contents(write_bundle(record))
-        assert set(files) == FILES | {"certificate_evaluations.csv", "report.html"}
+        assert set(files) == FILES | {"report.html"}
         assert "certificate.json" not in json.loads(files["provenance.json"])["sha256"]
+
+    def test_an_unreadable_certificate_blocks_no_way_back(self, record):
+        """It is left out, and so is the one before: the later one may be a FAIL."""
+        write_certificate(record, record.trials[2])
+        write_certificate(record, record.trials[2]).write_text("{")
+        assert set(contents(write_bundle(record))) == FILES
 
     def test_again_changes_nothing(self, record):
         folder = write_bundle(record)
@@ -168,17 +182,39 @@ class TestRefusals:
             ("/**/x_drive: {ros__parameters: {gain: .nan}}", "x_drive.gain: "),
             ("/**/x_drive: {ros__parameters: {gain: {a: 1}}}", "x_drive.gain: "),
             ("/**/x_drive: {ros__parameters: {gain: 1.0}}", "expected values of mode, limits,"),
+            (VALUES.format(gain="3", n="4"), "gain: expected a value of the type of 2.0, found 3"),
+            (VALUES.format(gain="3.0", n="4.0"), "n: expected a value of the type of 4, found 4.0"),
+            (VALUES.format(gain="3.0", n="true"), "n: expected a value of the type of 4, found tr"),
+            (VALUES.format(gain="fast", n="4"), "gain: expected a value of the type of 2.0"),
             ("/**/other: {ros__parameters: {gain: 1.0}}", "of x_drive, and no others"),
             ("!!python/object/apply:os.getcwd []", "no YAML"),
         ],
     )
     def test_a_way_back_that_is_none(self, record, text, complaint):
         folder = write_bundle(record)
-        (folder / "rollback.yaml").write_text(text)
+        (folder / "rollback.yaml").write_text(sealed(text))
         with pytest.raises(RunRecordError) as caught:
             read_rollback(record)
         assert complaint in str(caught.value)
         assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize("change", [("gain: 2.0", "gain: 9.0"), ("# sha256", "# "), ("\n", "")])
+    def test_a_changed_way_back_is_refused_and_nothing_vouches_for_it(self, record, change):
+        folder = write_bundle(record)
+        path = folder / "rollback.yaml"
+        changed = path.read_text().replace(*change)
+        path.write_text(changed)
+        with pytest.raises(RunRecordError, match="does not have the digest in its first line"):
+            read_rollback(record)
+        write_bundle(record)
+        assert path.read_text() == changed
+        provenance = json.loads((folder / "provenance.json").read_text())
+        assert "rollback.yaml" not in provenance["sha256"]
+
+    def test_values_of_other_types_are_not_set_to_begin_with(self, record):
+        live = {"x_drive": {"mode": "slow", "limits": [0.25], "gain": 7, "n": 9}}
+        with pytest.raises(OutputError, match=r"gain: expected a value of the type of 2\.0"):
+            write_bundle(record, rollback=live)
 
     def test_no_way_back(self, record):
         with pytest.raises(RunRecordError, match=r"rollback\.yaml: cannot be read: No such file"):

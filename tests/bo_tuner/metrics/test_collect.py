@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.collect import LARGEST_METRIC, Collector
+from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.trials import EvaluationState
 
 OK = {"status": "ok", "reason": ""}
@@ -25,7 +26,11 @@ def test_numbers_and_their_text(make_study, value):
 
 
 @pytest.mark.parametrize(
-    "value", ["nan", "inf", "-inf", float("nan"), float("inf"), "", "fast", None, [1.0], "0x10"]
+    "value",
+    [
+        *("nan", "inf", "-inf", float("nan"), float("inf"), "", "fast", None, [1.0], "0x10"),
+        *(True, 2e90, -2e90, "1e101", "1" + 200 * "0", 10**400),
+    ],
 )
 def test_anything_else_fails_the_evaluation_and_names_the_metric(make_study, value):
     found = judge(make_study, axis=OK | {"error": 0.25, "peak": value})
@@ -38,6 +43,54 @@ def test_a_missing_metric(make_study):
     found = judge(make_study, axis=OK | {"error": 0.25})
     assert found.state is EvaluationState.FAILED
     assert found.reason == "axis: metric peak is missing"
+
+
+def test_the_largest_number_is_one_that_the_models_take(make_study):
+    found = judge(make_study, axis=OK | {"error": LARGEST_METRIC, "peak": -LARGEST_METRIC})
+    assert found.state is EvaluationState.COMPLETE
+    assert LARGEST_METRIC < LARGEST_RESPONSE
+    beyond = judge(make_study, axis=OK | {"error": 1e120, "peak": 1.0})
+    assert beyond.reason == "axis: metric error is 1e+120, beyond 1e+90"
+
+
+ASSIGNED = {"gain": 0.1 + 0.2, "count": 2**62 + 1, "mode": "up", "on": True, "levels": [1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    "reported",
+    [
+        {"gain": repr(0.1 + 0.2), "count": str(2**62 + 1), "mode": "up", "on": "True"},
+        {"gain": 0.1 + 0.2, "count": 2**62 + 1, "on": "true", "levels": "whatever"},
+        {"count": f"{2**62 + 1}", "other": "5"},
+    ],
+)
+def test_parameters_that_a_node_reports_as_they_were_set(make_study, reported):
+    result = {"axis": OK | {"error": 0.25, "peak": 1} | reported}
+    found = Collector(make_study()).outcome(result, {"axis": ASSIGNED})
+    assert found.state is EvaluationState.COMPLETE
+
+
+@pytest.mark.parametrize(
+    ("name", "reported"),
+    [
+        ("gain", "0.3"), ("gain", 0.3), ("gain", "high"), ("count", str(2**62)),
+        ("count", float(2**62)), ("mode", "down"), ("on", "false"), ("on", 1), ("gain", None),
+    ],
+)  # fmt: skip
+def test_a_node_that_ran_with_another_parameter(make_study, name, reported):
+    """Whatever else it says: what it failed with is none of what was planned either."""
+    for status in (OK, {"status": "failed", "reason": "stalled"}):
+        said = {"axis": status | {"error": 0.25, "peak": 1, name: reported}}
+        found = Collector(make_study()).outcome(said, {"axis": ASSIGNED})
+        assert found.state is EvaluationState.FAILED
+        expected = f"axis: ran with parameter {name} {reported}, expected {ASSIGNED[name]}"
+        assert found.reason == expected
+
+
+def test_a_metric_may_have_the_name_of_a_parameter(make_study):
+    said = {"axis": OK | {"error": 0.25, "peak": 1}}
+    found = Collector(make_study()).outcome(said, {"axis": {"error": 3.0}})
+    assert found.metrics == {"error": 0.25, "peak": 1.0}
 
 
 @given(value=st.text(max_size=12) | st.floats().map(repr))

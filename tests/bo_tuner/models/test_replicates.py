@@ -1,4 +1,4 @@
-"""Grouping of replicates, standardisation and the refusal of bad data."""
+"""Grouping of replicates, standardization and invalid data."""
 
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ def smooth(x):
 
 
 def reference_process(theta):
-    """Return a reference whose standardisation leaves responses as they are."""
+    """Return a reference whose standardization leaves responses unchanged."""
     return GaussianProcess.condition(
         theta, np.full((1, len(theta.length_scales)), 0.5), [0.0], UNIT
     )

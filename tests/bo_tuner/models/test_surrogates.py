@@ -1,4 +1,4 @@
-"""The models of stage one: what each is fitted to, and what the constraint of each means."""
+"""The models of stage one: the data of each, and the constraints on them."""
 
 from dataclasses import replace
 
@@ -50,7 +50,7 @@ def test_models_predict_their_responses(study, make_trial):
     ("given", "probability"),
     [({}, 0.85), ({"probability": 0.5}, 0.5), ({"probability": 0.99}, 0.99)],
 )
-def test_the_noise_of_a_evaluation_keeps_a_distance_from_the_worst_case(
+def test_the_noise_of_an_evaluation_keeps_a_distance_from_the_worst_case(
     make_study, make_trial, given, probability
 ):
     worst = {"kind": "worst_case", "metric": "peak", "upper": 1.0} | given

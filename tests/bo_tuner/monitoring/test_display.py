@@ -45,7 +45,7 @@ class TestTable:
         shown = text(out)
         for word in ("control_horizon", "tracking_error", "overshoot", "draws above 0.09", "m/s"):
             assert word in shown
-        # Nothing was broken over two lines or cut off.
+        # No line was wrapped or truncated.
         assert "…" not in shown
         assert all("│" in line for line in lines[4:-1] if "─" not in line)
         first_cells = [line.split("│")[1].strip() for line in lines if line.startswith("│")]

@@ -1,4 +1,4 @@
-"""JSON lines: strict, whole, and no reason for a run to end."""
+"""JSON lines: strict, complete, and no reason for a run to end."""
 
 import dataclasses
 import io
@@ -51,11 +51,11 @@ def ended(process):
 
 
 class TestRun:
-    def test_events_tell_the_record(self, tune, tmp_path):
+    def test_events_match_the_record(self, tune, tmp_path):
         code, events, err = ended(tune(*NEW, "--json-lines"))
         assert (code, err) == (0, "")
         assert [event["event"] for event in events[:2]] == ["run", "phase"]
-        # Report and bundle are told as messages.
+        # Report and bundle are shown as messages.
         ends = ["result", "message", "message", "end"]
         assert [event["event"] for event in events[-4:]] == ends
         assert events[-1]["exit_code"] == 0
@@ -98,7 +98,7 @@ class TestRun:
         assert (code, err) == (0, "")
         assert out.startswith("function: default against tuned")
 
-    def test_an_interruption_is_told_and_the_rest_recalled(self, tune, tmp_path):
+    def test_an_interruption_is_shown_and_the_rest_recalled(self, tune, tmp_path):
         process = tune(*NEW, "--json-lines", PACE="0.05")
         lines = iter(process.stdout.readline, "")
         first = [strict(next(lines)) for _ in range(2)]
@@ -127,7 +127,7 @@ class TestRun:
             err = stderr.read()
         assert process.wait(DEADLINE) == 0, err
         (line,) = err.splitlines()
-        assert line == "no more JSON lines: Broken pipe; the run goes on"
+        assert line == "no more JSON lines: Broken pipe; the run continues"
         assert (tmp_path / "runs/latest/summary.json").exists()
 
 

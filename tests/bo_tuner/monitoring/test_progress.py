@@ -116,7 +116,7 @@ class TestTerminal:
         seconds = 2 * 80 + (20 + 10) * 30
         assert f"3/5 {duration(seconds)} left  optimizer 25%" in ESCAPE.sub("", text(out))
 
-    def test_trials_on_record_are_counted_and_not_told_again(self, make_study, make_trial):
+    def test_recorded_trials_are_counted_and_not_shown_again(self, make_study, make_trial):
         out = console(True, 80)
         trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(3)]
         with RunProgress(out, make_study()) as progress:
@@ -190,5 +190,5 @@ class TestWords:
         )
         advice = StopAdvice(trials=20, remaining=10, expected_gain=0.00123, noise=0.0234)
         words = advice_in_words(advice, study)
-        assert "the 10 trials left are expected to gain at most 0.0012 m in error" in words
+        assert "the 10 remaining trials are expected to gain at most 0.0012 m in error" in words
         assert "0.023 m" in words

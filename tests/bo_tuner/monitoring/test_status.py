@@ -1,4 +1,4 @@
-"""What all that watch a run read: shares of time, time left, counts."""
+"""The status of a run: shares of time, time left, counts."""
 
 import dataclasses
 
@@ -62,7 +62,7 @@ class TestTimes:
         assert status.now.done == 1
         assert status.now.time_left == 6.0
 
-    def test_only_recent_trials_tell_of_the_next_ones(self, make_study, make_trial):
+    def test_only_recent_trials_count_for_the_time_left(self, make_study, make_trial):
         status = RunStatus(make_study(), ALGORITHMS["I"])
         status.begin(Phase.TUNING, 31)
         for k in range(30):
@@ -147,7 +147,7 @@ class TestDiagnostics:
         found = progress(study, now)
         assert found.name == "tuner: progress"
         assert found.message == (
-            "tuning: 1 of 5; advice: stop, what is left to gain is below the noise; "
+            "tuning: 1 of 5; advice: stop, the expected gain is below the noise; "
             "no feasible point yet; paused"
         )
         assert found.values["overhead"] == "0.25"

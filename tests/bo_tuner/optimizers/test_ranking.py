@@ -1,4 +1,4 @@
-"""What is recommended, on trials of which the truth is known."""
+"""The ranking, on trials of a known function."""
 
 import numpy as np
 import pytest
@@ -41,8 +41,8 @@ class TestObjective:
         assert first.objective == pytest.approx(1.0, abs=NOISE)
 
     @pytest.mark.parametrize("seed", range(3))
-    def test_the_luckiest_sample_does_not_win(self, study, make_trial, seed):
-        """One trial, far from the optimum, was cut once only and looks best by luck."""
+    def test_a_single_low_sample_is_not_ranked_first(self, study, make_trial, seed):
+        """One trial far from the optimum has a single evaluation, with a low value by chance."""
         trials = along(make_trial, GRID, bowl, seed=100 * seed)
         lucky = make_trial(11, {"x": 0.75}, [0.93])
         assert all(np.mean(trial.observations("error")) > 0.93 for trial in trials)
@@ -69,7 +69,7 @@ class TestObjective:
         assert first.objective == pytest.approx(-1.0, abs=NOISE)
 
     def test_a_narrow_optimum_loses(self, study, make_trial):
-        """A gorge at 0.2 is a little deeper than the calm valley at 0.7, but nobody can hit it."""
+        """The narrow optimum at 0.2 is slightly lower than the wide one at 0.7."""
         points = [0.0, 0.1, 0.14, 0.17, 0.2, 0.23, 0.26, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7, 0.8, 0.9]
 
         def gorge(x):
@@ -109,7 +109,7 @@ class TestFeasibility:
         study = make_study(parameters={"x": DOUBLE}, constraints={})
         assert all(c.believed_feasible for c in rank(study, along(make_trial, GRID, bowl)))
 
-    def test_noise_of_a_evaluation_counts_against_the_limit(self, study, make_trial):
+    def test_noise_of_an_evaluation_counts_against_the_limit(self, study, make_trial):
         """The expected worst case meets its limit by a hair, half of the evaluations would not."""
         trials = [
             make_trial(k, {"x": float(x)}, noisy(bowl(x), k), worst=0.99, noise=0.2)
@@ -144,7 +144,7 @@ class TestFaults:
         assert np.isfinite([only.objective, only.violation, only.penalty, only.score]).all()
 
     def test_an_outlier_is_never_recommended(self, study, make_trial):
-        """Where the loop goes wild the model of the objective was not told of it."""
+        """The model of the objective excludes outliers, so it predicts a low cost near them."""
         trials = along(make_trial, GRID, bowl)
         wild = make_trial(11, {"x": 0.42}, [300.0] * 5)
         ranked = rank(study, [*trials, wild])

@@ -1,4 +1,4 @@
-"""Stage one by ask and tell, on cheap functions with a known optimum."""
+"""Stage one with ask and tell, on cheap functions with a known optimum."""
 
 import itertools
 
@@ -68,7 +68,7 @@ def noisy_bowl(number, parameters):
 
 
 class TestProposals:
-    def test_starts_with_the_design_and_goes_on_by_the_model(self, study_of, optimize):
+    def test_starts_with_the_design_and_continues_with_the_model(self, study_of, optimize):
         proposals = optimize(study_of({"x": double(), "y": double()}), noisy_bowl)
         assert [p.origin for p in proposals[:6]] == ["initial"] * 6
         assert {p.origin for p in proposals[6:]} <= {"acquisition", "refinement"}

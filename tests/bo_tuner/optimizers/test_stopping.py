@@ -1,4 +1,4 @@
-"""The advice to stop: its numbers against a dense search, and when it comes."""
+"""The advice to stop: its numbers against a dense search, and when it is given."""
 
 import json
 import signal
@@ -10,7 +10,9 @@ from axis import node, write_axis
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.particle_swarm import maximise
 from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.stopping import StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import study_to_yaml
@@ -112,7 +114,7 @@ class TestAdvice:
 
 
 def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_trial):
-    """The models are given; improvement, its maximum and the noise are reckoned here anew."""
+    """With the same models; improvement, its maximum and the noise are computed independently."""
     study = make_study(budget=BUDGET)
     rng = np.random.default_rng(3)
     trials = [
@@ -201,3 +203,31 @@ class TestStopEarly:
         again = runs.folder / name / "latest"
         for file in ("summary.json", "trials.csv", "evaluations.csv", "best.yaml"):
             assert (again / file).read_bytes() == (folder / file).read_bytes()
+
+
+def test_advice_and_optimizer_start_their_search_from_the_feasible_points(
+    make_study, make_trial, monkeypatch
+):
+    """Below 0.5 the cost is low and the limit violated, so what is promising lies above."""
+    study = make_study(budget=BUDGET | {"initial_trials": 12})
+    trials = [
+        make_trial(k, {"gain": g}, [1.0 + g, 1.01 + g], worst=1.5 - g)
+        for k, g in enumerate(np.linspace(0.02, 0.98, 12))
+    ]
+    seen = []
+
+    def keep(acquisition, dimension, rng, *, repair=None, initial=None):
+        seen.append(initial)
+        return maximise(acquisition, dimension, rng, repair=repair, initial=initial)
+
+    monkeypatch.setattr("bo_tuner.optimizers.bayesian.maximise", keep)
+    optimizer = BayesianOptimization(study)
+    for trial in trials:
+        optimizer.tell(trial)
+    optimizer.ask()
+    by_optimizer, seen[:] = seen[0], []
+    outlook(study, trials, ALGORITHM)
+    (by_advice,) = seen
+    for starts in (by_optimizer, by_advice):
+        # The six feasible points come first, each moved by 0.05 on average.
+        assert np.sort(starts[:6, 0]) == pytest.approx(np.linspace(0.54, 0.98, 6), abs=0.2)

@@ -1,6 +1,7 @@
 """Bags without ROS: what is in them, which are kept, and what is left of one that was cut off."""
 
 import json
+import shutil
 import signal
 import struct
 import subprocess
@@ -21,7 +22,7 @@ from bo_tuner.recording import recorder as recorder_module
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.recovery import partial_bags, recover
-from bo_tuner.recording.retention import Policy, RecordOptions, custom_data
+from bo_tuner.recording.retention import MADE, Policy, RecordOptions, custom_data
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
@@ -264,13 +265,13 @@ class TestRetention:
     def test_notable(self, recorder, tmp_path):
         names = ["trial_0000", "trial_0003", "trial_0004", "trial_0005"]
         assert self.run(recorder()) == names
-        assert sorted(path.name for path in tmp_path.iterdir()) == names
+        assert sorted(path.name for path in tmp_path.glob("*/")) == names
         kept_as = [custom_data(tmp_path / name)["kept_as"] for name in names]
         assert kept_as == ["best so far", "best so far", "worst", "failed"]
 
     def test_all(self, recorder, tmp_path):
         assert len(self.run(recorder(Policy.ALL))) == 6
-        assert len(list(tmp_path.iterdir())) == 6
+        assert len(list(tmp_path.glob("*/"))) == 6
 
     def test_a_later_session_knows_the_worst_of_an_earlier_one(self, recorder):
         self.run(recorder())
@@ -291,6 +292,23 @@ class TestRetention:
         (line,) = summary["warnings"]
         assert "limit" in line
         assert "trial_0000" in line
+
+    def test_bags_of_others_stay(self, recorder, tmp_path):
+        """Those that the run has not made, and what a forged list leads to."""
+        record(probe := recorder(Policy.ALL), trial_of(0))
+        probe.close()
+        for name in ("my_own", "trial_9999"):
+            shutil.copytree(tmp_path / "trial_0000", tmp_path / name)
+        outside = tmp_path.with_name(f"{tmp_path.name}-outside")
+        shutil.copytree(tmp_path / "trial_0000", outside)
+        (tmp_path / "trial_0008").symlink_to(outside)
+        with (tmp_path / MADE).open("a") as made:
+            made.write(f"../{outside.name}\n{outside}\nmy_own\ntrial_0008\n.\n\n")
+        it = recorder(Policy.ALL, limit=1)
+        record(it, trial_of(1))
+        it.close()
+        assert sorted(p.name for p in tmp_path.glob("*/")) == ["my_own", "trial_0008", "trial_9999"]
+        assert (outside / "metadata.yaml").is_file()
 
     def test_none_records_nothing(self, tmp_path):
         def listen(recorder):
@@ -414,7 +432,7 @@ class TestTrouble:
         assert "No space left on device; the run goes on" in line
         assert summary["bags"] == ["trial_0000"]
         # What was begun makes room for the journal.
-        assert [path.name for path in tmp_path.iterdir()] == ["trial_0000"]
+        assert [path.name for path in tmp_path.glob("*/")] == ["trial_0000"]
 
     def test_a_folder_that_cannot_be_made(self, tmp_path):
         (tmp_path / "bags").write_text("a file")

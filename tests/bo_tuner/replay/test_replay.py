@@ -21,6 +21,7 @@ from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.storage.trust import trust
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 
@@ -52,6 +53,7 @@ def record(tmp_path, axis, make_study):
     made = make_run(tmp_path / "run", study, InProcessBackend(study), result=2)
     states = {trial.state for trial in made.trials}
     assert states == {TrialState.COMPLETE, TrialState.FAILED}, "the seed gives both"
+    trust(study)
     return made
 
 

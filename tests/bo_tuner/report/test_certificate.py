@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from bo_tuner.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.answer import Status, answer
@@ -37,6 +38,9 @@ def findings(violations, passed):
 
 def content(verdict):
     return {
+        "format": FORMAT,
+        "parameters": {"gain": 0.25},
+        "parameters_sha256": parameters_sha256({"gain": 0.25}),
         "verdict": verdict,
         "reasons": [] if verdict == "PASS" else ["peak: <b>not</b> shown"],
         "warnings": ["narrow optimum"],
@@ -62,18 +66,19 @@ def certified(tuned, tmp_path):
     import dataclasses
 
     def give(text):
-        (tmp_path / "certificate.json").write_text(text)
+        path = next_path(tmp_path)
+        path.write_text(text)
         return dataclasses.replace(tuned, path=tmp_path)
 
     return give
 
 
 def test_a_run_without_a_certificate_has_none(tuned):
-    assert certificate(tuned) is None
+    assert certificate(tuned, None) is None
 
 
 def test_its_numbers_are_shown(certified):
-    found = certificate(certified(json.dumps(content("PASS"))))
+    found = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
     assert found.scope == "300 fresh draws, 95 % confidence"
     limits, gaps = found.section.tables
@@ -110,8 +115,6 @@ def test_one_of_another_trial_does_not_count(certified, tuned):
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])
 def test_a_broken_one_is_one_line(certified, text):
-    with pytest.raises(
-        RunRecordError, match=r"certificate.json: not a readable certificate"
-    ) as error:
-        certificate(certified(text))
+    with pytest.raises(RunRecordError, match=r"0001\.json: not a (readable )?certificate") as error:
+        certificate(certified(text), None)
     assert "\n" not in str(error.value)

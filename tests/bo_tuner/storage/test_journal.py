@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bo_tuner.storage.journal
-from bo_tuner.errors import JournalError
+from bo_tuner.errors import JournalError, OutputError
+from bo_tuner.metrics.collect import LARGEST_METRIC
 from bo_tuner.storage.journal import SCHEMA_VERSION, Journal
 from bo_tuner.storage.journal_reader import export_csv, read_journal
 from bo_tuner.trials import (
@@ -29,6 +30,7 @@ from bo_tuner.trials import (
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 texts = st.text(max_size=20).filter(str.isprintable)
+measured = st.floats(-LARGEST_METRIC, LARGEST_METRIC)
 names = st.sampled_from(["gain", "state", "reason", "trial", "größe"])
 
 
@@ -63,7 +65,7 @@ class TestRoundTrip:
     @given(
         parameters=st.dictionaries(names, finite | st.integers(-(2**63), 2**63 - 1)),
         context=st.dictionaries(names, finite),
-        metrics=st.dictionaries(names, finite),
+        metrics=st.dictionaries(names, measured),
         details=st.dictionaries(texts, texts),
         reason=texts,
         worst=st.none() | st.builds(WorstCase, finite, st.dictionaries(names, finite), finite),
@@ -88,6 +90,25 @@ class TestRoundTrip:
         with Journal(path, {}) as journal:
             record(journal, recorded)
         assert read_journal(path).trials == (recorded,)
+
+    @pytest.mark.parametrize("value", [2e90, -1e200, float("inf"), float("nan"), "0.5 m", None])
+    def test_a_metric_that_is_refused_today_makes_a_failed_trial(self, tmp_path, value):
+        """An earlier version recorded whatever is a finite number."""
+        outcome = Outcome(EvaluationState.COMPLETE, {"error": value}, "", {})
+        diverged = trial(1, [evaluation(1, 0), evaluation(1, 1, outcome=outcome)],
+                         worst_case=WorstCase(1e300, {}, 1e300))  # fmt: skip
+        path = tmp_path / "journal.sqlite"
+        with Journal(path, {}) as journal:
+            record(journal, trial(0, [evaluation()]), diverged)
+        content = read_journal(path)
+        assert content.damage == ""
+        first, second = content.trials
+        assert first.state is TrialState.COMPLETE
+        assert second.state is TrialState.FAILED
+        assert second.reason.startswith("metric error is ")
+        assert second.worst_case is None
+        assert second.evaluations[1].outcome.metrics == {}
+        assert second.evaluations[0] == evaluation(1, 0)
 
     def test_all_fields_of_a_worst_case(self, tmp_path):
         values = [
@@ -248,5 +269,5 @@ class TestTables:
         (tmp_path / "trials.csv").mkdir()
         with Journal(tmp_path / "j", {}):
             pass
-        with pytest.raises(JournalError, match=r"trials\.csv"):
+        with pytest.raises(OutputError, match=r"trials\.csv"):
             export_csv(tmp_path / "j", tmp_path)

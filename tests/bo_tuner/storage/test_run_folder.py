@@ -1,16 +1,21 @@
 """The run folder: never shared, complete, and readable by others."""
 
 import datetime
+import hashlib
 import json
 import os
 import re
+import sys
+from pathlib import Path
 
 import pytest
 import yaml
 
+import bo_tuner
 from bo_tuner.errors import OutputError
+from bo_tuner.storage import provenance as provenance_module
 from bo_tuner.storage import run_folder as run_folder
-from bo_tuner.storage.provenance import provenance
+from bo_tuner.storage.provenance import changed_sources, provenance, sources
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
 
@@ -128,8 +133,9 @@ def strict_json(text):
 class TestSummary:
     def test_what_is_no_number_is_null(self, tmp_path, make_study):
         folder = RunFolder.create(tmp_path, make_study())
-        path = folder.write_summary(
-            {"a": float("nan"), "b": ({"c": float("inf")}, 1.5), "d": True, "e": "nan", "f": 3}
+        path = folder.write_json(
+            "summary.json",
+            {"a": float("nan"), "b": ({"c": float("inf")}, 1.5), "d": True, "e": "nan", "f": 3},
         )
         assert strict_json(path.read_text()) == {
             "a": None,
@@ -149,3 +155,51 @@ def test_provenance_tells_what_makes_a_run_repeatable():
     assert record["numpy"].count(".") == 2
     assert record["python"].startswith("3.")
     assert all(isinstance(value, str) for value in record.values())
+
+
+class TestSources:
+    @pytest.fixture
+    def package(self, tmp_path, monkeypatch):
+        folder = tmp_path / "their_axis"
+        (folder / "inner").mkdir(parents=True)
+        for path in ("__init__.py", "inner/deep.py"):
+            (folder / path).write_text("VALUE = 1")
+        monkeypatch.syspath_prepend(tmp_path)
+        return folder
+
+    @pytest.fixture
+    def digests(self, make_study):
+        study = make_study(
+            nodes={"axis": {"node": "axis", "result": "~/r", "package": "their_axis",
+                            "executable": "axis", "object": "their_axis.inner.deep:VALUE"}}
+        )  # fmt: skip
+
+        def find(backend):
+            provenance_module._digest.cache_clear()
+            return sources(study, backend)
+
+        yield find
+        provenance_module._digest.cache_clear()
+
+    @pytest.mark.parametrize("backend", ["ros", "inprocess"])
+    def test_a_change_anywhere_in_a_package_of_the_study_shows(self, package, digests, backend):
+        before = digests(backend)
+        assert before.keys() == {"sources_sha256", "sources_sha256.their_axis"}
+        (package / "inner" / "deep.py").write_text("VALUE = 2")
+        after = digests(backend)
+        assert changed_sources(before, after) == ["their_axis"]
+        assert "their_axis" not in sys.modules
+
+    def test_the_digest_covers_the_whole_package(self):
+        """Not one folder of it only."""
+        whole = hashlib.sha256()
+        folder = Path(bo_tuner.__file__).parent
+        for path in sorted(folder.rglob("*.py")):
+            whole.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+        assert sources(load_study("benchmark"), "ros")["sources_sha256"] == whole.hexdigest()
+
+    def test_a_package_that_is_not_here_has_none(self, digests):
+        assert digests("ros").keys() == {"sources_sha256"}
+        assert changed_sources({"sources_sha256": "a", "sources_sha256.x": "b"}, {}) == [
+            "bo_tuner", "x",
+        ]  # fmt: skip

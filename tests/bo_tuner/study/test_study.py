@@ -248,6 +248,22 @@ class TestReplace:
         assert study == parse_study(STUDY)
         assert study.replace() == study
 
+    @pytest.mark.parametrize(
+        ("section", "message"),
+        [
+            ({"draws": 1}, "certificate.draws: expected an integer of at least 2, found 1"),
+            ({"confidence": 1.0}, "certificate.confidence: "),
+            ({"confidence": 0}, "certificate.confidence: "),
+            ({"draw": 300}, "certificate.draw: unknown key; did you mean 'draws'?"),
+            (300, "certificate: expected a mapping"),
+        ],
+    )
+    def test_what_a_certificate_needs_is_checked(self, section, message):
+        mapping = study_to_mapping(parse_study(STUDY)) | {"certificate": section}
+        with pytest.raises(StudyError) as caught:
+            study_from_mapping(mapping)
+        assert str(caught.value).startswith(message)
+
     def test_fewer_trials_than_the_initial_design(self):
         assert parse_study(STUDY).replace(trials=2).budget.initial_trials == 2
 

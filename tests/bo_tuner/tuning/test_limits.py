@@ -1,4 +1,4 @@
-"""Whether a limit holds: one rule, whoever asks."""
+"""Whether a limit holds: one rule for all that use it."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def chance(make_study, probability):
 
 @given(percent=st.integers(50, 99), hundreds=st.integers(1, 50))
 def test_a_share_that_is_allowed_exactly_holds(make_study, percent, hundreds):
-    """In whole numbers: of 100 draws, 100 - percent may violate, and not one more."""
+    """Of 100 draws, exactly 100 - percent may violate the limit, despite rounding."""
     constraint = chance(make_study, percent / 100.0)
     assert most_violations(constraint, 100 * hundreds) == (100 - percent) * hundreds
 

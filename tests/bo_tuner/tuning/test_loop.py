@@ -12,7 +12,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import EvaluationState, Stage, TrialState
+from bo_tuner.trials import DISTURBED, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
@@ -47,7 +47,7 @@ class TestEvaluations:
             assert trial.state is TrialState.COMPLETE
             assert trial.worst_case is not None
 
-    def test_the_node_is_told_what_is_recorded(self, whole):
+    def test_the_node_receives_what_is_recorded(self, whole):
         _, backend, trials = whole
         told = [
             {**trial.parameters, **evaluation.context, "seed": evaluation.seed}
@@ -171,6 +171,22 @@ class TestFailures:
         assert trial.reason == f"metric error is {value}; its log scale needs a positive value"
         assert trial.evaluations[0].outcome.metrics == {}
 
+    def test_a_run_that_diverged_is_a_failed_one(self, make_study, function_backend):
+        """A finite number that the surrogates cannot take used to end the run, and every resume."""
+        study = make_study().replace(trials=5, initial_trials=3)
+
+        def diverging(gain, **values):
+            said = smooth(gain=gain, **values)
+            return said | {"error": 1e150} if gain > 0.5 else said
+
+        trials = run(study, function_backend(study, diverging))
+        assert len(trials) == 5
+        for trial in trials:
+            expected = TrialState.FAILED if trial.parameters["gain"] > 0.5 else TrialState.COMPLETE
+            assert trial.state is expected
+            if trial.state is TrialState.FAILED:
+                assert trial.reason == "axis: metric error is 1e+150, beyond 1e+90"
+
     def test_three_lost_in_a_row_end_the_run(self, make_study, function_backend, failed):
         study = make_study()
         seen = []
@@ -182,6 +198,19 @@ class TestFailures:
         # The third is handed out for the record before the run ends.
         assert [trial.number for trial in seen] == [0, 1, 2]
         assert all(trial.state is TrialState.FAILED for trial in seen)
+
+    def test_so_do_three_that_others_disturbed(self, make_study, function_backend):
+        study = make_study()
+        reason = "axis: parameter gain is 1.0, expected 0.5 (changed by someone else)"
+        disturbed = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        seen = []
+        with pytest.raises(RunError, match=r"^3 trials in a row were disturbed by others: axis: p"):
+            iter_into(Tuning(study, function_backend(study, lambda **_: disturbed), IV), seen)
+        assert len(seen) == 3
+        # Three on record are three, whoever ran them.
+        again = Tuning(study, function_backend(study, lambda **_: disturbed), IV, trials=seen)
+        with pytest.raises(RunError, match=r"^4 trials in a row were disturbed"):
+            iter_into(again, [])
 
     def test_others_in_between_do_not(self, make_study, function_backend, failed):
         study = make_study().replace(trials=8, initial_trials=8)
@@ -221,7 +250,7 @@ class TestRepetition:
         assert first.evaluations[0].context != second.evaluations[0].context
         assert first.evaluations[0].seed != second.evaluations[0].seed
 
-    def test_a_resumed_run_goes_on_as_if_nothing_had_been(
+    def test_a_resumed_run_continues_as_if_uninterrupted(
         self, make_study, function_backend, tmp_path
     ):
         study = make_study(

@@ -1,9 +1,12 @@
-"""Checks before a recommendation, on a backend of which the truth is known."""
+"""Checks before a recommendation, on a backend with a known function."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from functions import Watcher
 
+from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.trials import EvaluationState, Stage
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS, recommend
 
@@ -25,7 +28,7 @@ def axis(x, load=1.5, seed=0):
 
 
 def flattering(make_trial):
-    """Trials in which, by luck, every worst case looked a fifth lower than it is."""
+    """Trials in which every estimated worst case is a fifth too low."""
     return [
         make_trial(k, {"x": float(x)}, [2.0 - x] * 2, worst=0.8 * 2.0 * x, noise=NOISE)
         for k, x in enumerate(GRID)
@@ -120,3 +123,21 @@ def test_a_failed_evaluation_refutes(study, make_trial, function_backend, failed
 def test_all_trials_failed(study, make_trial, function_backend):
     trials = [make_trial(k, {"x": float(x)}) for k, x in enumerate(GRID)]
     assert recommend(study, function_backend(study, axis), trials) is None
+
+
+def test_what_held_but_is_no_longer_believed_is_not_called_feasible(
+    study, make_trial, function_backend, monkeypatch
+):
+    """The models may learn from another candidate's check."""
+    trial = replace(make_trial(0, {"x": 0.2}, [1.0], worst=0.4), worst_case=None)
+    believed = Candidate(trial, 1.0, 0.9, -0.5, 0.0, 0.0)
+    rankings = iter([believed, replace(believed, feasibility=0.1)])
+
+    def ranked(study, trials, options):
+        return [replace(next(rankings), trial=trials[0])]
+
+    monkeypatch.setattr("bo_tuner.tuning.recommendation.rank", ranked)
+    backend = function_backend(study, lambda **_: {"error": 1.0, "peak": 0.4})
+    answer = recommend(study, backend, [trial])
+    assert answer.checked == (0,)
+    assert not answer.feasible

@@ -1,4 +1,4 @@
-"""Algorithm V: the joint model, on functions of which the worst case is known."""
+"""Algorithm V: the joint model, on functions whose worst case is known."""
 
 import numpy as np
 import pytest
@@ -81,7 +81,7 @@ class TestJointSearch:
 
     @pytest.mark.parametrize("limit", [1.0, 3.5])
     def test_a_clear_decision_needs_no_search(self, plane, limit):
-        """Earlier trials tell that the worst case 2.0 is far from the limit."""
+        """Earlier trials show that the worst case 2.0 is far from the limit."""
         _, asked = self.search(plane, limit)
         assert len(asked) <= 1
 

@@ -1,4 +1,4 @@
-"""Stage two by ask and tell: the worst context of functions with a known one."""
+"""Stage two with ask and tell, on functions whose worst context is known."""
 
 import numpy as np
 import pytest

@@ -44,10 +44,19 @@ class Drive(Node):
         for name, value in (("gain", 0.5), ("load", 1.0), ("seed", 0), ("limit", 1.0)):
             self.declare_parameter(name, value)
         self.add_on_set_parameters_callback(self.judge)
+        if "CLAMP" in os.environ:
+            self.add_pre_set_parameters_callback(self.clamp)
         self.result = self.create_publisher(DiagnosticArray, "~/cut_result", 50)
         self.create_service(Trigger, "~/run", self.run)
         self.timer = self.create_timer(0.01, self.end)
         self.cut = None
+
+    def clamp(self, changes):
+        most = float(os.environ["CLAMP"])
+        return [
+            rclpy.parameter.Parameter(p.name, value=min(p.value, most)) if p.name == "gain" else p
+            for p in changes
+        ]
 
     def judge(self, changes):
         for p in changes:

@@ -227,8 +227,8 @@ def test_an_unwritable_folder_ends_the_recording_only(tune):
     assert command.finish() in (0, 3), command.err
     assert command.err.count("recording stopped") == 1
     assert len(command.trials()) == 3
-    summary = json.loads((command.run_folder / "summary.json").read_text())
-    assert "recording stopped" in summary["recording"]["warnings"][0]
+    recording = json.loads((command.run_folder / "recording.json").read_text())
+    assert "recording stopped" in recording["warnings"][0]
 
 
 @pytest.mark.parametrize(

@@ -119,6 +119,25 @@ class TestEvaluations:
             assert trial.reason == (refused if gain > 0.5 else "")
         assert {trial.state for trial in command.trials()} == set(TrialState)
 
+    def test_values_that_the_node_does_not_take(self, tune):
+        """It says that it took them, and clamps."""
+        command = tune("--trials", "6", CLAMP="0.4")
+        assert command.finish() in (0, 3), command.err
+        for trial in command.trials():
+            gain = trial.parameters["gain"]
+            clamped = f"axis: parameter gain is 0.4, expected {gain} (not taken by the node)"
+            assert trial.reason == (clamped if gain > 0.4 else "")
+        assert {trial.state for trial in command.trials()} == set(TrialState)
+
+    def test_constants_that_the_node_does_not_take(self, tune, drive_study):
+        study = drive_study()
+        study["nodes"]["axis"]["parameters"] = {"gain": 0.7}
+        study["parameters"] = {"limit": study["parameters"]["gain"]}
+        assert tune(study=study, CLAMP="0.4").refusal() == (
+            "nodes.axis.parameters: axis: parameter gain is 0.4, expected 0.7 "
+            "(not taken by the node)"
+        )
+
     def test_a_node_that_dies_is_replaced(self, tune):
         command = tune(DRIVE="3:die")
         assert command.finish() == 0, command.err

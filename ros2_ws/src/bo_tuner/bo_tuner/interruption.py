@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 LOOK_AROUND = 0.1
 """Time [s] after which a run that waits looks for other requests."""
 
@@ -19,12 +19,21 @@ class Interrupted(Exception):  # noqa: N818 (a request, no error)
 
 
 class Interruption:
-    """Takes SIGINT and SIGTERM from its making on; make it in the main thread."""
+    """Takes SIGINT, SIGTERM and SIGHUP from its making on; make it in the main thread.
+
+    A SIGHUP that is ignored, as ``nohup`` has it, stays ignored.
+    """
 
     def __init__(self) -> None:
         self._request: tuple[int, str] | None = None
         for signum in SIGNALS:
-            signal.signal(signum, self._take)
+            if signum != signal.SIGHUP or signal.getsignal(signum) is not signal.SIG_IGN:
+                signal.signal(signum, self._take)
+
+    @property
+    def signum(self) -> int | None:
+        """The signal that asked for the end; None if nothing did."""
+        return None if self._request is None else self._request[0]
 
     def check(self) -> None:
         """Raise `Interrupted` if the end was asked for."""

@@ -1,4 +1,4 @@
-"""The record of a run: evaluations, and the trials that they make up."""
+"""Evaluations and trials: the record of a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ Value = int | float
 
 
 class Stage(StrEnum):
-    """What an evaluation was run for."""
+    """Purpose of an evaluation."""
 
     NOMINAL = "nominal"
     DRAWN = "drawn"
@@ -19,14 +19,14 @@ class Stage(StrEnum):
 
 
 TUNING = (Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)
-"""Stages of a trial; what follows are checks of its candidates and the validation."""
+"""Stages of a trial; the others are those of the checks of candidates and of the validation."""
 
 ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 """Stages whose contexts follow the distribution that the objective is an expectation over."""
 
 
 class EvaluationState(StrEnum):
-    """How an evaluation ended: whole, failed in itself, or lost with a node."""
+    """How an evaluation ended: complete, failed, or lost because a node stopped."""
 
     COMPLETE = "complete"
     FAILED = "failed"
@@ -34,32 +34,41 @@ class EvaluationState(StrEnum):
 
 
 class TrialState(StrEnum):
-    """How a trial ended; only a complete one has values, a failed one is infeasible."""
+    """How a trial ended; a failed trial has no values and counts as infeasible."""
 
     COMPLETE = "complete"
     FAILED = "failed"
 
 
+DISTURBED = "disturbed"
+"""Key of an outcome's details: who ran the evaluation was not alone with its nodes."""
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """What a backend reports of one evaluation.
+    """Result of one evaluation, as a backend reports it.
 
     Attributes
     ----------
     state
-        An evaluation whose metrics are not all finite is not complete.
+        How the evaluation ended; complete only if all metrics are finite.
     metrics
         The study's metrics by name, each in its unit; empty unless complete.
     reason
         Why the evaluation is not complete.
     details
-        All else that the nodes said of the evaluation, as text.
+        Further values that the nodes reported, as text.
     """
 
     state: EvaluationState
     metrics: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
     details: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether it tells nothing of its parameters: its nodes were lost, or others disturbed."""
+        return self.state is EvaluationState.LOST or DISTURBED in self.details
 
 
 @dataclass(frozen=True)
@@ -71,7 +80,7 @@ class Evaluation:
     trial, index
         Number of the trial, and of the evaluation within it, both from 0.
     stage
-        What the evaluation was run for.
+        Purpose of the evaluation.
     parameters
         Value of every parameter of the study.
     context
@@ -79,11 +88,11 @@ class Evaluation:
     seed
         Seed of the noise.
     outcome
-        What came of it; of an evaluation that is only planned, that it was not run.
+        Its result; that of a planned evaluation is a failure with the reason ``not run``.
     seconds
-        How long it took [s]; no part of what makes two evaluations equal.
+        Wall time [s]; ignored when evaluations are compared.
     recorded
-        Whether the outcome was on record already; no part of equality either.
+        Whether the outcome was read from the journal; ignored when evaluations are compared.
     """
 
     trial: int
@@ -106,12 +115,12 @@ class WorstCase:
     value
         The estimate, in the metric's unit.
     context
-        Where it was found.
+        Context of the estimate.
     observed
-        The largest single observation.
+        Largest single observation, in the metric's unit.
     noise
-        Standard deviation of a single observation in that context; 0 if the estimate counts it
-        in already.
+        Standard deviation of a single observation in that context, in the metric's unit; 0 if the
+        estimate already includes the noise.
     """
 
     value: float
@@ -122,7 +131,7 @@ class WorstCase:
 
 @dataclass(frozen=True)
 class Trial:
-    """One parameter set and all that was found out about it.
+    """One parameter set, its evaluations and the estimates from them.
 
     Attributes
     ----------
@@ -131,20 +140,20 @@ class Trial:
     parameters
         Every parameter of the study, tied and fixed ones included.
     origin
-        What proposed it, such as ``initial`` or ``acquisition``.
+        How it was proposed, such as ``initial`` or ``acquisition``.
     state, reason
-        Outcome, and why the trial failed.
+        How the trial ended, and why if it failed.
     evaluations
-        All its evaluations.
+        All its evaluations, those of a check included.
     worst_case
         Worst case of the constrained metric, if the study has such a constraint.
     warnings
-        Numerical trouble on the way to the proposal.
+        Numerical problems while the parameter set was proposed, one line each.
     hyperparameters
-        Logarithms of the hyperparameters of the surrogates behind the proposal, by name, from
-        which the next ones start.
+        Logarithms of the hyperparameters of the surrogates behind the proposal, by model name;
+        the next fit starts from them.
     seconds
-        How long it took to propose it [s]; no part of what makes two trials equal.
+        Wall time of the proposal [s]; ignored when trials are compared.
     """
 
     number: int
@@ -159,7 +168,7 @@ class Trial:
     seconds: float = field(default=0.0, compare=False)
 
     def observations(self, metric: str) -> list[float]:
-        """Values of `metric` in the evaluations that estimate its distribution."""
+        """Return the values of `metric` in the complete evaluations of the stages `ESTIMATING`."""
         return [
             evaluation.outcome.metrics[metric]
             for evaluation in self.evaluations

@@ -3,11 +3,13 @@
 import sys
 
 from feed_axis_common.signals import exit_on_stop_signal
+from feed_axis_common.threads import use_one_thread
 
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM."""
     exit_on_stop_signal()
+    use_one_thread()
 
     from feed_axis_common.ros.process import run
     from milling_plant.node import PlantNode

@@ -1,1 +1,1 @@
-"""Acquisition functions: what a further evaluation of a point is worth."""
+"""Acquisition functions: the value of evaluating a point next."""

@@ -3,12 +3,14 @@
     log α(x) = log RI(x) + log p_feas(x) + log(1 - p_out(x)) + log(1 - p_fail(x))
 
 RI is the expected improvement under the reinterpolation model of the objective (Forrester et al.
-2006), p_feas the product of the probabilities of feasibility of independent constraints, p_out and
-p_fail come from the nearest-neighbour classifiers. The logarithm keeps the order of points whose
-plain α underflows.
+2006), p_feas the product of the probabilities of feasibility, the constraints taken as independent;
+p_out and p_fail come from the nearest-neighbour classifiers. The logarithm preserves the order of
+points where α underflows.
 
-Each factor is a function of its own, and `LogSum` adds them: another acquisition function is
-another list of terms.
+Each factor is a class, and `LogSum` adds their logarithms: another acquisition function is another
+list of terms.
+
+Notation: d tuned parameters, m query points in the unit cube.
 """
 
 from collections.abc import Iterable
@@ -27,14 +29,14 @@ from bo_tuner.numerics.special import log_expected_improvement
 
 
 class Acquisition(Protocol):
-    """Logarithm of what an evaluation of a point is worth, to be maximised."""
+    """Logarithm of an acquisition function, to be maximized."""
 
     def __call__(self, x: Array) -> Array:
         """Return the values (m,) at points x (m, d) of the unit cube; -inf excludes a point."""
 
 
 class AcquisitionRule(Protocol):
-    """Makes an acquisition function of the models of all trials."""
+    """Makes an acquisition function from the surrogates."""
 
     def __call__(
         self,
@@ -44,14 +46,14 @@ class AcquisitionRule(Protocol):
         avoid: float = 0.5,
         reinterpolate: bool = True,
     ) -> Acquisition:
-        """Make it.
+        """Make the acquisition function.
 
         Parameters
         ----------
         surrogates
-            The models.
+            Models of all trials.
         incumbent
-            Cost to improve on; None while nothing is believed feasible.
+            Cost to improve on; None while no parameter set is believed feasible.
         avoid, reinterpolate
             As in `constrained_improvement`.
         """
@@ -64,7 +66,7 @@ class LogSum:
     terms: tuple[Acquisition, ...]
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return the sum of the terms (m,) at x (m, d)."""
         total = np.zeros(len(x))
         for term in self.terms:
             total += term(x)
@@ -79,32 +81,32 @@ class LogReinterpolationImprovement:
     best: float
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return log RI (m,) at x (m, d)."""
         mean, variance = self.model.predict_reinterpolated(x)
         return log_expected_improvement(mean, variance, self.best)
 
 
 @dataclass(frozen=True, eq=False)
 class LogNoisyImprovement:
-    """Log expected improvement on `best` under the noisy model, uncertain at its data too."""
+    """Log expected improvement on `best` under the noisy model, also finite at its data."""
 
     model: Model
     best: float
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return the log improvement (m,) at x (m, d)."""
         mean, variance = self.model.predict(x)
         return log_expected_improvement(mean, variance, self.best)
 
 
 @dataclass(frozen=True, eq=False)
 class Unevaluated:
-    """-inf at points at which the response was observed, 0 elsewhere."""
+    """-inf at the points of the model's data, 0 elsewhere."""
 
     model: Model
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return 0 or -inf (m,) at x (m, d)."""
         _, variance = self.model.predict_reinterpolated(x)
         return np.where(variance <= 0.0, -np.inf, 0.0)
 
@@ -116,23 +118,23 @@ class LogFeasibility:
     constraint: SurrogateConstraint
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return the log probability (m,) at x (m, d)."""
         return self.constraint.log_probability(x)
 
 
 @dataclass(frozen=True, eq=False)
 class LogAvoidance:
-    """Log(1 - p) for the class of a classifier, and -inf where p is larger than `avoid`.
+    """Log(1 - p) of a classifier's probability p, and -inf where p exceeds `avoid`.
 
-    The product of Eq. 5 alone does not keep a search away from crashes: there the objective stays
-    unknown, while the reinterpolated improvement elsewhere falls without bound.
+    The product of Eq. 5 alone does not keep the search away from failures: the objective remains
+    uncertain there, while the reinterpolation improvement elsewhere tends to zero.
     """
 
     classifier: NeighbourClassifier
     avoid: float = 0.5
 
     def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at x (m, d)."""
+        """Return log(1 - p) or -inf (m,) at x (m, d)."""
         log_complement = self.classifier.log_complement(x)
         least = np.log1p(-self.avoid) if self.avoid < 1.0 else -np.inf
         return np.where(log_complement < least, -np.inf, log_complement)
@@ -150,15 +152,15 @@ def constrained_improvement(
     Parameters
     ----------
     surrogates
-        The models.
+        Models of all trials.
     incumbent
-        Cost to improve on: the lowest posterior mean among the points believed feasible. While
-        there is none, feasibility alone is sought, away from evaluated points.
+        Cost to improve on: the lowest posterior mean among the points believed feasible. If None,
+        the function has no improvement term and excludes evaluated points.
     avoid
-        Points of which a classifier is surer than this are left out.
+        Largest probability of a failure or an outlier; points above it are excluded.
     reinterpolate
-        Whether the improvement is the one under the reinterpolation model. If not, it is the one
-        under the noisy model, the evaluated points excepted.
+        Use the improvement under the reinterpolation model; else the one under the noisy model,
+        with evaluated points excluded.
     """
     terms: list[Acquisition] = []
     model = surrogates.objective
@@ -175,15 +177,15 @@ def constrained_improvement(
 
 
 def feasibility_terms(constraints: Iterable[SurrogateConstraint]) -> list[Acquisition]:
-    """Make a term of each of some independent constraints."""
+    """Return a term for each constraint, all taken as independent."""
     return [LogFeasibility(constraint) for constraint in constraints]
 
 
 def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:
     """Return the lowest posterior mean among the feasible points of a model's data.
 
-    Expected improvement under noise needs a noise-free incumbent: the interpolated values of the
-    reinterpolation model are the posterior means.
+    Expected improvement needs an incumbent without noise; the reinterpolation model interpolates
+    the posterior means.
 
     Parameters
     ----------

@@ -4,8 +4,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.protocol import IN_PROCESS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 
 

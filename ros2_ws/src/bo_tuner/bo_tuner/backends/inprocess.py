@@ -10,10 +10,11 @@ import importlib
 from collections.abc import Mapping
 from typing import Any
 
-from bo_tuner.backends.protocol import IN_PROCESS, SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 
@@ -89,7 +90,7 @@ class InProcessBackend(SequentialBackend):
             said = {trigger: self._objects[trigger].run_cut(*others.values())}
             if said[trigger].get("status") == STATUS_OK:
                 said |= {key: other.cut_result() for key, other in others.items()}
-            return self._collector.outcome(said)
+            return self._collector.outcome(said, assignments)
         except Exception as error:
             return Outcome(EvaluationState.FAILED, {}, f"{type(error).__name__}: {error}")
 

@@ -8,10 +8,6 @@ from typing import Protocol
 
 from bo_tuner.trials import Evaluation, Outcome
 
-ROS, IN_PROCESS = "ros", "inprocess"
-BACKENDS = (ROS, IN_PROCESS)
-"""Names of the backends, on the command line and on record; the first is the default."""
-
 
 class Backend(Protocol):
     """Runs evaluations of a study between `open` and `close`."""

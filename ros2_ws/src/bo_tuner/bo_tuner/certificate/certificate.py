@@ -4,7 +4,6 @@ import csv
 import hashlib
 import io
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -13,23 +12,27 @@ from pathlib import Path
 from bo_tuner.certificate.context_tolerance import CREDIBLE, ContextTolerance, context_tolerance
 from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
 from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
+from bo_tuner.certificate.store import (
+    FORMAT,
+    evaluations_path,
+    next_path,
+    parameters_sha256,
+)
 from bo_tuner.certificate.verdict import FAIL, PASS, judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
-from bo_tuner.errors import OutputError
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import without_nan
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Stage, Trial, Value
+from bo_tuner.text import csv_cell
+from bo_tuner.trials import Stage, Trial
 
-CERTIFICATE = "certificate.json"
 TUNED, DEFAULT = "tuned", "default"
-FORMAT = 1
-"""Version of the file's format."""
 
 
 @dataclass(frozen=True)
@@ -172,18 +175,17 @@ def make_certificate(
 
 
 def write_certificate(
-    folder: Path, name: str, certificate: Certificate, evidence: Mapping[str, Evidence]
+    folder: Path, certificate: Certificate, evidence: Mapping[str, Evidence]
 ) -> Path:
     """Write the evaluations, then the certificate with their digest; return the latter's path.
 
-    Each file is written atomically.
+    Earlier certificates stay. The file of the certificate comes last: without it, after a crash,
+    its evaluations are no certificate.
 
     Parameters
     ----------
     folder
-        The run folder.
-    name
-        File name of the certificate.
+        The run folder, locked.
     certificate
         The certificate.
     evidence
@@ -194,17 +196,12 @@ def write_certificate(
     OutputError
         If a file cannot be written.
     """
+    path = next_path(folder)
     table = _table(certificate.study, evidence)
-    _write(folder / f"{Path(name).stem}_evaluations.csv", table)
+    write_atomically(evaluations_path(path), table)
     digest = hashlib.sha256(table.encode()).hexdigest()
     text = json.dumps(without_nan(certificate.to_mapping(digest)), indent=2, allow_nan=False)
-    return _write(folder / name, text + "\n")
-
-
-def parameters_sha256(parameters: Mapping[str, Value]) -> str:
-    """Return the digest of a parameter set's JSON with sorted keys and without spaces."""
-    text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return write_atomically(path, text + "\n")
 
 
 def _findings(findings: Findings) -> dict[str, object]:
@@ -236,21 +233,7 @@ def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
                     *(repr(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
-                    outcome.reason,
+                    csv_cell(outcome.reason),
                 ]
             )
     return text.getvalue()
-
-
-def _write(path: Path, text: str) -> Path:
-    draft = path.with_name(f".{path.name}.new")
-    try:
-        with draft.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    return path

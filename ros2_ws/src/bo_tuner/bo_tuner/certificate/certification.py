@@ -76,7 +76,7 @@ class Certification:
         Raises
         ------
         RunError
-            If three evaluations in a row were lost with their nodes.
+            If three evaluations in a row were lost with their nodes or disturbed.
         """
         drawn = self._draw(subjects, draws)
         return [
@@ -140,6 +140,6 @@ class Certification:
 
     def _run(self, planned: Evaluation) -> Evaluation:
         evaluation = evaluate(self._study, self._backend, planned, self._observer)
-        self._losses.note(evaluation.outcome.state is EvaluationState.LOST)
-        self._losses.check(evaluation.outcome.reason)
+        self._losses.note(evaluation.outcome)
+        self._losses.check()
         return evaluation

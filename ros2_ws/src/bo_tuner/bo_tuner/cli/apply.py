@@ -5,17 +5,17 @@ import os
 import select
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.cli.common import Parser, guarded, split_ros_arguments
+from bo_tuner.certificate.store import certificate_problem
+from bo_tuner.cli.common import Parser, guarded, read_result, split_ros_arguments
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.streams import say_error
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
     Nodes,
-    certificate_problem,
     read_values,
     set_values,
 )
@@ -34,13 +34,15 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.parameter_file import NodeValues, node_values
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 
 DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
 values or none, reads them back, and saves the previous values in
-RUN/deploy/rollback.yaml. The certificate of the result must be a PASS.
+RUN/deploy/rollback.yaml. The result needs a certificate: a PASS for this study,
+these parameters and this code, with the draws and confidence that the study
+requires, and no later FAIL.
 """
 
 EPILOG = """\
@@ -51,9 +53,12 @@ exit codes:
   0    the nodes have the values, as read back from them
   1    a node refused or did not answer; the previous values were restored
   2    bad input: run, option or nodes, or no terminal to confirm in
-  3    nothing was set: the certificate is missing or not a PASS, you did not
-       confirm, or the nodes' values changed before you did
-  130  interrupted by Ctrl-C before anything was set (143: by SIGTERM)
+  3    nothing was set: no certificate allows it, you did not confirm, or the
+       nodes' values changed before you did
+  130  interrupted by Ctrl-C before anything was set (143: by SIGTERM, 129: the
+       terminal was closed)
+  141  nobody read the output any more, and 1 if it cannot be written: see by
+       another apply what the nodes have
 
 examples:
   apply runs/latest                              show the difference, ask, set
@@ -67,7 +72,7 @@ examples:
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("apply", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that has ended")
+    parser.add_run_argument("folder of a run that has ended")
     parser.add_argument("--yes", action="store_true", help="set without asking")
     parser.add_argument(
         "--rollback", action="store_true", help=f"set the values of the run's deploy/{ROLLBACK}"
@@ -75,7 +80,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--without-certificate",
         action="store_true",
-        help="set the result even if its certificate is missing or not a PASS",
+        help="set the result even if no certificate allows it",
     )
     return parser
 
@@ -93,7 +98,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """
     own, ros_arguments = split_ros_arguments(argv)
     arguments = make_parser().parse_args(own)
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     trial = result_of(record)
     if not arguments.rollback:
         problem = certificate_problem(record, trial)
@@ -192,9 +197,9 @@ def _confirmed(question: str, interruption: Interruption) -> bool:
 
 
 def _warn(text: str) -> None:
-    sys.stderr.write(f"warning: {' '.join(text.split())}\n")
+    say_error(f"warning: {text}")
 
 
 def _refuse(text: str, code: int) -> int:
-    sys.stderr.write(f"error: {' '.join(text.split())}\n")
+    say_error(f"error: {text}")
     return code

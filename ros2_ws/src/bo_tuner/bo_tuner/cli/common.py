@@ -1,20 +1,27 @@
 """Shared by all commands: the argument parser, and errors as one line and an exit code."""
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from io import TextIOWrapper
+from pathlib import Path
 from typing import NoReturn
 
 from threadpoolctl import threadpool_limits
 
-from bo_tuner.backends.protocol import BACKENDS
-from bo_tuner.cli.exit_codes import EXIT_SIGNAL, EXIT_USAGE
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
+from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.run_folder import LATEST
+from bo_tuner.storage.trust import check_trust, trust
+from bo_tuner.study.parts import BACKENDS
+from bo_tuner.tuning.summary import with_summary
+
+RUNS = Path("runs")
+"""Where run folders are created, and looked for."""
 
 Run = Callable[[Sequence[str], Interruption], int]
 
@@ -38,6 +45,21 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+        self.add_argument(
+            "--version",
+            action="version",
+            version=f"{prog} {version_of(OWN_PACKAGE)} (commit {commit()})",
+            help="show version and commit, and exit",
+        )
+
+    def add_run_argument(self, what: str = "run folder") -> None:
+        """Add the positional argument ``run``."""
+        self.add_argument(
+            "run",
+            type=Path,
+            metavar="RUN",
+            help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
+        )
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""
@@ -54,10 +76,6 @@ def guarded(run: Run) -> Run:
     """
 
     def guard(argv: Sequence[str], interruption: Interruption) -> int:
-        for stream in (sys.stdout, sys.stderr):
-            if isinstance(stream, TextIOWrapper):
-                # A character that the terminal cannot show becomes a question mark, not an error.
-                stream.reconfigure(errors="replace")
         try:
             # More than one thread only slows down the small matrices of the surrogates.
             with threadpool_limits(1):
@@ -66,17 +84,30 @@ def guarded(run: Run) -> Run:
             sys.stdout.flush()
             return code
         except (StudyError, OutputError, BackendError, JournalError, RunRecordError) as error:
-            sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+            say_error(f"error: {error}")
             return EXIT_USAGE
-        except BrokenPipeError:
-            # The reader closed the pipe; the interpreter must not flush to it at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return EXIT_SIGNAL + signal.SIGPIPE
         except Interrupted as interrupt:
-            sys.stderr.write(f"interrupted by {interrupt}\n")
+            say_error(f"interrupted by {interrupt}")
             return EXIT_SIGNAL + interrupt.signum
+        except OSError as error:
+            return _fault(error, interruption)
+        finally:
+            discard_output()
 
     return guard
+
+
+def _fault(error: OSError, interruption: Interruption) -> int:
+    """Tell, where that is possible, what could not be read or written; returns the exit code."""
+    if interruption.signum is not None:
+        # A terminal that is gone sends SIGHUP, and takes no more output.
+        return EXIT_SIGNAL + interruption.signum
+    if isinstance(error, BrokenPipeError):
+        say_error("error: nobody reads the output any more")
+        return EXIT_SIGNAL + signal.SIGPIPE
+    where = f"{error.filename}: " if error.filename else "output: "
+    say_error(f"error: {where}{error.strerror or error}")
+    return EXIT_FAULT
 
 
 def recorded_backend(record: RunRecord) -> str:
@@ -90,6 +121,57 @@ def recorded_backend(record: RunRecord) -> str:
     if record.backend not in BACKENDS:
         raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
     return record.backend
+
+
+def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
+    """Refuse to start what the study of a stranger's run names, unless told to.
+
+    Parameters
+    ----------
+    record
+        The run.
+    trusted
+        Whether the user trusts the study, now and later.
+    attach
+        Whether the nodes run already, so that nothing is started.
+
+    Raises
+    ------
+    RunRecordError
+        If the study is not trusted.
+    OutputError
+        If it is from now on, but that cannot be noted down.
+    """
+    if trusted:
+        trust(record.study)
+    elif not attach:
+        check_trust(record.study, record.path)
+
+
+def run_folder(given: Path) -> Path:
+    """Return the run folder that an argument names; ``latest`` alone is the latest in ``runs/``.
+
+    Raises
+    ------
+    RunRecordError
+        If there is no latest run.
+    """
+    if given != Path(LATEST) or given.exists():
+        return given
+    if not (RUNS / LATEST).exists():
+        raise RunRecordError(f"{RUNS / LATEST}: no such run folder; give its path")
+    return RUNS / LATEST
+
+
+def read_result(given: Path) -> RunRecord:
+    """Read the run that an argument names, with its summary; what is wrong with that is shown.
+
+    Raises
+    ------
+    RunRecordError
+        As in `read_run`.
+    """
+    return with_summary(read_run(run_folder(given)), lambda text: print(text, file=sys.stderr))
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

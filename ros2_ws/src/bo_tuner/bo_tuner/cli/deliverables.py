@@ -8,6 +8,7 @@ from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import REPORT
+from bo_tuner.tuning.summary import with_summary
 
 Tell = Callable[[str], None]
 
@@ -25,7 +26,7 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
         Called with a line on each file written, or on a failure.
     """
     try:
-        record = read_run(folder)
+        record = with_summary(read_run(folder), warn)
         tell(f"report: {write_report(record, folder / REPORT)}")
         if record.summary is not None:
             tell(f"bundle: {write_bundle(record)}")

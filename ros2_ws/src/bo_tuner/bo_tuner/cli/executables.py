@@ -4,6 +4,7 @@ import importlib
 import sys
 from typing import NoReturn
 
+from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import Interruption
 
 
@@ -34,6 +35,7 @@ def apply() -> NoReturn:
 
 def run(module: str, argv: list[str]) -> NoReturn:
     """Run the command in a module and exit with its code."""
+    open_streams()
     interruption = Interruption()
     # This import takes a second or two, in which Ctrl-C must not end in a traceback.
     command = importlib.import_module(module)

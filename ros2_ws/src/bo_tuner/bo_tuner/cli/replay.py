@@ -8,9 +8,16 @@ from pathlib import Path
 from rich.table import Table
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import BACKENDS, IN_PROCESS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    read_result,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
@@ -29,7 +36,8 @@ from bo_tuner.replay.replay import (
 )
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.storage.provenance import provenance
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.parts import BACKENDS, IN_PROCESS
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
@@ -47,9 +55,11 @@ time, is shown, but judged only if record and replay are both in process.
 
 exit codes:
   0    the result is as recorded
+  1    the output cannot be written
   2    bad input: run, trial, evaluation, option or nodes
   3    the result differs; the table shows where
-  130  interrupted by Ctrl-C (143: by SIGTERM)
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more)
 
 examples:
   replay runs/latest                           the result's worst evaluation
@@ -64,7 +74,7 @@ DEFAULT, TUNED = "default", "tuned"
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("replay", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_run_argument()
     parser.add_argument("which", nargs="?", metavar="TRIAL", help="short for --trial TRIAL")
     parser.add_argument(
         "--trial",
@@ -85,6 +95,12 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -104,7 +120,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     if arguments.which is not None and arguments.trial is not None:
         parser.error("--trial is given twice")
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     name = arguments.backend or recorded_backend(record)
     if name == IN_PROCESS and arguments.attach:
         parser.error("--attach needs --backend ros")
@@ -113,6 +129,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     recorded = find_evaluation(
         record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.evaluation
     )
+    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
     output = arguments.output or record.path / "replay"

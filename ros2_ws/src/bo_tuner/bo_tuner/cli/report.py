@@ -4,14 +4,13 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.cli.common import Parser, guarded
+from bo_tuner.cli.common import Parser, guarded, read_result
 from bo_tuner.cli.exit_codes import EXIT_OK
-from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import NAME, figures, sections, write_page
-from bo_tuner.storage.record import read_run
-from bo_tuner.storage.run_folder import LATEST
+from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,
@@ -22,8 +21,10 @@ The file needs no network; the run may still be in progress.
 EPILOG = """\
 exit codes:
   0    the report is written
+  1    the output cannot be written
   2    bad input: run folder, option, or a file that cannot be written
-  130  interrupted by Ctrl-C (143: by SIGTERM)
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more)
 
 examples:
   report latest                           the latest run in runs/
@@ -32,16 +33,13 @@ examples:
   report latest --figures plots --format png,svg
 """
 
-RUNS = Path("runs")
 FORMATS = ("png", "svg")
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("report", DESCRIPTION, EPILOG)
-    parser.add_argument(
-        "run", type=Path, metavar="RUN", help=f"run folder, or '{LATEST}' for {RUNS / LATEST}"
-    )
+    parser.add_run_argument()
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help=f"HTML file (default: RUN/{NAME})"
     )
@@ -54,6 +52,12 @@ def make_parser() -> Parser:
         default=FORMATS,
         metavar=",".join(FORMATS),
         help="formats of the figures (default: all)",
+    )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
     )
     return parser
 
@@ -70,29 +74,23 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         Ends the command on a signal.
     """
     arguments = make_parser().parse_args(argv)
-    analysis = Analysis(read_run(_folder(arguments.run)))
+    record = read_result(arguments.run)
+    if arguments.trust:
+        trust(record.study)
+    analysis = Analysis(record)
     parts = sections(analysis)
     interruption.check()
     path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
-    print(f"report: {path}")
+    say(f"report: {path}")
     if arguments.figures is not None:
         # Matplotlib takes a second to load.
         from bo_tuner.figures.matplotlib_renderer import write_figure
 
         for figure in figures(parts):
             for written in write_figure(figure, arguments.figures, arguments.format):
-                print(f"figure: {written}")
+                say(f"figure: {written}")
             interruption.check()
     return EXIT_OK
-
-
-def _folder(given: Path) -> Path:
-    """Return the run folder; ``latest`` alone means the latest run in ``runs/``."""
-    if given == Path(LATEST) and not given.exists():
-        if not (RUNS / LATEST).exists():
-            raise RunRecordError(f"{RUNS / LATEST}: no such run folder; give its path")
-        return RUNS / LATEST
-    return given
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -2,11 +2,10 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import ROS
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.deliverables import write_deliverables
@@ -19,24 +18,22 @@ from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
-from bo_tuner.recording.retention import RecordOptions
+from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
-from bo_tuner.storage.provenance import provenance
-from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
+from bo_tuner.storage.provenance import STOP_EARLY, changed_sources, session_provenance
+from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial
+from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase
-from bo_tuner.tuning.recommendation import Recommendation, recommend
-from bo_tuner.tuning.validation import Validation, validate
+from bo_tuner.tuning.summary import Conclusion, conclude, summarize
 
 NOTHING = JournalContent((), (), (), "")
-STOP_EARLY = "stop_early"
-"""Key of the provenance that tells of the option, so that a run goes on as it began."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,64 +117,89 @@ class Session:
         return code
 
     def _run_on_record(self) -> int:
-        folder, options = self._folder, self._options
+        folder = self._folder
         with contextlib.closing(folder):
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
-            who = provenance(self._study, options.backend, options.algorithm)
-            if options.stop_early:
-                who[STOP_EARLY] = "yes"
-            if damage:
-                self._display.warn(f"the record was damaged: {damage}")
-                who["salvaged"] = damage
+            provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             try:
-                with Journal(folder.journal, who) as journal:
-                    try:
+                try:
+                    with self._opened(backend), Journal(folder.journal, provenance) as journal:
+                        # A file of fewer trials is that of an earlier session.
+                        folder.write_study(self._study)
                         code = self._run(backend, journal, earlier)
-                    except BaseException:
-                        # What ended the run matters more than a table that cannot be written.
-                        with contextlib.suppress(JournalError):
-                            export_csv(folder.journal, folder.path)
-                        raise
-                    export_csv(folder.journal, folder.path)
+                except BaseException:
+                    # What ended the run matters more than a table that cannot be written.
+                    with contextlib.suppress(JournalError, OutputError):
+                        folder.check()
+                        export_csv(folder.journal, folder.path)
+                    raise
+                export_csv(folder.journal, folder.path)
                 write_deliverables(folder.path, self._display.tell, self._display.warn)
                 return code
             except Interrupted as interrupt:
+                if not folder.journal.exists():
+                    raise
                 self._display.warn(f"interrupted by {interrupt}; {self._how_to_resume()}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
                 self._display.warn(f"error: {error}; {self._how_to_resume()}")
                 return EXIT_FAULT
 
+    def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
+        """Return what works on the run from now on, and warn of what has changed."""
+        options = self._options
+        provenance = session_provenance(self._study, options.backend, options.algorithm)
+        if options.stop_early:
+            provenance[STOP_EARLY] = "yes"
+        if damage:
+            self._display.warn(f"the record was damaged: {damage}")
+            provenance["salvaged"] = damage
+        if earlier.sessions:
+            changed = changed_sources(earlier.sessions[-1], provenance)
+            if changed:
+                self._display.warn(
+                    f"warning: the code of {', '.join(changed)} has changed since the last session "
+                    "of this run; the run continues with it, and the record says so"
+                )
+        return provenance
+
     def _recorded(self, earlier: JournalContent) -> RecordedEvaluations:
+        # What whole trials hold is not asked for again.
+        left = [
+            item
+            for item in earlier.evaluations
+            if item.stage not in TUNING or item.trial >= len(earlier.trials)
+        ]
         try:
-            return RecordedEvaluations(self._backend, self._study, earlier.evaluations)
+            return RecordedEvaluations(self._backend, self._study, left)
         except KeyError as error:
             raise RunRecordError(
                 f"{self._folder.journal}: has evaluations of another study, with {error}"
             ) from error
 
-    def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
+    @contextlib.contextmanager
+    def _opened(self, backend: RecordedEvaluations) -> Iterator[None]:
         try:
             self._interruption.check()
             backend.open()
-            self._folder.link_latest()
-            options = self._options
-            self._display.start(self._folder.path, options.backend, options.algorithm)
-            if earlier.evaluations:
-                self._display.tell(
-                    f"continues after {len(earlier.trials)} trials and "
-                    f"{len(earlier.evaluations)} evaluations on record"
-                )
-            return self._tune(backend, journal, earlier)
+            yield
         finally:
             # The nodes come down first, whatever happens to the files.
             self._interruption.ignore()
             backend.close()
 
-    def _tune(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
+    def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
+        self._folder.link_latest()
+        options = self._options
+        self._display.start(self._folder.path, options.backend, options.algorithm)
+        if earlier.evaluations:
+            self._display.tell(
+                f"continues after {len(earlier.trials)} trials and "
+                f"{len(earlier.evaluations)} evaluations on record"
+            )
         study, observers = self._study, self._observers
         tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)
         with self._watched(journal) as recording:
@@ -187,28 +209,13 @@ class Session:
             for trial in self._trials(tuning):
                 observers.trial(trial, self._best(tuning))
             observers.end(Phase.TUNING)
-            observers.begin(Phase.CHECKING, self._algorithm.most_checked)
-            best = recommend(
-                study,
-                backend,
-                tuning.trials,
-                self._algorithm.models,
-                most_checked=self._algorithm.most_checked,
-                observer=observers,
-            )
-            observers.end(Phase.CHECKING)
-            if best is None:
-                self._display.warn("no feasible parameters: every trial failed")
-                return EXIT_INFEASIBLE
-            observers.begin(Phase.VALIDATION, study.budget.validation_draws)
-            default, tuned = validate(
-                study,
-                backend,
-                [study.search_space().defaults, best.candidate.trial.parameters],
-                observer=observers,
-            )
-            observers.end(Phase.VALIDATION)
-        return self._report(best, default, tuned, recording.summary)
+            found = conclude(study, backend, self._algorithm, tuning.trials, observers)
+        if recording.summary["policy"] != Policy.NONE:
+            self._folder.write_json(RECORDING, recording.summary)
+        if found is None:
+            self._display.warn("no feasible parameters: every trial failed")
+            return EXIT_INFEASIBLE
+        return self._report(found, len(tuning.trials))
 
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
@@ -222,7 +229,8 @@ class Session:
             self._display.warn,
         )
         with contextlib.ExitStack() as stack:
-            for observer in (JournalObserver(journal), recording, self._status, self._display):
+            journaling = JournalObserver(journal, self._folder.check)
+            for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
                 self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
@@ -256,52 +264,38 @@ class Session:
         ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
 
-    def _report(
-        self,
-        best: Recommendation,
-        default: Validation,
-        tuned: Validation,
-        recorded: Mapping[str, object],
-    ) -> int:
-        feasible = best.feasible and tuned.feasible
-        candidate = best.candidate
+    def _report(self, found: Conclusion, trials: int) -> int:
         folder = self._folder
-        path = folder.write_parameters(self._study, candidate.trial.parameters)
-        advice = self._advisor.advice
-        summary = {
-            "feasible": feasible,
-            "trial": candidate.trial.number,
-            "checked_trials": best.checked,
-            "predicted_objective": candidate.objective,
-            "predicted_feasibility": candidate.feasibility,
-            "default": dataclasses.asdict(default) | {"feasible": default.feasible},
-            "tuned": dataclasses.asdict(tuned) | {"feasible": tuned.feasible},
-            "stop_advice": advice and dataclasses.asdict(advice),
-            "stopped_early": self._options.stop_early and advice is not None,
-            "recording": recorded,
-        }
-        folder.write_summary(summary)
-        amiss = _amiss(self._study, best, tuned)
-        self._display.result(Result(self._study, default, tuned, path, amiss, summary))
-        return EXIT_OK if feasible else EXIT_INFEASIBLE
+        path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
+        summary = summarize(
+            self._study,
+            found,
+            self._advisor.advice,
+            stop_early=self._options.stop_early,
+            trials=trials,
+            evaluations=len(read_journal(folder.journal).evaluations),
+        )
+        folder.write_json(SUMMARY, summary)
+        problem = _problem(self._study, found)
+        self._display.result(
+            Result(self._study, found.default, found.tuned, path, problem, summary)
+        )
+        return EXIT_OK if found.feasible else EXIT_INFEASIBLE
 
     def _how_to_resume(self) -> str:
         return f"go on by: tune --resume {self._folder.path}"
 
 
-def _amiss(study: Study, best: Recommendation, tuned: Validation) -> str:
-    """Tell what speaks against the parameter set found; empty if nothing does."""
-    if best.feasible and tuned.feasible:
+def _problem(study: Study, found: Conclusion) -> str:
+    """Return why the recommended parameter set is not feasible; empty if it is."""
+    if found.feasible:
         return ""
-    text = "the parameter set found looked feasible, but did not hold in the validation"
-    if not best.feasible:
-        text = (
-            "no parameter set is feasible as far as the checks can tell; the file holds the "
-            "one nearest to it"
-        )
-    broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
+    text = "the recommended parameters passed the checks but not the validation"
+    if not found.recommendation.feasible:
+        text = "no feasible parameter set was found; the file contains the one closest to feasible"
+    broken = [study.constraints[name] for name, s in found.tuned.constraints.items() if not s.holds]
     metrics = [study.metrics[constraint.metric] for constraint in broken]
     if metrics and not any(metric.reproducible for metric in metrics):
         names = ", ".join(metric.name for metric in metrics)
-        text += f"; only {names} broke a limit, which other load on this machine can do, too"
+        text += f"; only {names} exceeded a limit, which other load on this machine can also cause"
     return text

@@ -1,19 +1,30 @@
 """``tune``: run a study, or resume a run, and report the result."""
 
 import argparse
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.backends.protocol import BACKENDS, ROS
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
-from bo_tuner.cli.session import STOP_EARLY, RunOptions, Session
-from bo_tuner.errors import StudyError
+from bo_tuner.cli.common import (
+    RUNS,
+    Parser,
+    allow_programs,
+    guarded,
+    recorded_backend,
+    run_folder,
+    split_ros_arguments,
+)
+from bo_tuner.cli.session import RunOptions, Session
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.storage.trust import trust
+from bo_tuner.study import maxima
+from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
 
@@ -25,11 +36,12 @@ Bayesian optimization, and validate them on fresh draws.
 EPILOG = """\
 exit codes:
   0    a feasible parameter set was found, and kept all limits in the validation
-  1    the run had to stop (nodes lost three times in a row, disk full); its
-       record is kept
+  1    the run had to stop (nodes lost or disturbed three times in a row, disk
+       full); its record is kept
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found
-  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort); the nodes
+  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort, 129: the
+       terminal was closed, 141: nobody reads the output any more); the nodes
        are stopped, the record is kept, and --resume continues the run
 
 examples:
@@ -37,7 +49,8 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
-  tune --resume runs/latest            resume an interrupted run
+  tune --resume latest                 resume an interrupted run
+  tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --stop-early                    stop when further trials are not worth it
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
@@ -45,8 +58,7 @@ examples:
 
 STUDY = "benchmark"
 ALGORITHM = "IV"
-OUTPUT = Path("runs")
-FROM_THE_RECORD = ("study", "trials", "seed", "output", "backend", "algorithm")
+FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm")
 """Options that a resumed run takes from its record."""
 
 
@@ -69,7 +81,7 @@ def make_parser() -> Parser:
         "--output",
         type=Path,
         metavar="DIR",
-        help=f"where run folders are created (default: {OUTPUT})",
+        help=f"where run folders are created (default: {RUNS})",
     )
     parser.add_argument(
         "--backend",
@@ -105,7 +117,8 @@ def make_parser() -> Parser:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="resume the interrupted run in this folder; recorded evaluations are not repeated",
+        help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
+        "with --trials N larger than before, the run continues to N trials",
     )
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
@@ -129,6 +142,12 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="with --resume: start the programs and import the objects that the run's study names, "
+        "now and later; read the study first if the run is not yours",
+    )
     return parser
 
 
@@ -150,11 +169,23 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
         if given:
             parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
-        record = read_run(arguments.resume)
+        record = read_run(run_folder(arguments.resume))
+        allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
         study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
-        stop_early = arguments.stop_early or STOP_EARLY in record.provenance
+        stop_early = arguments.stop_early or record.stop_early
+        if arguments.trials is not None:
+            if arguments.trials <= study.budget.trials:
+                parser.error(
+                    f"--trials: expected more than the {study.budget.trials} of the run, found "
+                    f"{arguments.trials}"
+                )
+            # Who asks for more trials does not want the earlier advice to stop.
+            study, stop_early = _changed(study, arguments), arguments.stop_early
     else:
         study, stop_early = _study(arguments), arguments.stop_early
+        # Where that cannot be noted down, the commands on this run will ask for --trust.
+        with contextlib.suppress(OutputError):
+            trust(study)
         algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
@@ -170,10 +201,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         stop_early=stop_early,
     )
     if arguments.resume is not None:
-        folder = RunFolder(arguments.resume.resolve())
+        folder = RunFolder(record.path.resolve())
     else:
-        folder = RunFolder.create(arguments.output or OUTPUT, study)
-    return Session(study, folder, options, interruption).run()
+        folder = RunFolder.create(arguments.output or RUNS, study)
+    try:
+        return Session(study, folder, options, interruption).run()
+    except BaseException:
+        folder.discard()
+        raise
 
 
 def _megabytes(text: str) -> int:
@@ -182,13 +217,19 @@ def _megabytes(text: str) -> int:
         size = float(text)
     except ValueError:
         size = float("nan")
-    if not 0.0 < size < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: expected a positive number of megabytes")
+    if not 0.0 < size <= maxima.MEGABYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected a positive number of at most {maxima.MEGABYTES} megabytes"
+        )
     return round(size * MEGABYTE)
 
 
 def _study(arguments: argparse.Namespace) -> Study:
-    study = load_study(arguments.study or STUDY)
+    return _changed(load_study(STUDY if arguments.study is None else arguments.study), arguments)
+
+
+def _changed(study: Study, arguments: argparse.Namespace) -> Study:
+    """Return the study with the options of the command line."""
     try:
         return study.replace(trials=arguments.trials, seed=arguments.seed)
     except StudyError as error:

@@ -10,9 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import BACKENDS, ROS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.certificate import (
-    CERTIFICATE,
     DEFAULT,
     TUNED,
     Certificate,
@@ -21,9 +20,17 @@ from bo_tuner.certificate.certificate import (
 )
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.store import required_draws, shortfall
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
-from bo_tuner.cli.common import Parser, guarded, recorded_backend, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    allow_programs,
+    guarded,
+    read_result,
+    recorded_backend,
+    split_ros_arguments,
+)
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError, RunError, RunRecordError
@@ -31,8 +38,11 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.storage.parameter_file import from_yaml, node_values
-from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
+from bo_tuner.study import maxima
+from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -52,19 +62,22 @@ PASS requires all of these; a constraint not shown to hold counts as violated:
                       noise is within it
   failed evaluations  none
 
-writes RUN/certificate.json, or with another trial RUN/certificate_trial_N.json,
-and the evaluations as CSV beside it
+writes RUN/certificates/0001.json, or the next number, and the evaluations as
+CSV beside it; earlier certificates stay. For `apply` a certificate needs the
+draws and the confidence that the study requires, and no later FAIL of the same
+parameters.
 
 exit codes:
   0    PASS
-  1    no verdict (nodes lost three times in a row, disk full); an existing
-       certificate is kept
+  1    no verdict (nodes lost or disturbed three times in a row, disk full); an
+       existing certificate is kept
   2    bad input: run, option or nodes
   3    FAIL
-  130  interrupted by Ctrl-C (143: by SIGTERM); as 1
+  130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
+       141: nobody reads the output any more); as 1
 
 examples:
-  validate runs/latest                     300 draws on the backend of the run
+  validate latest                          as many draws as the study requires
   validate runs/latest --draws 1000 --confidence 0.99
   validate runs/latest --backend inprocess
   validate runs/latest --attach            on nodes that are running
@@ -72,28 +85,24 @@ examples:
   validate runs/latest && echo fit for use
 """
 
-DRAWS = 300
-CONFIDENCE = 0.95
 FEWEST_DRAWS = 2
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("validate", DESCRIPTION, EPILOG)
-    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_run_argument()
     parser.add_argument(
         "--draws",
         type=int,
-        default=DRAWS,
         metavar="N",
-        help=f"fresh draws of context and noise (default: {DRAWS})",
+        help="fresh draws of context and noise (default: as many as the study requires)",
     )
     parser.add_argument(
         "--confidence",
         type=_fraction,
-        default=CONFIDENCE,
         metavar="P",
-        help=f"confidence of each bound, between 0 and 1 (default: {CONFIDENCE})",
+        help="confidence of each bound, between 0 and 1 (default: as the study requires)",
     )
     parser.add_argument(
         "--trial",
@@ -108,6 +117,12 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--attach", action="store_true", help="use running nodes instead of starting them"
+    )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="start the programs and import the objects that the run's study names, now and later; "
+        "read the study first if the run is not yours",
     )
     return parser
 
@@ -126,19 +141,27 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
-    record = read_run(arguments.run)
+    record = read_result(arguments.run)
     backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
-    needed, constraint = most_draws_needed(record.study, arguments.confidence)
-    if arguments.draws < max(needed, FEWEST_DRAWS):
+    confidence, draws = arguments.confidence, arguments.draws
+    if confidence is None:
+        confidence = record.study.certificate.confidence
+    if draws is None:
+        draws = required_draws(record.study, confidence)
+    if draws > maxima.DRAWS:
+        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {draws}")
+    needed, constraint = most_draws_needed(record.study, confidence)
+    if draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""
-        parser.error(
-            f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {arguments.draws}"
-        )
-    trial, digest = _trial(record, arguments.trial)
+        parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
+    trial, is_result = _trial(record, arguments.trial)
+    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
+    console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
     with contextlib.closing(folder):
+        digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
         nodes = make_backend(
             backend,
@@ -148,21 +171,19 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             ros_arguments=ros_arguments,
             interrupted=interruption.check,
         )
-        console = plain_console(stderr=True)
         try:
-            evidence = _collect(record.study, trial, nodes, arguments.draws, interruption, console)
-            certificate = make_certificate(
-                record, trial, evidence, arguments.confidence, backend, digest
-            )
-            name = CERTIFICATE
-            if digest is None:
-                name = f"{Path(CERTIFICATE).stem}_trial_{trial.number}.json"
-            path = write_certificate(folder.path, name, certificate, evidence)
+            evidence = _collect(record.study, trial, nodes, draws, interruption, console)
+            certificate = make_certificate(record, trial, evidence, confidence, backend, digest)
+            folder.check()
+            path = write_certificate(folder.path, certificate, evidence)
         except (RunError, OutputError) as error:
             console.print(f"error: {error}", soft_wrap=True)
             return EXIT_FAULT
     _report(certificate, path)
-    if name == CERTIFICATE:
+    missing = shortfall(record.study, draws, confidence)
+    if missing and certificate.passed:
+        console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
+    if is_result:
 
         def tell(text: str) -> None:
             console.print(text, soft_wrap=True)
@@ -226,8 +247,8 @@ class _Bar(RunObserver):
             self.progress.advance(task)
 
 
-def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:
-    """Return the trial to validate, and the digest of the run's parameter file if it holds it."""
+def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:
+    """Return the trial to validate, and whether it is the run's result."""
     best = None if record.summary is None else record.summary.get("trial")
     if number is None and best is None:
         raise RunRecordError(
@@ -239,25 +260,27 @@ def _trial(record: RunRecord, number: int | None) -> tuple[Trial, str | None]:
     if wanted not in trials:
         known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"
         raise RunRecordError(f"{record.path}: no trial {wanted}; {known}")
-    trial = trials[wanted]
-    return trial, _digest(record, trial) if wanted == best else None
+    return trials[wanted], wanted == best
 
 
-def _digest(record: RunRecord, trial: Trial) -> str:
-    """Return the digest of the parameter file after checking that it holds the trial's values."""
+def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console) -> str:
+    """Return the digest of the parameter file, which must hold the trial's values.
+
+    A missing or damaged file is written again, since the journal has these values.
+    """
     path = record.path / BEST
     try:
-        content = path.read_bytes()
-        found = from_yaml(content.decode())
-    except OSError as error:
-        raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RunRecordError(f"{path}: {error}") from error
+        content = read_text(path)
+        found = from_yaml(content)
+    except (OSError, ValueError):
+        path = folder.write_parameters(record.study, trial.parameters)
+        console.print(f"warning: {path}: missing or damaged; made from the journal", soft_wrap=True)
+        return hashlib.sha256(path.read_bytes()).hexdigest()
     if found != node_values(record.study, trial.parameters):
         raise RunRecordError(
             f"{path}: does not hold the values of trial {trial.number}, the result of the run"
         )
-    return hashlib.sha256(content).hexdigest()
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def _report(certificate: Certificate, path: Path) -> None:

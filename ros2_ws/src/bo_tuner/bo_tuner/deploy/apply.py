@@ -1,21 +1,12 @@
 """Setting the result of a run on live nodes: certified, all or nothing, read back."""
 
-import hashlib
-import json
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.certificate.certificate import CERTIFICATE
-from bo_tuner.certificate.verdict import FAIL, PASS
-from bo_tuner.deploy.bundle import same
 from bo_tuner.errors import BoTunerError
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.storage.parameter_file import NodeValues
-from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
-from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import study_to_yaml
-from bo_tuner.trials import Trial
 
 
 class ApplyError(BoTunerError, RuntimeError):
@@ -52,32 +43,6 @@ class Nodes(Protocol):
         NodeError
             If the node does not answer; it may have set them.
         """
-
-
-def certificate_problem(record: RunRecord, trial: Trial) -> str:
-    """Return in one line why a parameter set is not certified; empty if it is."""
-    path = record.path / CERTIFICATE
-    try:
-        certificate = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return f"{path}: no such certificate; run validate"
-    except (OSError, ValueError, RecursionError) as error:
-        return f"{path}: cannot be read: {error}"
-    if not isinstance(certificate, dict):
-        return f"{path}: not a certificate; run validate"
-    if certificate.get("parameters") != dict(trial.parameters):
-        return f"{path}: certifies another parameter set; run validate"
-    if certificate.get("study_sha256") != study_sha256(record.study):
-        return f"{path}: belongs to another version of the study; run validate"
-    verdict = certificate.get("verdict")
-    if verdict == PASS:
-        return ""
-    return f"{path}: expected {PASS}, found {FAIL if verdict == FAIL else checks.show(verdict)}"
-
-
-def study_sha256(study: Study) -> str:
-    """Return the digest of a study, as in the provenance of a run."""
-    return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
 
 
 def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
@@ -123,7 +88,7 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
         for node, values in new.items():
             found = nodes.get(node, list(values))
             for name, value in values.items():
-                if not same(found[name], value):
+                if not checks.same_value(found[name], value):
                     shown = one_line(str(found[name]))
                     raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
     except NodeError as error:

@@ -4,21 +4,25 @@ Each file is written atomically, the provenance last; it has the SHA-256 of all 
 recipient can verify that the bundle is complete.
 """
 
+import contextlib
 import csv
 import hashlib
 import io
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from bo_tuner.certificate.certificate import CERTIFICATE
+from bo_tuner.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
+from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
+from bo_tuner.text import csv_cell
 from bo_tuner.trials import Trial
 
 DEPLOY = "deploy"
@@ -27,8 +31,10 @@ ROLLBACK = "rollback.yaml"
 DIFFERENCE = "difference.csv"
 PROVENANCE = "provenance.json"
 
-COPIED = (CERTIFICATE, "certificate_evaluations.csv", "report.html")
-"""Files of the run that are copied if they exist."""
+CERTIFICATE, EVALUATIONS = "certificate.json", "certificate_evaluations.csv"
+
+_DIGEST = "# sha256 of all that follows: "
+"""Begins the first line of the rollback file, which is a comment for all other readers."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,7 @@ class Difference:
     @property
     def equal(self) -> bool:
         """Whether the values are equal, see `same`."""
-        return same(self.now, self.new)
-
-
-def same(one: object, other: object) -> bool:
-    """Return whether two parameter values are equal; 1 and 1.0 are, and so are two NaNs."""
-    return one == other or repr(one) == repr(other)
+        return checks.same_value(self.now, self.new)
 
 
 def differences(study: Study, now: NodeValues, new: NodeValues) -> list[Difference]:
@@ -109,10 +110,18 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         If the files cannot be written, or `rollback` has values that a parameter file cannot hold.
     """
     trial = result_of(record)
-    if rollback is not None:
-        _check_readable(rollback)
     tuned = node_values(record.study, trial.parameters)
     default = node_values(record.study, record.study.search_space().defaults)
+    if rollback is not None:
+        _check_restorable(rollback, default)
+    certificate = None
+    with contextlib.suppress(RunRecordError):
+        certificate = latest_certificate(record, trial)
+    copied = {
+        CERTIFICATE: certificate,
+        EVALUATIONS: None if certificate is None else evaluations_path(certificate),
+        REPORT: record.path / REPORT,
+    }
     folder = record.path / DEPLOY
     files = {
         PARAMETERS: to_yaml(tuned).encode(),
@@ -120,18 +129,23 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     }
     try:
         folder.mkdir(exist_ok=True)
-        for name in COPIED:
-            if (record.path / name).is_file():
-                files[name] = (record.path / name).read_bytes()
+        for name, source in copied.items():
+            if source is not None and source.is_file():
+                files[name] = source.read_bytes()
             else:
                 (folder / name).unlink(missing_ok=True)
         if rollback is not None or not (folder / ROLLBACK).exists():
-            files[ROLLBACK] = to_yaml(default if rollback is None else rollback).encode()
+            files[ROLLBACK] = _sealed(default if rollback is None else rollback).encode()
         else:
-            files[ROLLBACK] = (folder / ROLLBACK).read_bytes()
+            # What cannot be restored is left alone, and nothing vouches for it.
+            with contextlib.suppress(RunRecordError):
+                read_rollback(record)
+                files[ROLLBACK] = (folder / ROLLBACK).read_bytes()
         files[PROVENANCE] = _provenance(record, trial, files).encode()
         for name, content in files.items():
-            _replace(folder / name, content)
+            write_atomically(folder / name, content)
+    except OutputError:
+        raise
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     return folder
@@ -143,30 +157,62 @@ def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
     Raises
     ------
     RunRecordError
-        If there is no such file, or it has other nodes or parameters than this run.
+        If there is no such file, it is not as `write_bundle` has written it, or it has other nodes,
+        parameters or types than the study.
     """
     path = record.path / DEPLOY / ROLLBACK
     expected = node_values(record.study, record.study.search_space().defaults)
     try:
-        values = from_yaml(path.read_text(encoding="utf-8"))
+        first, _, text = read_text(path).partition("\n")
+        if first != _DIGEST + hashlib.sha256(text.encode()).hexdigest():
+            raise ValueError("does not have the digest in its first line: it was changed")
+        values = from_yaml(text)
+        _check_like(values, expected)
     except OSError as error:
         raise RunRecordError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise RunRecordError(f"{path}: {error}") from error
-    for node, names in expected.items():
-        if values.keys() != expected.keys() or values[node].keys() != names.keys():
-            raise RunRecordError(
-                f"{path}: expected values of {', '.join(names)} of {node}, and no others"
-            )
     return values
 
 
-def _check_readable(values: NodeValues) -> None:
-    """Refuse values, such as NaN, that a parameter file cannot hold: they could not be restored."""
+def _sealed(values: NodeValues) -> str:
+    """Return the text of a rollback file, its digest first."""
+    text = to_yaml(values)
+    return f"{_DIGEST}{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
+
+
+def _check_restorable(values: NodeValues, expected: NodeValues) -> None:
+    """Refuse values that could not be restored, such as NaN, which a parameter file cannot hold."""
     try:
-        from_yaml(to_yaml(values))
+        _check_like(from_yaml(to_yaml(values)), expected)
     except ValueError as error:
         raise OutputError(f"{ROLLBACK}: cannot hold the nodes' values: {error}") from error
+
+
+def _check_like(values: NodeValues, expected: NodeValues) -> None:
+    """Check that values are of the same nodes, parameters and types as those expected.
+
+    Raises
+    ------
+    ValueError
+        If they are not; one line.
+    """
+    for node, names in expected.items():
+        if values.keys() != expected.keys() or values[node].keys() != names.keys():
+            raise ValueError(f"expected values of {', '.join(names)} of {node}, and no others")
+        for name, like in names.items():
+            if not _same_type(values[node][name], like):
+                raise ValueError(
+                    f"{node}: {name}: expected a value of the type of {like}, found "
+                    f"{checks.show(values[node][name])}"
+                )
+
+
+def _same_type(value: object, like: object) -> bool:
+    if isinstance(value, list) and isinstance(like, list):
+        # Of an empty list the type is unknown.
+        return not value or not like or {*map(type, value)} == {*map(type, like)}
+    return type(value) is type(like)
 
 
 def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> str:
@@ -193,20 +239,5 @@ def _table(rows: list[Difference]) -> str:
 
 def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
     for row in rows:
-        yield row.node, row.parameter, row.unit, row.now, row.new, "" if row.equal else "yes"
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Replace a file atomically."""
-    if path.is_file() and path.read_bytes() == content:
-        return
-    temporary = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            # The rollback values must survive a power loss right after the nodes were changed.
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        values = (csv_cell(value) for value in (row.unit, row.now, row.new))
+        yield row.node, row.parameter, *values, "" if row.equal else "yes"

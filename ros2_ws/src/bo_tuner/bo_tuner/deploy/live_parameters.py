@@ -11,10 +11,10 @@ from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 
 from bo_tuner.backends.ros.isolation import DomainClaim
+from bo_tuner.backends.ros.parameters import to_messages, to_value
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
 from bo_tuner.metrics.collect import one_line
@@ -22,6 +22,10 @@ from bo_tuner.metrics.collect import one_line
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
 CALL_TIMEOUT = 5.0
+LOOK_AROUND = 1.0
+"""Time [s] to discover a second node of a name."""
+LEASE = 3.0
+"""Time [s] after which the discovery profile has forgotten a killed node for sure."""
 ATTEMPT = 1.0
 """Time [s] after which a request that changes nothing is repeated: a server may receive it before
 it has discovered the client's response reader."""
@@ -47,7 +51,8 @@ class LiveParameters:
     Raises
     ------
     BackendError
-        If ROS refuses the arguments, a tuner uses this domain, or a node is missing.
+        If ROS refuses the arguments, a tuner uses this domain, or a node is missing or runs more
+        than once.
     """
 
     def __init__(
@@ -111,8 +116,9 @@ class LiveParameters:
         Raises
         ------
         NodeError
-            If the node does not answer, or does not have one of them.
+            If the node does not answer, does not have one of them, or runs more than once.
         """
+        self._refuse_twins(node)
         values = self._values(node, names)
         if len(values) != len(names) or None in values:
             # A node may return an empty list if a single parameter is missing.
@@ -128,11 +134,10 @@ class LiveParameters:
         RefusedError
             If the node refuses them.
         NodeError
-            If the node does not answer; it may have set them.
+            If the node does not answer, or runs more than once; it may have set them.
         """
-        request = SetParametersAtomically.Request(
-            parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in values.items()]
-        )
+        self._refuse_twins(node)
+        request = SetParametersAtomically.Request(parameters=to_messages(values))
         response = self._call(self._setters[node], request, CALL_TIMEOUT)
         if response is None:
             raise _silent(node, CALL_TIMEOUT)
@@ -143,7 +148,13 @@ class LiveParameters:
     def _values(self, node: str, names: list[str]) -> list[object]:
         """Read parameters; None for one that is not set or not declared."""
         response = self._ask(node, self._getters[node], GetParameters.Request(names=names))
-        return [parameter_value_to_python(value) for value in response.values]
+        return [to_value(value) for value in response.values]
+
+    def _refuse_twins(self, node: str) -> None:
+        """Refuse a node that runs more than once: who answers would not tell of the other."""
+        if self._node.count_services(self._setters[node].srv_name) > 1:
+            domain = self._context.get_domain_id()
+            raise NodeError(f"{node} runs more than once in ROS domain {domain}; end all but one")
 
     def _wait_for_nodes(self, watch: Callable[[], None]) -> None:
         deadline = time.monotonic() + DISCOVERY_TIMEOUT
@@ -161,6 +172,24 @@ class LiveParameters:
                 self._ask(node, setter, SetParametersAtomically.Request())
             except NodeError as error:
                 raise BackendError(str(error)) from error
+        self._wait_for_single_nodes(watch)
+
+    def _wait_for_single_nodes(self, watch: Callable[[], None]) -> None:
+        begin = time.monotonic()
+        while True:
+            watch()
+            self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+            elapsed = time.monotonic() - begin
+            try:
+                for node in self._setters:
+                    self._refuse_twins(node)
+            except NodeError as error:
+                # One that was killed and is back counts twice until its lease ends.
+                if elapsed > LEASE:
+                    raise BackendError(str(error)) from error
+            else:
+                if elapsed > LOOK_AROUND:
+                    return
 
     def _ask(self, node: str, client: Client, request: Any) -> Any:
         for _ in range(round(CALL_TIMEOUT / ATTEMPT)):

@@ -3,19 +3,27 @@
 from collections.abc import Mapping
 from math import isfinite
 
+from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
+from bo_tuner.study import maxima
+from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import ReportedMetric, Study
 from bo_tuner.trials import EvaluationState, Outcome
 
 STATUS_OK = "ok"
+LARGEST_METRIC = 1e90
+"""Largest magnitude of a metric; beyond, a run has diverged, and nothing was measured.
+
+The models square responses and so take them up to 1e100, and the estimate of a worst case lies some
+standard deviations above the metrics that it comes from.
+"""
 MOST_SAID = 500
 """Characters of a reason, and of a value, that are kept."""
 
 
-def one_line(text: str) -> str:
+def one_line(said: str) -> str:
     """Make what a node says fit for a line of a terminal or a table."""
-    line = " ".join(text[:MOST_SAID].split())
-    return "".join(c if c.isprintable() else "?" for c in line)
+    return text.one_line(said[:MOST_SAID])
 
 
 class Collector:
@@ -33,7 +41,7 @@ class Collector:
         self._study = study
         self._sources = sources_of(study) | dict(sources or {})
 
-    def outcome(self, results: Results) -> Outcome:
+    def outcome(self, results: Results, assigned: Results | None = None) -> Outcome:
         """Judge an evaluation.
 
         Parameters
@@ -41,18 +49,28 @@ class Collector:
         results
             By node key what the node reported: ``status``, ``reason`` and its figures, as numbers
             or as text.
+        assigned
+            By node key the parameters that were set; what a node reports under the name of one is
+            the value that it ran with.
 
         Returns
         -------
         Outcome
-            Failed if a node says so, or if a metric is missing or not finite: such a value never
-            becomes a number.
+            Failed if a node ran with another parameter, if it says so or sends more than
+            `maxima.ANSWER` values, or if a metric is missing, no number, not finite or beyond
+            `LARGEST_METRIC`.
         """
+        for node, pairs in results.items():
+            if len(pairs) > maxima.ANSWER:
+                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
+                return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
             f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
             for node, pairs in results.items()
             for key, value in pairs.items()
         }
+        if mismatch := self._mismatch(results, assigned or {}):
+            return Outcome(EvaluationState.FAILED, {}, one_line(mismatch), details)
         for node, pairs in results.items():
             if pairs.get("status") != STATUS_OK:
                 reason = one_line(str(pairs.get("reason") or "no reason given"))
@@ -63,15 +81,52 @@ class Collector:
                 found = self._sources[name].value(results)
             except MissingMetricError as error:
                 return Outcome(EvaluationState.FAILED, {}, one_line(str(error)), details)
-            try:
-                value = float(found)  # type: ignore[arg-type]
-            except (TypeError, ValueError):
-                value = float("nan")
-            if not isfinite(value):
-                shown = one_line(str(found)[:40])
-                reason = f"metric {name} is {shown}"
+            if problem := metric_problem(found):
+                reason = f"metric {name} is {problem}"
                 if isinstance(metric, ReportedMetric):
-                    reason = f"{metric.node}: metric {metric.key} is {shown}"
+                    reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
-            metrics[name] = value
+            metrics[name] = float(found)  # type: ignore[arg-type]
         return Outcome(EvaluationState.COMPLETE, metrics, "", details)
+
+    def _mismatch(self, results: Results, assigned: Results) -> str:
+        """Name a parameter that a node ran with another value of than it was given."""
+        reported = [m for m in self._study.metrics.values() if isinstance(m, ReportedMetric)]
+        metrics = {(metric.node, metric.key) for metric in reported}
+        for node, pairs in results.items():
+            for name, value in assigned.get(node, {}).items():
+                if name not in pairs or (node, name) in metrics:
+                    continue
+                if not _agrees(value, pairs[name]):
+                    return f"{node}: ran with parameter {name} {pairs[name]}, expected {value}"
+        return ""
+
+
+def metric_problem(found: object) -> str:
+    """Tell in a few words why this cannot be the value of a metric; empty if it can."""
+    shown = one_line(str(found)[:40]) or "empty"
+    if isinstance(found, bool):
+        return shown
+    try:
+        value = float(found)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return shown
+    if not isfinite(value):
+        return shown
+    if abs(value) > LARGEST_METRIC:
+        return f"{shown}, beyond {LARGEST_METRIC:g}"
+    return ""
+
+
+def _agrees(value: object, reported: object) -> bool:
+    """Whether a node reports the value of a parameter, as it is or as text."""
+    if not isinstance(value, bool | int | float | str):
+        return True  # There is no one way to write a list.
+    if not isinstance(reported, str) or isinstance(value, str):
+        return same_value(value, reported)
+    try:
+        if isinstance(value, bool):
+            return reported.lower() == str(value).lower()
+        return same_value(value, int(reported) if reported.isdigit() else float(reported))
+    except ValueError:
+        return False

@@ -1,7 +1,4 @@
-"""Limits of responses, judged by their models.
-
-A constraint is known by the name that it has in the study.
-"""
+"""Probability that a response keeps its limit, from its surrogate model."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -16,7 +13,7 @@ from bo_tuner.numerics.special import log_normal_cdf
 
 @dataclass(frozen=True, eq=False)
 class SurrogateConstraint:
-    """Upper limit on a response, judged by its Gaussian process; build it by a class method.
+    """Upper limit on a response and the surrogate of the response; build it by a class method.
 
     Attributes
     ----------
@@ -33,8 +30,8 @@ class SurrogateConstraint:
     def on_expectation(cls, model: Model, limit: float) -> Self:
         """Constrain the latent response itself: f(x) ≤ limit.
 
-        For a response whose noise is no property of the parameter set, such as the worst case
-        over contexts estimated from noisy evaluations: the noise of the estimate must not count.
+        For a response whose noise is the error of an estimate and must not count, such as a worst
+        case over contexts that is estimated from noisy evaluations.
 
         Parameters
         ----------
@@ -46,11 +43,11 @@ class SurrogateConstraint:
 
     @classmethod
     def on_observation(cls, model: Model, limit: float, probability: float) -> Self:
-        """Constrain single observations: P[y(x) ≤ limit] ≥ probability (paper, Eq. 3e).
+        """Constrain single observations: P[y(x) ≤ limit] ≥ probability (paper, Eq. 3d).
 
         With y = f(x) + ε and ε ~ N(0, σ²) the constraint holds if and only if
-        f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the predictive noise enters through the limit,
-        and what stays uncertain is f(x).
+        f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the noise lowers the limit by z σ, and only
+        f(x) remains uncertain.
 
         Parameters
         ----------
@@ -71,7 +68,7 @@ class SurrogateConstraint:
         return cls(model, limit - z * model.noise_variance**0.5)
 
     def predict(self, x: Array) -> tuple[Array, Array]:
-        """Mean and variance of the constrained latent response, each of shape (m,)."""
+        """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
         return self.model.predict(x)
 
     def log_probability(self, x: Array) -> Array:
@@ -86,9 +83,9 @@ class SurrogateConstraint:
         ndarray, shape (m,)
         """
         mean, variance = self.predict(x)
-        # Rounding can leave no variance at all; then the answer is yes or no, but still finite.
+        # Rounding can make the variance zero; the logarithm must still be finite.
         sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
-        with np.errstate(over="ignore"):  # log Φ stops an infinite argument
+        with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
             return log_normal_cdf((self.limit - mean) / sd)
 
 
@@ -102,14 +99,14 @@ class JointConstraint(SurrogateConstraint):
         Over joint points (d + e columns).
     limit : float
         Upper limit of the latent worst case, in the metric's unit.
-    contexts : ndarray, shape (m, e)
+    contexts : ndarray, shape (k, e)
         Candidate contexts in the unit cube.
     """
 
     contexts: Array
 
     def predict(self, x: Array) -> tuple[Array, Array]:
-        """Mean and variance (n,) of the metric in the worst candidate context of each x (n, d)."""
+        """Return mean and variance (m,) in the worst candidate context of each x (m, d)."""
         joint = np.hstack(
             [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
         )

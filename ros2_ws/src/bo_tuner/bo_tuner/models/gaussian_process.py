@@ -1,6 +1,6 @@
 """Gaussian process with a constant mean, a squared-exponential kernel and Gaussian noise.
 
-Model of a standardised response at a point x of the unit cube: y = f(x) + ε, ε ~ N(0, σ²), with
+Model of a standardized response at a point x of the unit cube: y = f(x) + ε, ε ~ N(0, σ²), with
 the prior of f in `bo_tuner.models.kernel` (paper, Section 3).
 
 Notation: n distinct points with r_i observations each; K the n × n prior covariance,
@@ -47,15 +47,15 @@ class GaussianProcess:
     hyperparameters : Hyperparameters
         In scaled units.
     standardisation : Standardisation
-        Map between responses and standardised responses.
+        Map between responses and standardized responses.
     data : Replicates
-        Standardised observations; shapes (n, d), (n,).
+        Standardized observations; shapes (n, d), (n,).
     factor : ndarray, shape (n, n)
         L, lower triangular.
     alpha : ndarray, shape (n,)
         α = C⁻¹ ȳ.
     warnings : tuple of str
-        Numerical trouble on the way, one line each; empty most of the time.
+        Numerical problems of the fit, one line each; usually empty.
     """
 
     hyperparameters: Hyperparameters
@@ -85,9 +85,9 @@ class GaussianProcess:
         y : array_like, shape (N,)
             Responses.
         rng : numpy.random.Generator
-            Draws challengers of the warm start, see `maximise_posterior`.
+            Draws further starting points besides a warm start, see `maximise_posterior`.
         priors : Hyperpriors, optional
-            Priors of the hyperparameters, `Hyperpriors.default` if not given.
+            Priors of the hyperparameters; by default `Hyperpriors.default`.
         minimum_length_scales : array_like, shape (d,), optional
             Lower bounds of the length scales, in edges of the unit cube.
         start : sequence of float, length d + 2, optional
@@ -96,8 +96,8 @@ class GaussianProcess:
         Raises
         ------
         ValueError
-            If the data, the bounds or the dimension of `start` are refused. Numerical trouble
-            raises nothing; it shows in `warnings`.
+            If the data, the bounds or the length of `start` are invalid. Numerical problems raise
+            nothing; they are listed in `warnings`.
         """
         points, responses = checked_data(x, y)
         dimension = points.shape[1]
@@ -110,7 +110,8 @@ class GaussianProcess:
         posterior = LogPosterior(data, priors)
         warm = None
         if start is not None:
-            # By way of the values, as in recorded runs: one rounding less is another search.
+            # The round trip through exp rounds, as it did in recorded runs: without it, the search
+            # would start elsewhere and the proposals would differ.
             warm = Hyperparameters.from_log(np.array(start)).to_log()
         phi, warnings = maximise_posterior(posterior, box, rng, warm)
         return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
@@ -132,12 +133,12 @@ class GaussianProcess:
         x : array_like, shape (N, d)
         y : array_like, shape (N,)
         standardisation : Standardisation, optional
-            Map that the hyperparameters refer to, the one of `y` if not given.
+            Map that the hyperparameters refer to; by default the one of `y`.
 
         Raises
         ------
         ValueError
-            If the data are refused or the number of length scales is not d.
+            If the data are invalid or the number of length scales is not d.
         """
         points, responses = checked_data(x, y)
         if hyperparameters.length_scales.shape != points.shape[1:]:
@@ -198,7 +199,7 @@ class GaussianProcess:
 
     @property
     def log_marginal_likelihood(self) -> float:
-        """Log density of the N standardised observations."""
+        """Log density of the N standardized observations."""
         return log_likelihood(self.factor, self.alpha, self.data, self.hyperparameters.noise)
 
     @property
@@ -223,14 +224,14 @@ class GaussianProcess:
         Raises
         ------
         ValueError
-            If x has another number of columns than the data.
+            If x does not have the d columns of the data.
         """
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         variance = self._prior_variance - _squared_norms(self._inverse_factor, cross)
         return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
 
     def predict_mean(self, x: ArrayLike) -> Array:
-        """Predict the posterior mean alone, shape (m,), at a fraction of the cost of `predict`."""
+        """Predict the posterior mean (m,) alone at x (m, d); cheaper than `predict`."""
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         mean: Array = self.standardisation.shift + self.standardisation.scale * (cross @ self.alpha)
         return mean
@@ -316,8 +317,8 @@ class GaussianProcess:
     @cached_property
     def _inverse_interpolator(self) -> Array:
         kernel = latent_covariance(self.hyperparameters, self.data.x, self.data.x)
-        # Without noise the matrix is singular to rounding whenever points crowd, so it gets a
-        # jitter well below the resolution at once; the ladder adds more where that is too little.
+        # Without noise, close points make the matrix singular to rounding, so it gets a jitter well
+        # below the resolution; `jittered_cholesky` adds more if that is too little.
         kernel[np.diag_indices(len(kernel))] += (
             0.1 * INTERPOLATION_RESOLUTION * self._prior_variance
         )

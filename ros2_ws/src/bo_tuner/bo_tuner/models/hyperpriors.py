@@ -17,7 +17,7 @@ from bo_tuner.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class LogNormal:
-    """Log-normal density, cut to an interval.
+    """Log-normal density, and bounds of the estimate.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class LogNormal:
     upper: float
 
     def __post_init__(self) -> None:
-        """Refuse values that define no density."""
+        """Reject values that define no density."""
         if not 0.0 < self.lower <= self.median <= self.upper < np.inf:
             raise ValueError(
                 "log-normal prior: expected 0 < lower <= median <= upper, found "
@@ -54,9 +54,9 @@ class Hyperparameters:
     length_scales : ndarray, shape (d,)
         Length scale of the kernel in each dimension, in edges of the unit cube.
     signal : float
-        Standard deviation of the process about its mean, in standardised responses.
+        Standard deviation of the process about its mean, in standardized responses.
     noise : float
-        Standard deviation of one observation's noise, in standardised responses.
+        Standard deviation of one observation's noise, in standardized responses.
     """
 
     length_scales: Array
@@ -84,9 +84,9 @@ class Hyperpriors:
     length_scale : LogNormal
         Prior of each length scale, in edges of the unit cube.
     signal : LogNormal
-        Prior of the signal standard deviation, in standardised responses.
+        Prior of the signal standard deviation, in standardized responses.
     noise : LogNormal
-        Prior of the noise standard deviation, in standardised responses.
+        Prior of the noise standard deviation, in standardized responses.
     """
 
     length_scale: LogNormal
@@ -95,15 +95,15 @@ class Hyperpriors:
 
     @classmethod
     def default(cls, dimension: int) -> Self:
-        """Return the priors used where the caller states none.
+        """Return the default priors.
 
         - Length scale: median 0.5 √d, because the typical distance of two points in the unit cube
           grows with √d (Hvarfner, Hellsten and Nardi 2024); a factor of e either way is one
           standard deviation. Lower bound 0.01: finer structure cannot be learnt from the few
           hundred points of a study. Upper bound 20: the response is then linear in the cube.
-        - Signal: median 1 (the responses are standardised); long length scales need more.
-        - Noise: median 0.1 with a wide spread, because replicates tell it well. Its lower bound
-          of 1e-4 keeps covariance matrices of exact responses well enough conditioned.
+        - Signal: median 1 (the responses are standardized); long length scales need more.
+        - Noise: median 0.1 with a wide spread, because replicates determine it well. Its lower
+          bound of 1e-4 keeps covariance matrices of exact responses well conditioned.
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class Hyperpriors:
         return box
 
     def log_density(self, phi: Array) -> tuple[float, Array]:
-        """Return the log density of φ, normalised without the box, and its gradient.
+        """Return the log density of φ and its gradient; the box is ignored.
 
         Parameters
         ----------
@@ -178,5 +178,5 @@ class Hyperpriors:
         return float(value), -z / spreads
 
     def draw(self, dimension: int, rng: np.random.Generator) -> Array:
-        """Draw one φ from the priors without the box, shape (d + 2,)."""
+        """Draw one φ, shape (d + 2,), from the priors; the box is ignored."""
         return rng.normal(self.medians(dimension), self.spreads(dimension))

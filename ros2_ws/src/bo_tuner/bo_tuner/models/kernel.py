@@ -1,12 +1,12 @@
 """Squared-exponential kernel with a constant mean, and the factor of its covariance matrices.
 
-The prior of the standardised response's expectation at a point x of the unit cube is
+The prior of the standardized response's expectation at a point x of the unit cube is
 
     f = β + g,   β ~ N(0, MEAN_SD²),   g ~ GP(0, k),
     k(x, x') = s² exp(-½ Σ_j (x_j - x'_j)² / ℓ_j²).
 
 The constant mean β is integrated out analytically, which adds the constant MEAN_SD² to the kernel
-(Rasmussen and Williams 2006, Section 2.7). As responses are standardised, MEAN_SD = 1 is wide.
+(Rasmussen and Williams 2006, Section 2.7). As responses are standardized, MEAN_SD = 1 is wide.
 """
 
 import numpy as np
@@ -62,7 +62,7 @@ def covariance_of_distances(hyperparameters: Hyperparameters, squared: Array) ->
 
 
 def jittered_cholesky(covariance: Array) -> tuple[Array, float]:
-    """Factor a covariance matrix, with as little added to its diagonal as makes it work.
+    """Compute the Cholesky factor of a covariance matrix, with as little jitter as necessary.
 
     Parameters
     ----------
@@ -74,12 +74,17 @@ def jittered_cholesky(covariance: Array) -> tuple[Array, float]:
     factor : ndarray, shape (n, n)
         Lower triangular L with L Lᵀ = covariance + jitter · I.
     jitter : float
-        What was added, most often 0.
+        What was added to the diagonal, usually 0; in the unit of the covariance.
+
+    Raises
+    ------
+    ValueError
+        If an entry of the matrix is NaN or infinite.
     """
     n = len(covariance)
     scale = float(np.trace(covariance)) / n
     # No covariance of f exceeds its variance, the same at every point, and noise only adds to the
-    # diagonal. So the last rung makes the matrix diagonally dominant, and the ladder cannot fail.
+    # diagonal. So the last jitter makes the matrix positive definite.
     for rung in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 2.0 * n):
         matrix = np.array(covariance, order="F")
         matrix[np.diag_indices(n)] += rung * scale

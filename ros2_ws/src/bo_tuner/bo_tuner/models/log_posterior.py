@@ -23,8 +23,8 @@ from bo_tuner.numerics.arrays import Array
 # bound leaves an error of some 0.01 in φ; a tighter one costs evaluations and changes no decision.
 GRADIENT_TOLERANCE = 1e-2
 MAXIMUM_ITERATIONS = 60
-# A warm start with many points is near its optimum already, which one more point hardly moves, and
-# the next fit goes on from where this one stops.
+# With many points, one more hardly moves the optimum: a warm start is already close to it, and the
+# next fit continues where this one stops.
 WARM_ITERATIONS = 6
 MANY_POINTS = 100
 DRAWN_CHALLENGERS = 3
@@ -36,7 +36,7 @@ class LogPosterior:
     Parameters
     ----------
     data : Replicates
-        Standardised observations.
+        Standardized observations.
     priors : Hyperpriors
         Priors of φ.
     """
@@ -76,7 +76,7 @@ class LogPosterior:
         return flat.reshape((n, n), order="F"), kernel
 
     def log_marginal_likelihood(self, phi: Array) -> tuple[float, Array]:
-        """Return the log density of all N standardised observations and its gradient in φ.
+        """Return the log density of all N standardized observations and its gradient in φ.
 
         The gradient is ½ tr((α αᵀ - C⁻¹) ∂C/∂φ) (Rasmussen and Williams 2006, Eq. 5.9), plus
         the direct dependence of the replicate terms on σ².
@@ -113,7 +113,7 @@ class LogPosterior:
         return value, gradient
 
     def value(self, phi: Array) -> float:
-        """Return the log posterior without the normalising constant of the data."""
+        """Return the log posterior without the normalizing constant of the data."""
         data, parameters = self.data, Hyperparameters.from_log(phi)
         factor, _ = jittered_cholesky(self.covariance(parameters)[0])
         alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
@@ -140,7 +140,7 @@ def log_likelihood(factor: Array, alpha: Array, data: Replicates, noise: float) 
     alpha : ndarray, shape (n,)
         α.
     data : Replicates
-        Standardised observations.
+        Standardized observations.
     noise : float
         σ, standard deviation of one observation's noise.
     """
@@ -160,12 +160,11 @@ def maximise_posterior(
 ) -> tuple[Array, tuple[str, ...]]:
     """Find the maximum a posteriori of φ by L-BFGS-B.
 
-    Rule for the starts: without `start`, one run from the prior medians and one from short length
-    scales and little noise (two spreads and one below their medians), because all long length
-    scales can lead to an optimum that takes the signal for noise. With `start`, one run from there,
-    unless one of the two, or of DRAWN_CHALLENGERS draws from the priors, already has the greater
-    log posterior, which costs no gradient to find out: then the data have outgrown the earlier
-    hyperparameters, and the best challenger gets a run as well.
+    Without `start`, one run starts at the prior medians and one at short length scales and little
+    noise (two spreads and one below their medians), because long length scales can lead to an
+    optimum that explains the signal as noise. With `start`, one run starts there. A second one
+    starts at the best of these two points and DRAWN_CHALLENGERS draws from the priors, if its log
+    posterior exceeds that of `start`: the new data then contradict the earlier hyperparameters.
 
     Parameters
     ----------

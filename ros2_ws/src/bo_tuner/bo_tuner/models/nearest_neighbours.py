@@ -3,14 +3,14 @@
 Used twice in the acquisition function (paper, Eq. 5): for p_out, labels from the outlier detection,
 and for p_fail, labels from crashes.
 
-The paper's footnote names "a squared exponential kernel as distance metric and a squared inverse
-distance weighting". Here the distance is the one that the kernel induces in its feature space, with
-k(x, x') = exp(-½ Σ_j (x_j - x'_j)² / ℓ_j²):
+The paper's footnote specifies "a squared exponential kernel as distance metric and a squared
+inverse distance weighting". Here the distance is the one that the kernel induces in its feature
+space, with k(x, x') = exp(-½ Σ_j (x_j - x'_j)² / ℓ_j²):
 
-    δ(x, x')² = k(x, x) - 2 k(x, x') + k(x', x') = 2 (1 - k(x, x')),
+    δ(x, x')² = k(x, x) - 2 k(x, x') + k(x', x') = 2 (1 - k(x, x')).
 
-it is a metric, close to the Euclidean one (in length scales) nearby and saturating at √2 far away,
-where every neighbour counts the same. A neighbour's weight is 1 / δ².
+It is a metric: close to the Euclidean one (in length scales) for near points, and saturating at √2
+for distant ones, which all count the same. A neighbour's weight is 1 / δ².
 """
 
 from dataclasses import dataclass
@@ -27,14 +27,14 @@ from bo_tuner.numerics.arrays import Array
 class NeighbourClassifier:
     """Estimate of the probability that a point belongs to the positive class.
 
-    The k nearest neighbours vote with the weights w_i = 1 / δ_i². The prior votes as one more
-    neighbour that is always there: at the distance δ_0 with the class probability p_0,
+    The k nearest neighbours vote with the weights w_i = 1 / δ_i². The prior votes as one further
+    neighbour at the distance δ_0 with the class probability p_0,
 
         p(x) = (Σ_i w_i c_i + w_0 p_0) / (Σ_i w_i + w_0),   w_0 = 1 / δ_0²,
 
     which is the mean of a Beta distribution with w_0 p_0 and w_0 (1 - p_0) pseudo-counts. So one
-    crash among few trials does not close the space (with the defaults p(x) < 0.4 far from a crash
-    that is the only trial), while p → 1 as x → a crash.
+    crash among few trials does not exclude the whole space (with the defaults p(x) < 0.4 far from a
+    crash that is the only trial), while p → 1 as x approaches a crash.
 
     Attributes
     ----------
@@ -116,9 +116,9 @@ class NeighbourClassifier:
     @cached_property
     def _tree(self) -> Any:
         # Its import takes longer than all others of a command together, and most runs never ask.
-        from sklearn.neighbors import NearestNeighbors
+        from sklearn.neighbors import KDTree
 
-        return NearestNeighbors(algorithm="kd_tree").fit(self._scaled)
+        return KDTree(self._scaled)
 
     def _votes(self, x: Array) -> tuple[Array, Array]:
         """Return the summed weights for and against the positive class, each of shape (m,)."""
@@ -130,13 +130,13 @@ class NeighbourClassifier:
         outside = np.full(m, prior * (1.0 - self.prior_probability))
         if n == 0:
             return inside, outside
-        # The distance δ grows with the Euclidean one, so that finds the nearest.
+        # δ increases with the Euclidean distance, so both have the same nearest neighbours.
         scaled = x / self.length_scales
-        nearest = self._tree.kneighbors(scaled, min(n, self.neighbours), return_distance=False)
+        nearest = self._tree.query(scaled, min(n, self.neighbours), return_distance=False)
         squared = ((scaled[:, None, :] - self._scaled[nearest]) ** 2).sum(axis=2)
         labels = self.labels[nearest]
         distance = -2.0 * np.expm1(-0.5 * squared)
-        # A neighbour at no distance has infinite weight: alone with its equals it decides.
+        # A neighbour at distance zero has infinite weight: only such neighbours count.
         coincident = distance == 0.0
         weights = 1.0 / np.where(coincident, 1.0, distance)
         decided = coincident.any(axis=1)

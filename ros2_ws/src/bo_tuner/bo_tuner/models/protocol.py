@@ -1,4 +1,4 @@
-"""What the tuner asks of a surrogate model.
+"""Interface of the surrogate models.
 
 Notation: n distinct points in d dimensions of the unit cube, m query points.
 """
@@ -20,7 +20,7 @@ class Model(Protocol):
     points : ndarray, shape (n, d)
         Distinct points at which the response was observed.
     counts : ndarray, shape (n,)
-        Observations at each.
+        Number of observations at each point.
     length_scales : ndarray, shape (d,)
         Distance along each axis within which the response changes little.
     scale : float
@@ -28,9 +28,9 @@ class Model(Protocol):
     noise_variance : float
         Variance of one observation's noise, in the squared unit of the response.
     warm_start : tuple of float
-        What a later fit to similar data may start from; ends up in the record of the trial.
+        Starting point for a later fit to similar data; recorded with the trial.
     warnings : tuple of str
-        Numerical trouble of the fit, one line each.
+        Numerical problems of the fit, one line each.
     """
 
     @property
@@ -58,10 +58,10 @@ class Model(Protocol):
         """Return mean and variance (m,) of the latent response at x (m, d)."""
 
     def predict_mean(self, x: ArrayLike) -> Array:
-        """Return the mean (m,) alone."""
+        """Return the mean (m,) alone at x (m, d)."""
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Return mean and variance (m,) of the noise-free model, the latter zero at `points`."""
+        """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
 
     def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
         """Draw the latent response jointly at x (m, d), shape (count, m)."""

@@ -1,4 +1,4 @@
-"""Sufficient statistics of repeated observations and the standardisation of responses.
+"""Sufficient statistics of repeated observations and the standardization of responses.
 
 Notation: N observations y of n distinct points x in the unit cube of dimension d; point i has
 r_i observations with the mean ȳ_i.
@@ -78,7 +78,7 @@ class Standardisation:
     Attributes
     ----------
     shift, scale : float
-        Standardised response = (response - shift) / scale, in the unit of the response.
+        Standardized response = (response - shift) / scale, in the unit of the response.
     """
 
     shift: float
@@ -88,7 +88,7 @@ class Standardisation:
     def of(cls, y: Array) -> Self:
         """Build the map from all observations, each with weight one.
 
-        Constant responses have no spread to divide by; their magnitude takes its place, so
+        Constant responses are divided by their magnitude instead of their standard deviation, so
         that the model's uncertainty is of the order of the response itself.
 
         Parameters
@@ -107,11 +107,11 @@ class Standardisation:
         return cls(shift, scale)
 
     def apply(self, y: Array) -> Array:
-        """Return the standardised responses, shape as `y`."""
+        """Return the standardized responses, shape as `y`."""
         return (y - self.shift) / self.scale
 
     def restore(self, mean: Array, variance: Array) -> tuple[Array, Array]:
-        """Return a standardised mean and variance in the units of the response."""
+        """Return a standardized mean and variance in the units of the response."""
         return self.shift + self.scale * mean, self.scale**2 * variance
 
 

@@ -1,12 +1,12 @@
-"""Gaussian process with a Student-t likelihood, and the outliers it reveals.
+"""Gaussian process with a Student-t likelihood, and outlier detection with it.
 
-Model of the standardised replicate means ȳ_i at the n distinct points (paper, Section 3):
+Model of the standardized replicate means ȳ_i at the n distinct points (paper, Section 3):
 
     ȳ_i = f(x_i) + ε_i,   ε_i ~ t_ν(0, s_i),   s_i² = (ν - 2) / ν · max(σ² / r_i, SCALE_FLOOR²),
 
-with ν = 4. The scale is tied, not learnt: the t distribution has the variance of the mean of r_i
-observations of a reference Gaussian process, whose hyperparameters and standardisation the model
-shares. The reference is fitted to the bulk of the data, so that the outliers have no part in it.
+with ν = 4. The scale is not a hyperparameter: the t distribution has the variance of the mean of
+r_i observations of a reference Gaussian process, whose hyperparameters and standardization the
+model shares. The reference is fitted to the bulk of the data, so that outliers do not affect it.
 
 The posterior of the latent values is approximated by Laplace's method: a normal distribution at the
 mode of Ψ(f) = log p(ȳ | f) - ½ fᵀ K⁻¹ f, with the curvature there. It understates the variance, by
@@ -15,12 +15,12 @@ mode alone.
 
 Mode finding. The t likelihood is not log-concave: far from its centre the curvature is negative,
 Ψ can have several maxima, and Newton's method may diverge. But t is a scale mixture of normals, and
-the expectation-maximisation algorithm over the mixing variables is iteratively reweighted least
+the expectation-maximization algorithm over the mixing variables is iteratively reweighted least
 squares, f ← K (K + W⁻¹)⁻¹ ȳ with W_i = (ν + 1) / (ν s_i² + (ȳ_i - f_i)²), of which every step
-increases Ψ. A step of twice that length is tried first, and taken only if it increases Ψ more; so
-the iteration is monotone, and it ends by tolerance or by an iteration limit, at a usable f in both
-cases. Of several modes it finds that of the basin of the reference's mean, where it starts: the
-one in which outliers stay unexplained.
+increases Ψ. A step of twice that length is tried as well, and taken only if it increases Ψ more; so
+the iteration is monotone, and f is usable whether it ends by tolerance or by the iteration limit.
+Of several modes it finds the one in whose basin the mean of the reference lies, where it starts:
+the mode at which the model does not follow the outliers.
 
 References
 ----------
@@ -49,14 +49,14 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_student_t_pdf
 
 DEGREES_OF_FREEDOM = 4.0
-# In standard deviations of the bulk. However exact the observations are, small misfits of the model
-# are no outliers.
+# In standard deviations of the bulk. Small misfits of the model are not outliers, however exact the
+# observations are.
 SCALE_FLOOR = 0.05
 # A parameter set is an outlier if a t variable exceeds its residual with at most this
 # probability: 7.2 scales above the model for ν = 4.
 TAIL_PROBABILITY = 1e-3
-# Replicate means farther than this many robust standard deviations above the median are no part of
-# the bulk that the reference is fitted to; whether they are outliers the Student-t process decides.
+# Replicate means farther than this many robust standard deviations above the median are not in the
+# bulk that the reference is fitted to; the Student-t process decides whether they are outliers.
 BULK_WIDTH = 5.0
 MAD_TO_SD = 1.4826
 MAXIMUM_ITERATIONS = 100
@@ -72,11 +72,11 @@ class StudentTProcess:
     reference : GaussianProcess
         Origin of the hyperparameters and the standardisation.
     data : Replicates
-        All observations, standardised; n distinct points.
+        All observations, standardized; n distinct points.
     scale : ndarray, shape (n,)
-        s_i, in standardised responses.
+        s_i, in standardized responses.
     mode : ndarray, shape (n,)
-        Mode of the latent values, in standardised responses.
+        Mode of the latent values, in standardized responses.
     iterations : int
         Steps of the mode finding.
     converged : bool
@@ -117,7 +117,7 @@ class StudentTProcess:
         Raises
         ------
         ValueError
-            If the data are refused, or ν ≤ 2.
+            If the data are invalid, or ν ≤ 2.
         """
         if not degrees_of_freedom > 2.0:
             raise ValueError(f"degrees_of_freedom: expected > 2, found {degrees_of_freedom}")
@@ -138,7 +138,7 @@ class StudentTProcess:
         W is the negative curvature of the log likelihood. Where it is negative at outliers, but
         the matrix still positive definite, the mode is a strict maximum and the approximation is
         the exact second-order one. Where it is not (a saddle, or not converged), the weights of
-        the expectation-maximisation take its place; they are always positive.
+        the expectation-maximization are used instead; they are always positive.
         """
         kernel = latent_covariance(self.reference.hyperparameters, self.data.x, self.data.x)
         factor, _ = jittered_cholesky(kernel + 1e-10 * kernel[0, 0] * np.eye(len(kernel)))
@@ -157,7 +157,7 @@ class StudentTProcess:
 
     @property
     def log_marginal_likelihood(self) -> float:
-        """Laplace's approximation of log p(ȳ), of standardised replicate means."""
+        """Laplace's approximation of log p(ȳ), of standardized replicate means."""
         return self._laplace[2]
 
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
@@ -187,11 +187,11 @@ class StudentTProcess:
         return self.reference.standardisation.restore(mean, np.maximum(variance, 0.0))
 
     def outliers(self, tail_probability: float = TAIL_PROBABILITY) -> NDArray[np.bool_]:
-        """Judge each parameter set by its likelihood at the mode.
+        """Mark the observations of outlying parameter sets.
 
         A parameter set is an outlier if its mean response lies so far above the model that its
         Student-t tail probability is at most `tail_probability`. Values below the model are never
-        outliers: they are what a minimiser looks for.
+        outliers, since the response is minimized.
 
         Parameters
         ----------
@@ -211,7 +211,7 @@ class StudentTProcess:
 def _find_mode(
     kernel: Array, y: Array, scale: Array, nu: float, start: Array
 ) -> tuple[Array, int, bool]:
-    """Maximise Ψ(f) over f = K a, shape (n,), by guarded over-relaxed reweighted least squares.
+    """Maximize Ψ(f) over f = K a, shape (n,), by guarded over-relaxed reweighted least squares.
 
     The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K.
     """
@@ -253,11 +253,11 @@ def find_outliers(
     minimum_length_scales: ArrayLike | None = None,
     start: Sequence[float] | None = None,
 ) -> tuple[NDArray[np.bool_], GaussianProcess]:
-    """Mark the outliers of all observations (paper, Section 3).
+    """Mark the outliers among all observations (paper, Section 3).
 
     A reference is fitted to the bulk of the data, and the Student-t process of all data with its
-    hyperparameters marks the outliers. The bulk is found anew from medians each time, so no
-    earlier judgement keeps a point out for ever. The scheme breaks down when half of the
+    hyperparameters marks the outliers. Each call determines the bulk from medians, independently
+    of earlier results, so no point is excluded permanently. The scheme fails if half of the
     parameter sets are outliers.
 
     Parameters

@@ -1,8 +1,8 @@
-"""The surrogates of stage one: what all trials so far say of every parameter set (Sec. 4.1).
+"""The surrogates of stage one, fitted to all trials (Sec. 4.1).
 
 One Gaussian process for the objective, one for each constrained response, and two
-nearest-neighbour classifiers. A failed trial has no values; it speaks through the classifier of
-failures alone.
+nearest-neighbour classifiers. A failed trial has no values; only the classifier of failures uses
+it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,24 +25,27 @@ from bo_tuner.trials import EvaluationState, Trial, TrialState
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
-# Distance in the unit cube within which a failure speaks for its neighbours. Not the objective's
-# length scales: they come from complete trials only, and a flat response would stretch them.
+BELIEVED_FEASIBLE = 0.5
+"""Lowest probability of feasibility of a parameter set that counts as feasible."""
+
+# Length scale of the classifiers in the unit cube. The objective's length scales do not suit them:
+# they are fitted to complete trials only, and are long if the response is flat.
 CLASSIFIER_SCALE = 0.25
 
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Which models stand for the responses.
+    """Which surrogate models to fit.
 
     Attributes
     ----------
     reject_outliers
-        Whether outliers of the objective are kept out of all models, and their region is avoided.
+        Whether outliers of the objective are excluded from all models, and their region is avoided.
     joint
-        Model the worst case by one process over parameter set and context (Algorithm V) instead
-        of by the estimates of the trials.
+        Model the constrained metric by one process over parameter set and context (Algorithm V)
+        instead of the worst cases estimated in the trials.
     fit
-        Fits the model of a response; Gaussian processes unless told otherwise.
+        Fits the model of a response; by default a Gaussian process.
     """
 
     reject_outliers: bool = True
@@ -60,14 +63,14 @@ class Surrogates:
     Attributes
     ----------
     objective
-        Model of the cost (the objective's metric, on its scale, to be minimised); None while no
+        Model of the cost (the objective's metric on its scale, to be minimized); None while no
         trial is complete.
     constraints
-        By the names of the study's constraints; empty while no trial is complete.
+        Constraints by their names in the study; empty while no trial is complete.
     classifiers
         Probabilities of a failure and, with the outlier scheme, of an outlier.
     outliers
-        Numbers of the trials that were taken for outliers of the objective.
+        Numbers of the trials that are outliers of the objective.
     models
         Every model by its name: that of the objective, of the outlier scheme, and of each
         constraint.
@@ -81,12 +84,12 @@ class Surrogates:
 
     @property
     def warm_starts(self) -> dict[str, tuple[float, ...]]:
-        """What the next fit may start from, by the names of the models."""
+        """Starting points for the next fit, by model name."""
         return {name: model.warm_start for name, model in self.models.items()}
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Numerical trouble of the fits."""
+        """Numerical problems of the fits, each with the name of its model."""
         return tuple(f"{name}: {w}" for name, model in self.models.items() for w in model.warnings)
 
     @classmethod
@@ -99,16 +102,16 @@ class Surrogates:
         start: Mapping[str, Sequence[float]] | None = None,
         options: ModelOptions = DEFAULT_MODELS,
     ) -> Self:
-        """Fit to all trials.
+        """Fit all models.
 
         Parameters
         ----------
         study
             The study.
         trials
-            All trials so far, failed ones too.
+            All trials so far, failed ones included.
         rng
-            Source of further starts of the hyperparameter searches.
+            Draws starting points of the hyperparameter fits.
         start
             `warm_starts` of an earlier fit.
         options
@@ -122,7 +125,7 @@ class Surrogates:
         if complete:
             if options.reject_outliers:
                 outliers = fitting.outliers(complete)
-            # What has an outlying objective would mislead the other models as well.
+            # Trials with an outlying objective would distort the other models as well.
             kept = [t for t in complete if t.number not in outliers]
             objective = fitting.objective(kept)
             constraints = fitting.constraints(kept)
@@ -138,7 +141,7 @@ class Surrogates:
         )
 
     def log_feasibility(self, x: Array) -> Array:
-        """Log probability (m,) that a parameter set at x (m, d) meets all constraints."""
+        """Return the log probability (m,) that all constraints hold at x (m, d)."""
         total = np.zeros(len(x))
         for constraint in self.constraints.values():
             total += constraint.log_probability(x)
@@ -228,7 +231,7 @@ class _Fitting:
     def _observations(
         self, trials: Sequence[Trial], metric: str
     ) -> tuple[Array, Array, NDArray[np.int_]]:
-        """Points (N, d), values (N,) and trial numbers (N,) of the estimating evaluations."""
+        """Return points (N, d), values (N,) and trial numbers (N,) of `Trial.observations`."""
         x, y, number = [], [], []
         for trial, point in zip(trials, self._points(trials), strict=True):
             for value in trial.observations(metric):
@@ -241,7 +244,19 @@ class _Fitting:
 def joint_observations(
     trials: Sequence[Trial], cube: dict[int, Array], contexts: ContextSpace, metric: str
 ) -> tuple[Array, Array]:
-    """Joint points (N, d + e) and values (N,) of all whole evaluations."""
+    """Return joint points (N, d + e) and values (N,) of all complete evaluations.
+
+    Parameters
+    ----------
+    trials
+        The trials.
+    cube
+        Parameter set (d,) in the unit cube by trial number.
+    contexts
+        The context space, of dimension e.
+    metric
+        Name of the constrained metric.
+    """
     rows, values = [], []
     for trial in trials:
         for evaluation in trial.evaluations:
@@ -253,18 +268,21 @@ def joint_observations(
 
 
 def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
-    """Return what an evaluation in the worst context of each trial reaches, shape (n,).
+    """Return a quantile of single evaluations in the worst context of each trial, shape (n,).
 
-    It stays below with the constraint's probability. Trials without a worst case are left out.
+    A single evaluation stays below it with the constraint's probability. Trials without a worst
+    case are left out.
     """
     worst = [t.worst_case.value for t in trials if t.worst_case is not None]
     return np.array(worst) + single_evaluation_margin(trials, constraint)
 
 
 def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) -> float:
-    """Return the distance of a mean from the limit that a single cut's noise asks for.
+    """Return the margin z σ of a mean to the limit, in the metric's unit.
 
-    The noise is taken as equal everywhere: the few evaluations of one trial say little of it.
+    With it, a single evaluation keeps the limit with the constraint's probability; z is the normal
+    quantile of that. σ is the median noise of all trials, as the few evaluations of one trial do
+    not estimate it well.
     """
     noise = [t.worst_case.noise for t in trials if t.worst_case is not None]
     return constraint.deviations * float(np.median(noise)) if noise else 0.0

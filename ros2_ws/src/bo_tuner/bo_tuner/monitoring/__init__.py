@@ -1,1 +1,1 @@
-"""Watching a run while it goes on: terminal, JSON lines, topics and services."""
+"""Live views of a run: terminal, JSON lines, topics and services."""

@@ -15,7 +15,7 @@ from bo_tuner.tuning.limits import verdict
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"
-"""Names of the statuses. They never change, so that plotters make one series of each value."""
+"""Names of the statuses. They never change, so that plotters draw one series of each value."""
 
 
 class Level(IntEnum):
@@ -35,11 +35,11 @@ class Status:
     name
         One of the names above.
     level
-        How serious it is.
+        Severity.
     message
-        What it says, in a few words.
+        Short summary.
     values
-        Details by key; numbers in SI units, and so that they read back bit for bit.
+        Details by key; numbers in SI units, written so that reading them back is exact.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Status:
 
 
 def progress(study: Study, now: Snapshot) -> Status:
-    """Tell how far a run is."""
+    """Return the progress of a run as a status."""
     message = f"{now.phase}: {now.done} of {now.total}" if now.phase else "starting"
     values: dict[str, object] = {
         "phase": now.phase,
@@ -65,7 +65,7 @@ def progress(study: Study, now: Snapshot) -> Status:
     }
     if now.advice is not None:
         values |= {"expected_gain": now.advice.expected_gain, "noise": now.advice.noise}
-        message += "; advice: stop, what is left to gain is below the noise"
+        message += "; advice: stop, the expected gain is below the noise"
     if now.incumbent is not None and not now.incumbent.believed_feasible:
         message += "; no feasible point yet"
     if now.paused:
@@ -74,7 +74,7 @@ def progress(study: Study, now: Snapshot) -> Status:
 
 
 def surrogate(study: Study, now: Snapshot) -> Status:
-    """Tell what the models of the latest proposal were like."""
+    """Return the hyperparameters and warnings of the latest proposal as a status."""
     last = now.last
     values: dict[str, object] = {"fallbacks": now.fallbacks}
     if last is None or not last.hyperparameters:
@@ -91,7 +91,7 @@ def surrogate(study: Study, now: Snapshot) -> Status:
 
 
 def safety(study: Study, now: Snapshot) -> Status:
-    """Tell what went wrong so far; the level is that of the latest trial."""
+    """Return the numbers of failures and violations as a status, at the latest trial's level."""
     values = {
         "failed_trials": now.failed,
         "violating_trials": now.violating,
@@ -104,7 +104,7 @@ def safety(study: Study, now: Snapshot) -> Status:
 
 
 def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: str) -> Status:
-    """Tell what came of a trial.
+    """Return the result of a trial as a status.
 
     Parameters
     ----------
@@ -113,9 +113,9 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
     trial
         The trial.
     incumbent
-        The best one so far.
+        First in rank after the trial; None if no trial is complete.
     run
-        Folder of the run.
+        Path of the run folder.
     """
     values: dict[str, object] = {
         "trial": trial.number,
@@ -162,7 +162,7 @@ def _of_incumbent(best: Candidate | None) -> dict[str, object]:
 
 def _text(values: Mapping[str, object]) -> dict[str, str]:
     return {
-        # Plotters take numbers only; and repr(np.float64) is no number.
+        # Plotters read plain numbers only, which repr(np.float64) does not give.
         key: repr(float(value)) if isinstance(value, float) else str(value)
         for key, value in values.items()
         if value is not None

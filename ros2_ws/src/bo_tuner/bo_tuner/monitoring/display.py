@@ -1,22 +1,24 @@
-"""What a person, or a program in one's place, gets to see of a run."""
+"""Output of a run: the base class of the displays, and the table of the result."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from bo_tuner.study.study import Study
+from bo_tuner.text import printable
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.validation import Validation
 
 
 class Output(StrEnum):
-    """How a run shows itself."""
+    """Kind of output of a run."""
 
     PROGRESS = "progress"
     QUIET = "quiet"
@@ -25,38 +27,38 @@ class Output(StrEnum):
 
 @dataclass(frozen=True)
 class Result:
-    """What a run has found.
+    """Result of a run.
 
     Attributes
     ----------
     study
         The study.
     default, tuned
-        Validation of both parameter sets.
+        Validations of the two parameter sets.
     parameters_file
-        Holds the tuned one.
-    amiss
-        What is amiss with it, in a sentence; empty if it is feasible.
+        File with the tuned parameter set.
+    problem
+        Why the tuned parameter set is not feasible, in a sentence; empty if it is.
     summary
-        As in ``summary.json``.
+        Content of ``summary.json``.
     """
 
     study: Study
     default: Validation
     tuned: Validation
     parameters_file: Path
-    amiss: str
+    problem: str
     summary: Mapping[str, object]
 
 
 class Display(RunObserver):
-    """Shows the result and what is amiss, and nothing else; use it in a ``with`` block."""
+    """Shows only the result and warnings; use it in a ``with`` block."""
 
     def __init__(self) -> None:
         self._console = plain_console(stderr=True)
 
     def __enter__(self) -> Self:
-        """Begin to show the run."""
+        """Start the display."""
         return self
 
     def __exit__(
@@ -65,42 +67,64 @@ class Display(RunObserver):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
-        """Tell where and by what the run is run."""
+        """Show the run folder, the backend and the algorithm."""
 
     def tell(self, text: str) -> None:
-        """Tell a line that one can do without."""
+        """Show a line of information, which ``--quiet`` omits."""
 
     def warn(self, text: str) -> None:
-        """Tell what is amiss, on standard error."""
+        """Show a warning on standard error."""
         self._console.print(text, soft_wrap=True)
 
     def result(self, result: Result) -> None:
-        """Tell the result, on standard output."""
+        """Show the result on standard output."""
         out = plain_console()
         out.print(comparison(result.study, result.default, result.tuned))
         out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
-        if result.amiss:
-            out.print(result.amiss, soft_wrap=True)
+        if result.problem:
+            out.print(result.problem, soft_wrap=True)
 
     def finish(self, code: int) -> None:
-        """Tell that the run has ended with an exit code."""
+        """Show that the run has ended with an exit code."""
+
+
+class PlainConsole(Console):
+    """A console that shows texts as they are, but for what would steer the terminal.
+
+    Parameters
+    ----------
+    stderr
+        Whether to write to standard error.
+    """
+
+    def __init__(self, stderr: bool = False) -> None:
+        # What stands in brackets is no markup.
+        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Make a renderable of a text, through which all texts and cells of tables pass."""
+        return super().render_str(printable(text), **options)
+
+    def on_broken_pipe(self) -> None:
+        """Raise the error again, where rich would end the process."""
+        raise
 
 
 def plain_console(stderr: bool = False) -> Console:
-    """Make a console that shows texts as they are: what stands in brackets is no markup."""
-    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    """Make a console for texts of others."""
+    return PlainConsole(stderr)
 
 
 def say(text: str) -> None:
-    """Print a line as it is, however long, on standard output."""
+    """Print a line on standard output, without markup or wrapping."""
     plain_console().print(text, soft_wrap=True)
 
 
 def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
-    """Table of the default against the tuned parameter set on the same fresh draws."""
+    """Make a table that compares the default with the tuned parameter set on the same draws."""
     table = Table(
         title=f"{study.name}: default against tuned, the same {tuned.draws} fresh draws",
         title_justify="left",

@@ -22,18 +22,18 @@ SCHEMA = 1
 
 
 class JsonLines(Display):
-    """Writes the events; what goes wrong is told on standard error as well.
+    """Writes each event as a line; warnings are also written to standard error.
 
-    A reader that goes away does not end the run: it matters more than who looks on.
+    If the reader closes the pipe, the run continues without this output.
 
     Parameters
     ----------
     study
         The study.
     status
-        Where the run stands; told of each step before.
+        Status of the run; must receive each step before this display.
     out
-        Where lines go; standard output if not given.
+        Stream for the lines; by default standard output.
     """
 
     def __init__(self, study: Study, status: RunStatus, out: TextIO | None = None) -> None:
@@ -43,7 +43,7 @@ class JsonLines(Display):
         self._out: TextIO | None = out or sys.stdout
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
-        """Tell what is run, where and by what."""
+        """Write the event ``run``."""
         study = self._study
         self._write(
             "run",
@@ -59,16 +59,16 @@ class JsonLines(Display):
         )
 
     def begin(self, phase: str, total: int) -> None:
-        """Tell of a new phase."""
+        """Write the event ``phase``."""
         self._write("phase", phase=phase, total=total)
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Tell of each trial on record."""
+        """Write an event ``trial`` for each recorded trial."""
         for trial in trials:
             self._write("trial", recalled=True, **self._of_trial(trial))
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Tell of an evaluation."""
+        """Write the event ``evaluation``."""
         outcome = evaluation.outcome
         self._write(
             "evaluation",
@@ -85,7 +85,7 @@ class JsonLines(Display):
         )
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Tell of a trial and of the best one so far."""
+        """Write the event ``trial``, with the incumbent."""
         now = self._status.now
         best = incumbent and {
             "trial": incumbent.trial.number,
@@ -103,33 +103,33 @@ class JsonLines(Display):
         )
 
     def advise(self, advice: StopAdvice) -> None:
-        """Tell of the advice to stop."""
+        """Write the event ``stop_advice``."""
         self._write("stop_advice", **asdict(advice))
 
     def pause(self, paused: bool) -> None:
-        """Tell of a pause."""
+        """Write the event ``pause``."""
         self._write("pause", paused=paused)
 
     def tell(self, text: str) -> None:
-        """Tell a line that is no event of its own."""
+        """Write the event ``message`` with a line of information."""
         self._write("message", level="info", text=text)
 
     def warn(self, text: str) -> None:
-        """Tell what is amiss."""
+        """Write the event ``message`` with a warning, and the warning to standard error."""
         self._write("message", level="warning", text=text)
         super().warn(text)
 
     def result(self, result: Result) -> None:
-        """Tell the result."""
+        """Write the event ``result``."""
         self._write(
             "result",
             parameters_file=str(result.parameters_file),
-            amiss=result.amiss,
+            problem=result.problem,
             **result.summary,
         )
 
     def finish(self, code: int) -> None:
-        """Tell that the run has ended."""
+        """Write the event ``end``."""
         self._write("end", exit_code=code)
 
     def _of_trial(self, trial: Trial) -> dict[str, object]:
@@ -160,16 +160,16 @@ class JsonLines(Display):
             self._out.write(f"{line}\n")
             self._out.flush()
         except OSError as error:
-            # What could not be written waits in the stream, and would be tried again at the end.
+            # The stream still buffers what it could not write, and would try again at exit.
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._out.fileno())
             os.close(nowhere)
             self._out = None
-            super().warn(f"no more JSON lines: {error.strerror}; the run goes on")
+            super().warn(f"no more JSON lines: {error.strerror}; the run continues")
 
 
 def _strict(value: object) -> object:
-    """Make of a value what strict JSON can hold: null for what is not a number."""
+    """Convert a value to what strict JSON can hold, with None for NaN and infinity."""
     if isinstance(value, Mapping):
         return {str(key): _strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

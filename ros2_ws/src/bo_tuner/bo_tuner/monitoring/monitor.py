@@ -1,4 +1,4 @@
-"""What watches a run besides its screens: the advice to stop, and the requests to wait."""
+"""Observers for the advice to stop and for pauses, and the choice of the display."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from bo_tuner.tuning.observer import RunObserver
 
 
 class Advisor(RunObserver):
-    """Asks after each trial whether the ones left are worth their evaluations.
+    """Computes after each trial whether to advise stopping.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class Advisor(RunObserver):
     algorithm
         The algorithm of the run.
     observers
-        Told of the advice.
+        Are passed the advice.
     """
 
     def __init__(self, study: Study, algorithm: Algorithm, observers: RunObserver) -> None:
@@ -35,16 +35,16 @@ class Advisor(RunObserver):
 
     @property
     def advice(self) -> StopAdvice | None:
-        """The advice to stop, once it was given."""
+        """The advice to stop; None while there is none."""
         return self._advisor.advice
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Come to the advice that the trials on record led to."""
+        """Repeat the computations for the recorded trials."""
         for trial in trials:
             self.trial(trial, incumbent)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Ask, and pass on the advice."""
+        """Compute the advice, and pass it on if there is one."""
         self._trials.append(trial)
         advice = self._advisor.consider(self._trials)
         if advice is not None:
@@ -52,21 +52,21 @@ class Advisor(RunObserver):
 
 
 class Gate(RunObserver):
-    """Holds the run between two evaluations while a pause is asked for, and ends it on a signal.
+    """Pauses the run between two evaluations on request, and ends it on a signal.
 
-    It comes last in the list of observers: what is on record and on screens is complete then.
+    It must be the last observer: the record and the displays are then complete before a pause.
 
     Parameters
     ----------
     interruption
-        Ends a pause, too.
+        The signal; also ends a pause.
     observers
-        Told of a pause.
+        Are passed the start and the end of a pause.
 
     Attributes
     ----------
     requests
-        To be asked for a pause.
+        Takes the requests to pause and to continue.
     """
 
     def __init__(self, interruption: Interruption, observers: RunObserver) -> None:
@@ -75,11 +75,11 @@ class Gate(RunObserver):
         self.requests = Pause()
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Let the run continue, at once or after a pause."""
+        """Wait while a pause is requested; raise if the run is to end."""
         self._wait()
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Let the run continue, at once or after a pause."""
+        """Wait while a pause is requested; raise if the run is to end."""
         self._wait()
 
     def _wait(self) -> None:
@@ -92,16 +92,16 @@ class Gate(RunObserver):
 
 
 def make_display(study: Study, output: Output, status: RunStatus) -> Display:
-    """Make what shows the run in the terminal.
+    """Make the display of a run.
 
     Parameters
     ----------
     study
         The study.
     output
-        What to show.
+        The kind of output.
     status
-        Where the run stands, told of each step before the display.
+        Status of the run; must receive each step before the display.
     """
     if output is Output.QUIET:
         return Display()

@@ -1,7 +1,7 @@
-"""The tuner's face in the ROS graph: diagnostics, trial results, plots, and services.
+"""The tuner's ROS node: diagnostics, trial results, numbers to plot, and services.
 
-Nothing here waits for anybody or takes part in the control loop: trial results are published when
-a trial has ended, and a thread of its own serves a timer of 1 Hz and the services.
+It takes no part in the control loop and never blocks the run: trial results are published when a
+trial has ended, and a separate thread serves a timer of 1 Hz and the services.
 """
 
 import threading
@@ -29,28 +29,28 @@ NODE_NAME = "tuner"
 PERIOD = 1.0
 SPIN_PERIOD = 1.0
 DIAGNOSTICS = "/diagnostics"
-"""REP-107 gives one name for all namespaces."""
+"""The same topic in all namespaces, as REP-107 requires."""
 HEADLINES = ("objective", "best_objective", "probability_feasible", "worst_case")
 LEVELS = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
 
 
 class LiveNode(RunObserver):
-    """A ROS node that tells of a run, and takes requests to pause or end it, until it is closed.
+    """ROS node that publishes the state of a run and serves requests to pause or end it.
 
     Parameters
     ----------
     context
-        The ROS context of the tuner: one participant for both keeps the traffic low.
+        ROS context of the tuner, shared with the backend: one participant keeps the traffic low.
     study
         The study.
     folder
-        Of the run.
+        The run folder.
     status
-        Where the run stands; told of each step before.
+        Status of the run; must receive each step before this node.
     pause
-        Is asked for pauses.
+        Takes the requests to pause.
     interruption
-        Is asked for the end of the run.
+        Takes the request to end the run.
     """
 
     def __init__(
@@ -71,8 +71,8 @@ class LiveNode(RunObserver):
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
         )
         self._diagnostics = self._node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
-        # Who joins late gets the results of all trials, but only the latest numbers, which have no
-        # stamp that would tell when they were new.
+        # A late subscriber gets the results of all trials, but only the latest numbers, since these
+        # have no time stamp.
         self._results = self._node.create_publisher(
             DiagnosticArray, "~/trial_result", _latched(study.budget.trials)
         )
@@ -92,7 +92,7 @@ class LiveNode(RunObserver):
         self.thread.start()
 
     def close(self) -> None:
-        """Tell the last state and leave the graph."""
+        """Publish the last state and destroy the node."""
         self._stop.set()
         self._executor.wake()
         self.thread.join()
@@ -101,7 +101,7 @@ class LiveNode(RunObserver):
         self._node.destroy_node()
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Publish the results of the trials on record."""
+        """Publish the results of the recorded trials."""
         for trial in trials:
             self._publish_result(trial, incumbent if trial is trials[-1] else None)
 
@@ -130,8 +130,8 @@ class LiveNode(RunObserver):
 
     def _publish_diagnostics(self) -> None:
         now = self._status.now
-        tell = (diagnostics.progress, diagnostics.surrogate, diagnostics.safety)
-        self._diagnostics.publish(self._array(*(make(self._study, now) for make in tell)))
+        statuses = (diagnostics.progress, diagnostics.surrogate, diagnostics.safety)
+        self._diagnostics.publish(self._array(*(make(self._study, now) for make in statuses)))
 
     def _array(self, *statuses: diagnostics.Status) -> DiagnosticArray:
         message = DiagnosticArray()
@@ -151,13 +151,15 @@ class LiveNode(RunObserver):
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._pause.request(request.data)
         response.success = True
-        response.message = "the run waits after the present cut" if request.data else "goes on"
+        response.message = (
+            "the run pauses after the present evaluation" if request.data else "the run continues"
+        )
         return response
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._interruption.request("the service ~/abort")
         response.success = True
-        response.message = f"the run ends; go on by: tune --resume {self._folder}"
+        response.message = f"the run ends; resume it with: tune --resume {self._folder}"
         return response
 
     def _spin(self) -> None:

@@ -1,4 +1,4 @@
-"""What a run shows in the terminal while it goes on."""
+"""Live progress of a run in the terminal."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,6 +15,7 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
+from bo_tuner.text import printable
 from bo_tuner.trials import Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import worst_case_holds
 
@@ -31,7 +32,8 @@ class RunProgress(Display):
     study
         The study.
     status
-        Where the run stands, told of each step before; without it no times are shown.
+        Status of the run; must receive each step before this display. Without it no times are
+        shown.
     """
 
     def __init__(self, console: Console, study: Study, status: RunStatus | None = None) -> None:
@@ -42,7 +44,7 @@ class RunProgress(Display):
         self._progress = _TwoLines(console)
 
     def __enter__(self) -> Self:
-        """Show the bar, once there is something to show."""
+        """Start the live display, which is empty before the first phase."""
         self._progress.start()
         return self
 
@@ -52,11 +54,11 @@ class RunProgress(Display):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         self._progress.stop()
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
-        """Tell where the run is."""
+        """Show the run folder."""
         self.tell(f"run folder {folder}")
 
     def begin(self, phase: str, total: int) -> None:
@@ -67,20 +69,20 @@ class RunProgress(Display):
         self._show()
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Count the trials on record."""
+        """Count the recorded trials, and show their incumbent."""
         self._progress.second_line = incumbent_in_words(incumbent, self._study)
         self._show(steps=len(trials))
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Show the times anew."""
+        """Update the times."""
         self._show()
 
     def advance(self) -> None:
-        """Count one step."""
+        """Count a step that is not a trial."""
         self._show(steps=1)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Count a trial, and tell of it and of the incumbent."""
+        """Count a trial, and show it and the incumbent."""
         self._progress.second_line = incumbent_in_words(incumbent, self._study)
         self._show(steps=1)
         self.tell(f"trial {trial.number:3d}  {describe(trial, self._study)}")
@@ -88,16 +90,16 @@ class RunProgress(Display):
             self.tell(f"           warning: {warning}")
 
     def advise(self, advice: StopAdvice) -> None:
-        """Give the advice to stop."""
+        """Show the advice to stop."""
         self.tell(advice_in_words(advice, self._study))
 
     def pause(self, paused: bool) -> None:
-        """Tell of a pause."""
+        """Show the start or the end of a pause."""
         self._show()
-        self.tell("paused; call ~/pause with data: false to go on" if paused else "goes on")
+        self.tell("paused; call ~/pause with data: false to continue" if paused else "continuing")
 
     def tell(self, text: str) -> None:
-        """Tell a line that one can do without."""
+        """Show a line of information above the bar."""
         self._console.print(text, soft_wrap=True)
 
     def _show(self, steps: int = 0) -> None:
@@ -122,7 +124,7 @@ class _TwoLines(Progress):
             TextColumn("[bold]{task.description}"),
             BarColumn(bar_width=12),
             MofNCompleteColumn(),
-            # Takes what the line has left, and is cut off there.
+            # Takes the rest of the line, and is truncated to it.
             TextColumn(
                 "{task.fields[note]}",
                 markup=False,
@@ -130,9 +132,9 @@ class _TwoLines(Progress):
             ),
             console=console,
             expand=True,
-            # Drawing takes time from the run.
+            # Drawing takes computing time from the run.
             refresh_per_second=2,
-            # A log file gets the lines of the trials instead.
+            # A log file gets only the lines of the trials.
             disable=not console.is_terminal,
         )
 
@@ -140,11 +142,11 @@ class _TwoLines(Progress):
         """Yield the bar and the line."""
         yield from super().get_renderables()
         if self.second_line:
-            yield Text(self.second_line, no_wrap=True, overflow="ellipsis")
+            yield Text(printable(self.second_line), no_wrap=True, overflow="ellipsis")
 
 
 def incumbent_in_words(best: Candidate | None, study: Study) -> str:
-    """Tell the best trial so far in a line."""
+    """Describe the incumbent in a line."""
     if best is None:
         return "no complete trial yet"
     if not best.believed_feasible:
@@ -158,24 +160,24 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
 
 
 def advice_in_words(advice: StopAdvice, study: Study) -> str:
-    """Tell the advice to stop in a sentence."""
+    """Describe the advice to stop in a sentence."""
     metric = study.metrics[study.objective.metric]
     unit = f" {metric.unit}" if metric.unit else ""
     return (
-        f"advice: stop here; the {advice.remaining} trials left are expected to gain at most "
-        f"{advice.expected_gain:.2g}{unit} in {metric.name}, less than the noise of the best one, "
-        f"{advice.noise:.2g}{unit}"
+        f"advice: stop here; the {advice.remaining} remaining trials are expected to gain at most "
+        f"{advice.expected_gain:.2g}{unit} in {metric.name}, less than the standard error of the "
+        f"incumbent, {advice.noise:.2g}{unit}"
     )
 
 
 def duration(seconds: float) -> str:
-    """Tell a time in hours, minutes and seconds, such as 0:01:40."""
+    """Format a time [s] in hours, minutes and seconds, such as 0:01:40."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def describe(trial: Trial, study: Study) -> str:
-    """Tell a trial in a line: parameters, and its values or why it failed."""
+    """Describe a trial in a line: tuned parameters, and its values or why it failed."""
     tuned = [name for name, item in study.parameters.items() if item.is_tuned]
     where = "  ".join(f"{name} {trial.parameters[name]:.4g}" for name in tuned)
     if trial.state is TrialState.FAILED:

@@ -1,4 +1,4 @@
-"""Where a run stands: one snapshot after each step, from which all that watch it read."""
+"""Status of a run: a snapshot after each step, which displays and topics read."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,19 +14,19 @@ from bo_tuner.tuning.observer import Phase, RunObserver
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 
 RECENT = 10
-"""So many of the latest trials tell how long the next ones take: proposals take ever longer."""
+"""Number of latest trials that the time left is estimated from: proposals take ever longer."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A run at a moment.
+    """State of a run at one moment.
 
     Attributes
     ----------
     phase
-        What is going on; a `Phase`, or empty before the first.
+        The present `Phase`; empty before the first.
     done, total
-        Steps of the phase.
+        Number of steps of the phase that are done, and of all.
     trials
         Number of trials so far.
     last
@@ -34,20 +34,20 @@ class Snapshot:
     incumbent
         The best trial so far, or the least violating one.
     overhead
-        Share of the optimizer in the time of optimizer and evaluations; None before the first
+        Share of the proposals in the time of proposals and evaluations; None before the first
         evaluation.
     time_left
-        Time [s] until the end of the run, as far as one can tell; None before the first trial.
+        Estimated time [s] until the end of the run; None before the first trial.
     paused
-        Whether the run waits between two evaluations.
+        Whether the run is paused between two evaluations.
     advice
-        To stop early.
+        The advice to stop; None while there is none.
     failed, violating
-        Trials that failed, and others that were seen to violate a constraint.
+        Number of trials that failed, and of complete ones that violate a constraint.
     lost
-        Evaluations that were lost with their nodes.
+        Number of evaluations that were lost because a node stopped.
     fallbacks
-        Trials that were proposed far from all others for want of a better proposal.
+        Number of trials with a space-filling proposal.
     """
 
     phase: str = ""
@@ -67,7 +67,7 @@ class Snapshot:
 
 
 class RunStatus(RunObserver):
-    """Keeps the present snapshot; another thread may read it.
+    """Keeps the present snapshot, which other threads may read.
 
     Parameters
     ----------
@@ -90,19 +90,19 @@ class RunStatus(RunObserver):
         self._trial_seconds: list[float] = []
         self._phase_evaluations = 0
         worst = WORST_EVALUATIONS if study.worst_case_constraint is not None else 0
-        # Of one candidate: as a rule the first one holds.
+        # Of one candidate: usually the first one passes.
         self._check_evaluations = DRAWN_EVALUATIONS + worst if algorithm.most_checked else 0
         # Of the default and of the tuned parameter set.
         self._validation_evaluations = 2 * study.budget.validation_draws
         self.now = Snapshot()
 
     def begin(self, phase: str, total: int) -> None:
-        """Take note of a new phase."""
+        """Set the phase."""
         self._phase_evaluations = 0
         self._update(phase=phase, done=0, total=total)
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Take note of the trials on record."""
+        """Count the recorded trials and their evaluations."""
         for trial in trials:
             for evaluation in trial.evaluations:
                 self._count(evaluation)
@@ -111,25 +111,25 @@ class RunStatus(RunObserver):
         self._update(incumbent=incumbent)
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Take note of an evaluation."""
+        """Count an evaluation."""
         self._count(evaluation)
         self._update()
 
     def advance(self) -> None:
-        """Take note of a step that is no trial."""
+        """Count a step that is not a trial."""
         self._update(done=self.now.done + 1)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Take note of a trial whose evaluations were told before."""
+        """Count a trial; its evaluations are counted before."""
         self._take(trial)
         self._update(incumbent=incumbent)
 
     def advise(self, advice: StopAdvice) -> None:
-        """Take note of the advice to stop."""
+        """Set the advice to stop."""
         self._update(advice=advice)
 
     def pause(self, paused: bool) -> None:
-        """Take note of a pause."""
+        """Set whether the run is paused."""
         self._update(paused=paused)
 
     def _count(self, evaluation: Evaluation) -> None:

@@ -1,4 +1,4 @@
-"""The algorithms of the paper's comparison (Sec. 5.1), as choices for the two stages."""
+"""The algorithms: I to IV of the paper (Sec. 5.1), and V with a joint model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,26 +21,27 @@ from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearc
 
 @dataclass(frozen=True)
 class Algorithm:
-    """Choices that make up an algorithm.
+    """Choices for the two stages that make up an algorithm.
 
     Attributes
     ----------
     title
-        What it is, in a line.
+        Short description.
     nominal
-        Evaluate parameter sets in the nominal context only, once each.
+        Evaluate each parameter set once, in the nominal context only.
     random
         Draw parameter sets at random instead of by the surrogates.
     models
-        Which models stand for the responses.
+        Which surrogate models to fit.
     acquisition
         Makes the acquisition function.
     worst_case
-        Estimate of the worst case: ``posterior`` or ``observed``.
+        Estimate of the worst case: ``posterior`` or ``observed``, as in `ReinterpolationSearch`.
     neighbour_starts
-        Most contexts, the worst of neighbouring trials, with which a worst-case search starts.
+        Largest number of starting contexts of a worst-case search, which are the worst contexts of
+        neighbouring trials.
     most_checked
-        Most candidates to check on fresh draws before one is recommended.
+        Largest number of candidates to check on fresh draws before the recommendation.
     """
 
     title: str
@@ -53,7 +54,7 @@ class Algorithm:
     most_checked: int = 6
 
     def optimizer(self, study: Study) -> Optimizer:
-        """Make the optimizer of a run."""
+        """Make the optimizer of stage one."""
         if self.random:
             return RandomSearch(study)
         return BayesianOptimization(study, self.models, self.acquisition)
@@ -61,7 +62,7 @@ class Algorithm:
     def worst_case_search(
         self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
     ) -> WorstCaseSearch:
-        """Make the search of the worst context of a proposed parameter set.
+        """Make the worst-case search of stage two for a proposed parameter set.
 
         Parameters
         ----------
@@ -70,7 +71,7 @@ class Algorithm:
         constraint
             Its worst-case constraint.
         proposal
-            What is to be evaluated.
+            The proposed parameter set.
         trials
             All trials so far.
         """

@@ -1,4 +1,4 @@
-"""What the loop asks of an optimizer: which parameter set to try next (Sec. 4.1)."""
+"""Interface of the optimizers of stage one (Sec. 4.1), and the initial design they share."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -22,10 +22,10 @@ class Proposal:
     parameters
         Every parameter of the study.
     origin
-        What proposed it: ``initial``, ``acquisition``, ``refinement``, ``random`` or
+        How it was proposed: ``initial``, ``acquisition``, ``refinement``, ``random`` or
         ``space-filling``.
     warnings
-        Numerical trouble on the way.
+        Numerical problems while it was proposed, one line each.
     hyperparameters
         As in `Trial`.
     """
@@ -37,25 +37,32 @@ class Proposal:
 
 
 class Optimizer(Protocol):
-    """Proposes parameter sets from the trials that it is told, by ask and tell.
+    """Optimizer with an ask-and-tell interface.
 
-    What it proposes depends on the study and these trials alone, so that a run can be resumed.
+    A proposal depends only on the study and the trials passed to `tell`, so a run can be resumed.
     """
 
     def ask(self) -> Proposal:
-        """Propose the next trial's parameter set."""
+        """Propose the parameter set of the next trial."""
 
     def tell(self, trial: Trial) -> None:
-        """Take note of a finished trial, complete or failed."""
+        """Add a finished trial, complete or failed."""
 
 
 class DesignedOptimizer:
-    """What optimizers with an initial Latin hypercube share: the design and the trials so far.
+    """Base of the optimizers that start with a Latin hypercube.
 
     Parameters
     ----------
     study
         The study.
+
+    Attributes
+    ----------
+    study, space
+        The study and its search space.
+    trials
+        All trials passed to `tell`.
     """
 
     def __init__(self, study: Study) -> None:
@@ -67,16 +74,16 @@ class DesignedOptimizer:
         )
 
     def tell(self, trial: Trial) -> None:
-        """Take note of a finished trial, complete or failed."""
+        """Add a finished trial, complete or failed."""
         self.trials.append(trial)
 
     def initial(self) -> Proposal | None:
-        """Return the design's point for the next trial, or None after the last."""
+        """Return the initial design's proposal for the next trial, or None after the last."""
         number = len(self.trials)
         if number >= len(self._design):
             return None
         return Proposal(self.space.to_parameters(self._design[number]), INITIAL)
 
     def rng(self) -> np.random.Generator:
-        """Random generator of the next trial."""
+        """Return the random generator of the next proposal."""
         return generator(self.study.seed, Stream.ACQUISITION, len(self.trials))

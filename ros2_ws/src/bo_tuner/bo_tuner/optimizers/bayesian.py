@@ -10,7 +10,7 @@ from bo_tuner.acquisition.acquisition import (
     best_at_data,
     constrained_improvement,
 )
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
 from bo_tuner.optimizers.base import (
@@ -24,25 +24,22 @@ from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, Value
 
-BELIEVED_FEASIBLE = np.log(0.5)
-"""Log probability of feasibility from which a parameter set counts as feasible."""
-
 NEGLIGIBLE = 1e-3
-"""Acquisition below this, relative to the spread of the cost, is no gain worth a trial.
+"""Largest acquisition, in standard deviations of the cost, that is not worth a trial.
 
-The interpolating model takes what lies between noisy data for known, and its improvement can vanish
-everywhere although the incumbent is known only to the noise. The trials left then refine what is
-known around it.
+The reinterpolation model has little variance between close points, so its expected improvement can
+vanish everywhere although noise leaves the incumbent uncertain. The remaining trials then maximize
+the improvement under the noisy model, which refines the estimates around the incumbent.
 """
 
 STARTS = 8
-"""So many particles of the swarm start around the most promising points."""
+"""Number of particles of the swarm that start near the most promising points."""
 
 SPACE_FILLING_CANDIDATES = 512
 
 
 class AcquisitionSearch:
-    """Search of the point with the largest acquisition.
+    """Maximization of the acquisition function by a particle swarm.
 
     Parameters
     ----------
@@ -53,14 +50,14 @@ class AcquisitionSearch:
     rule
         Makes the acquisition function.
     rng
-        Moves the swarm.
+        Draws the starting points and the moves of the swarm.
 
     Attributes
     ----------
     feasible : ndarray of bool, shape (n,)
-        Which of the objective's points are believed feasible.
-    incumbent
-        Lowest posterior mean of the cost at these; None without any.
+        Which of the n points in the objective's data are believed feasible; n = 0 without a model.
+    incumbent : float or None
+        Lowest posterior mean of the cost at the feasible points; None if there are none.
     """
 
     def __init__(
@@ -79,16 +76,27 @@ class AcquisitionSearch:
         self._starts = np.empty((0, space.dimension))
         model = surrogates.objective
         if model is not None:
-            self.feasible = surrogates.log_feasibility(model.points) >= BELIEVED_FEASIBLE
+            self.feasible = surrogates.log_feasibility(model.points) >= np.log(BELIEVED_FEASIBLE)
             self.incumbent = best_at_data(model, self.feasible)
-            # The swarm also looks around the most promising points so far.
+            # Some particles start near the points with the lowest cost, feasible ones first.
             cost, _ = model.predict(model.points)
             order = np.lexsort((cost, ~self.feasible))[:STARTS]
             around = rng.normal(0.0, 0.05, (len(order), space.dimension))
             self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
 
     def maximise(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> SwarmResult:
-        """Search the maximum of the acquisition function with these options of its rule."""
+        """Maximize the acquisition function over the unit cube.
+
+        Parameters
+        ----------
+        avoid, reinterpolate
+            As in `constrained_improvement`.
+
+        Returns
+        -------
+        SwarmResult
+            Position (d,), a point of the search space, and the logarithm of the acquisition there.
+        """
         return maximise(
             self._rule(self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate),
             self._space.dimension,
@@ -99,14 +107,14 @@ class AcquisitionSearch:
 
 
 class BayesianOptimization(DesignedOptimizer):
-    """Models of all trials, and an acquisition function maximised by a particle swarm.
+    """Optimizer that fits surrogates to all trials and maximizes an acquisition function.
 
     Parameters
     ----------
     study
         The study.
     options
-        Which models stand for the responses.
+        Which surrogate models to fit.
     acquisition
         Makes the acquisition function.
     """
@@ -122,10 +130,11 @@ class BayesianOptimization(DesignedOptimizer):
         self._acquisition = acquisition
 
     def ask(self) -> Proposal:
-        """Propose the next trial's parameter set.
+        """Propose the parameter set of the next trial.
 
-        A parameter set that was tried is never proposed again while others are left. Numerical
-        trouble falls back on a point far from all that was tried, with a warning.
+        The proposal is a point far from all tried ones (origin ``space-filling``) if the maximum of
+        the acquisition function was tried before, or if the computation fails numerically; a
+        failure is also reported in the warnings.
         """
         proposal = self.initial()
         if proposal is not None:
@@ -155,7 +164,7 @@ class BayesianOptimization(DesignedOptimizer):
         avoid = 0.5
         found = search.maximise(avoid=avoid)
         if not np.isfinite(found.value):
-            # Nothing is left that is not near a crash; Eq. 5 as it stands says where least.
+            # Every point is near a failure or an outlier: rank them by Eq. 5 without the cutoff.
             avoid = 1.0
             found = search.maximise(avoid=avoid)
         origin = ACQUISITION
@@ -176,13 +185,13 @@ class BayesianOptimization(DesignedOptimizer):
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:
-    """Return those of the last trial that has any, from which the next fit starts."""
+    """Return the hyperparameters of the latest trial that has any, where the next fit starts."""
     latest = (t.hyperparameters for t in reversed(trials) if t.hyperparameters)
     return dict(next(latest, {}))
 
 
 def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) -> Array:
-    """Point (d,) of the cube that is farthest from all points `tried` (n, d), among random ones."""
+    """Return the point (d,), among random ones, with the largest distance to the `tried` (n, d)."""
     candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
     farthest: Array = candidates[0]
     if len(tried) > 0:

@@ -7,7 +7,7 @@ class RandomSearch(DesignedOptimizer):
     """Random parameter sets after the initial design that all algorithms share."""
 
     def ask(self) -> Proposal:
-        """Propose the next trial's parameter set."""
+        """Propose the parameter set of the next trial."""
         proposal = self.initial()
         if proposal is None:
             cube = self.space.latin_hypercube(1, self.rng())[0]

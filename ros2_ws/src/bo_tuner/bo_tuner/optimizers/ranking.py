@@ -1,8 +1,9 @@
-"""Which parameter set to use: one function decides for the command line, files and reports.
+"""Ranking of the tried parameter sets; the first is the incumbent everywhere.
 
-Among the parameter sets that were tried, those believed feasible are ranked by the posterior
-mean of the cost plus a penalty for a narrow optimum: what a step to a neighbour costs on average.
-The luckiest noisy sample does not win, and a point whose neighbours are bad loses to a calmer one.
+Parameter sets that are believed feasible are ranked by the posterior mean of the cost plus a
+penalty for a narrow optimum, the mean loss at the neighbours. The posterior mean limits the
+influence of a single noisy evaluation; the penalty prefers a wide optimum to a narrow one with a
+slightly lower cost.
 """
 
 from collections.abc import Sequence
@@ -10,29 +11,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
-BELIEVED_FEASIBLE = 0.5
-"""Probability of feasibility from which a parameter set is a candidate."""
-
 TOLERABLE = 0.2
-"""A relative loss at a neighbour up to this is no sign of a narrow optimum.
+"""Largest relative loss at a neighbour that is not penalized.
 
-Where a limit is active some neighbours always exceed it a little.
+Where a limit is active, some neighbours always exceed it slightly.
 """
 
 LARGEST_STEP = 0.1
-"""A neighbour in a continuous direction is at most this part of the range away."""
+"""Largest distance to a neighbour in a continuous direction, as a fraction of the range."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A tried parameter set and what the surrogates believe of it.
+    """A tried parameter set and the surrogates' estimates for it.
 
     Attributes
     ----------
@@ -43,11 +41,11 @@ class Candidate:
     feasibility
         Probability that all constraints hold.
     violation
-        Largest predicted excess over a limit, relative to the limit; negative if within all.
+        Largest predicted excess over a limit, relative to the limit; negative if all are kept.
     penalty
-        Mean relative loss at the neighbours beyond `TOLERABLE`, in cost and over limits.
+        Mean over the neighbours of the relative losses beyond `TOLERABLE`, in cost and in limits.
     score
-        Cost plus penalty, by which feasible candidates are ranked.
+        Posterior mean of the cost plus the penalty in its unit; ranks the feasible candidates.
     """
 
     trial: Trial
@@ -59,7 +57,7 @@ class Candidate:
 
     @property
     def believed_feasible(self) -> bool:
-        """Whether this is a candidate for use."""
+        """Whether the probability of feasibility is at least `BELIEVED_FEASIBLE`."""
         return self.feasibility >= BELIEVED_FEASIBLE
 
 
@@ -68,9 +66,9 @@ def rank(
     trials: Sequence[Trial],
     options: ModelOptions = DEFAULT_MODELS,
 ) -> list[Candidate]:
-    """Rank the complete trials, outliers of the objective excepted, the recommended one first.
+    """Rank the complete trials, except outliers of the objective.
 
-    Those believed feasible come first, by score; the others follow, the least violating first.
+    Trials believed feasible come first, by score; the others follow, the least violating first.
 
     Parameters
     ----------
@@ -89,7 +87,7 @@ def rank(
     space = study.search_space()
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
     models = Surrogates.fit(study, trials, rng=rng, options=options)
-    # The model of the objective was not told the outliers, so it cannot judge them.
+    # The data of the objective's model exclude the outliers, so it cannot judge them.
     complete = [
         t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
     ]
@@ -121,12 +119,13 @@ def rank(
 
 
 def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:
-    """Points (m, d) one integer step, or half a length scale, away from a trial.
+    """Return the points (m, d) of the unit cube that are one step away from a trial.
 
-    The length scale is the shortest of all models; the half of it is at most `LARGEST_STEP`.
+    A step changes one parameter: an integer by one, a continuous one by half its shortest length
+    scale among all models, but at most by `LARGEST_STEP`.
     """
     x = space.to_cube(trial.parameters)
-    # A joint model has the contexts behind the parameters.
+    # The columns of a joint model are the parameters, then the context variables.
     d = space.dimension
     scales = np.min([m.length_scales[:d] for m in models.models.values()], axis=0)
     points = [space.to_cube(neighbour) for neighbour in space.integer_neighbours(trial.parameters)]
@@ -139,12 +138,12 @@ def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array
 
 
 def intolerable(loss: Array) -> Array:
-    """Part of a relative loss (m,) that is beyond `TOLERABLE`."""
+    """Return the part (m,) of relative losses (m,) that exceeds `TOLERABLE`."""
     return np.maximum(loss - TOLERABLE, 0.0)
 
 
 def relative_excess(models: Surrogates, x: Array) -> Array:
-    """Largest predicted excess (m,) over a limit, relative to the limit's size."""
+    """Return the largest predicted excess (m,) over a limit at x (m, d), relative to |limit|."""
     if not models.constraints:
         return np.full(len(x), -np.inf)
     excess = [

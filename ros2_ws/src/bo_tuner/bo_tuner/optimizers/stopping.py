@@ -1,20 +1,19 @@
-"""When the trials that are left are not worth their evaluations.
+"""Advice to stop when the remaining trials are not worth their evaluations.
 
-A further trial is expected to lower the cost by at most the largest value of the acquisition
-function of Eq. 5, the expected improvement times the probabilities that the point is feasible and
-neither an outlier nor a crash. So m trials, chosen at once, lower it by at most m times that value
-(union bound). A lower cost is of no use if it cannot be told from the present one: the incumbent is
-known to the standard error σ/√k of its k evaluations. The advice to stop is given as soon as
+One more trial is expected to lower the cost by at most the maximum of the acquisition function α
+(paper, Eq. 5), the expected improvement times the probabilities that the point is feasible and
+neither an outlier nor a failure. So m trials, chosen at once, lower it by at most m times that
+value (union bound). A gain is not significant if it is smaller than the standard error σ/√k of the
+incumbent, where σ is the noise of one evaluation and k their number. The advice to stop is given if
 
     m · max α(x) < σ / √k
 
-holds twice in a row, asked after every fifth trial. Makarova et al. (2022) compare a bound of what
-is left to gain with the statistical error of the incumbent, too. They bound it by confidence
-intervals; here it comes from the function that chooses the trials, as with Jones et al. (1998), who
-end a search once the largest expected improvement is small.
+holds twice in a row; it is computed after every fifth trial. Makarova et al. (2022) also compare a
+bound of the remaining gain with the statistical error of the incumbent. They bound the gain by
+confidence bounds; here the bound comes from the acquisition function, as in Jones et al. (1998),
+who stop once the largest expected improvement is small.
 
-All of it derives from the study and the trials on record, so that a run that was resumed comes to
-the same advice.
+The advice depends only on the study and the recorded trials, so a resumed run gives the same.
 
 References
 ----------
@@ -37,18 +36,18 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
 PERIOD = 5
-"""The question costs about as much as a proposal, so it is asked after every fifth trial only."""
+"""Number of trials between two computations, each of which costs about as much as a proposal."""
 
 IN_A_ROW = 2
-"""The models change from trial to trial; a single yes may be chance."""
+"""Number of times in a row that the inequality must hold; once may be chance."""
 
 OWN_STREAM = 2**31 + 1
-"""Part of the key of the random draws, where that of a proposal has the trial's number."""
+"""Part of the seed of the random draws, in place of the trial number of a proposal."""
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What further trials promise.
+    """Expected gain of one more trial, and the uncertainty of the incumbent.
 
     Attributes
     ----------
@@ -72,11 +71,11 @@ class StopAdvice:
     Attributes
     ----------
     trials
-        Number of trials behind it.
+        Number of trials when the advice was given.
     remaining
-        Trials that are left of the budget.
+        Number of trials that remained of the budget.
     expected_gain
-        What they would gain at most.
+        Bound of the gain expected of the remaining trials.
     noise
         Standard error of the incumbent's objective.
     """
@@ -88,19 +87,19 @@ class StopAdvice:
 
 
 class StopAdvisor:
-    """Tells when to stop; to be asked after each trial, also after those on record.
+    """Decides when to advise stopping; call `consider` after each trial, recorded ones included.
 
     Parameters
     ----------
     study
         The study.
     algorithm
-        The algorithm of the run. A random search expects nothing, so it gets no advice.
+        The algorithm of the run; there is no advice for random search.
 
     Attributes
     ----------
     advice
-        The advice, from the trial on which it was given first; None before.
+        The advice once it was given, else None.
     """
 
     def __init__(self, study: Study, algorithm: Algorithm) -> None:
@@ -110,7 +109,7 @@ class StopAdvisor:
         self.advice: StopAdvice | None = None
 
     def consider(self, trials: Sequence[Trial]) -> StopAdvice | None:
-        """Return the advice if the last of `trials` gives rise to it, else None.
+        """Return the advice if it is given after the last of `trials`, else None.
 
         Parameters
         ----------
@@ -137,7 +136,7 @@ class StopAdvisor:
 
 
 def outlook(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> Outlook | None:
-    """Estimate what one more trial promises.
+    """Estimate the gain of one more trial.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def outlook(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> Outl
     Returns
     -------
     Outlook or None
-        None while nothing is believed feasible, or after numerical trouble.
+        None while no parameter set is believed feasible, or if the computation fails numerically.
     """
     rng = generator(study.seed, Stream.ACQUISITION, OWN_STREAM, len(trials))
     start = latest_hyperparameters(trials)

@@ -23,6 +23,7 @@ from bo_tuner.recording.retention import (
     RecordOptions,
     Retention,
     badness,
+    note_bag,
 )
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState
@@ -187,6 +188,7 @@ class Recorder:
             if path is None:
                 self.warn(f"{partial.name}: cut off before a whole evaluation; nothing to recover")
             else:
+                note_bag(path)
                 self._incomplete.append(path.name)
                 self.warn(f"{path.name}: cut off; recovered as far as it was written")
         self._retention = Retention(self._folder, self._options)
@@ -197,7 +199,9 @@ class Recorder:
             self._finish_evidence(_Batch())
         if self._bag is None:
             self._bag_name = bag_name(evaluation)
-            self._bag = TrialBag(_free(self._folder / self._bag_name))
+            path = _free(self._folder / self._bag_name)
+            note_bag(path)
+            self._bag = TrialBag(path)
             self._bag_missing = _Batch()
             self._evaluations = []
         messages = timed(batch.messages, self._bag.latest)

@@ -14,6 +14,7 @@ from struct import Struct
 from zlib import crc32
 
 from bo_tuner.recording.bag import NOTES, PARTIAL, Message, Topic, TrialBag, make_topic
+from bo_tuner.recording.retention import BAG_NAME
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
@@ -28,8 +29,14 @@ _SIZE = Struct("<Q")
 
 
 def partial_bags(folder: Path) -> list[Path]:
-    """List the bags in `folder` that were never finished."""
-    return sorted(path for path in folder.glob(f"*{PARTIAL}") if path.is_dir())
+    """List the bags in `folder` that a run has begun and not finished; none is a link."""
+    return sorted(
+        path
+        for path in folder.glob(f"*{PARTIAL}")
+        if BAG_NAME.fullmatch(path.name.removesuffix(PARTIAL))
+        and path.is_dir()
+        and not path.is_symlink()
+    )
 
 
 def recover(partial: Path) -> Path | None:

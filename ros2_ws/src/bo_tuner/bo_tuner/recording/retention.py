@@ -1,6 +1,8 @@
 """Which bags stay: what is worth keeping of a run, within a limit of size."""
 
 import contextlib
+import os
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,6 +11,7 @@ from pathlib import Path
 
 import yaml
 
+from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 
@@ -16,6 +19,13 @@ MEGABYTE = 1_000_000
 KEPT_AS = "kept_as"
 BADNESS = "badness"
 """Keys of the custom data: why a bag is kept, and what the worst trial has most of."""
+
+
+MADE = "made.txt"
+"""Names of the bags that the run has made, a line each: only these are ever deleted."""
+
+BAG_NAME = re.compile(r"(trial|check)_\d{4,}(_part\d+)?|validation(_part\d+)?", re.ASCII)
+"""Names that `bo_tuner.recording.recorder.bag_name` gives."""
 
 
 class Policy(StrEnum):
@@ -60,7 +70,7 @@ def badness(study: Study, trial: Trial) -> float:
 
 
 class Retention:
-    """Deletes the bags in a folder that shall not stay.
+    """Deletes the bags of a run that shall not stay; what else is in the folder is left alone.
 
     Parameters
     ----------
@@ -76,7 +86,7 @@ class Retention:
         self._sizes: dict[str, int] = {}
         self._reasons: dict[str, str] = {}
         self._worst = float("-inf")
-        bags = [path.parent for path in folder.glob("*/metadata.yaml")]
+        bags = [bag for bag in made_bags(folder) if (bag / "metadata.yaml").is_file()]
         for path in sorted(bags, key=lambda path: (path.stat().st_mtime_ns, path.name)):
             data = custom_data(path)
             self._sizes[path.name] = _size(path)
@@ -148,6 +158,38 @@ class Retention:
     def _delete(self, name: str) -> None:
         shutil.rmtree(self._folder / name, ignore_errors=True)
         del self._sizes[name], self._reasons[name]
+
+
+def note_bag(path: Path) -> None:
+    """Take down that the run makes a bag.
+
+    Raises
+    ------
+    OSError
+        If that cannot be written.
+    """
+    descriptor = open_file(path.with_name(MADE), os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        file.write(f"{path.name}\n")
+
+
+def made_bags(folder: Path) -> list[Path]:
+    """List the bags that a run has made, those included that are gone; none is a link.
+
+    Raises
+    ------
+    OSError
+        If the list cannot be read.
+    """
+    try:
+        descriptor = open_file(folder / MADE, os.O_RDONLY)
+    except FileNotFoundError:
+        return []
+    with os.fdopen(descriptor, encoding="utf-8", errors="replace") as file:
+        names = dict.fromkeys(line.strip() for line in file)
+    # No name leads out of the folder.
+    bags = [folder / name for name in names if BAG_NAME.fullmatch(name)]
+    return [bag for bag in bags if not bag.is_symlink()]
 
 
 def custom_data(bag: Path) -> Mapping[str, str]:

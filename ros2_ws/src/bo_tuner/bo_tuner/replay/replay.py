@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bo_tuner.backends.protocol import IN_PROCESS, Backend
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -11,7 +11,7 @@ from bo_tuner.optimizers.ranking import rank
 from bo_tuner.recording.retention import badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
-from bo_tuner.study.parts import Metric
+from bo_tuner.study.parts import IN_PROCESS, Metric
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
@@ -185,7 +185,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
 
 def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
     """List the changes of provenance since the record, as ``name then -> now``."""
-    of_the_moment = ("started", "process", "backend", "salvaged", "salvaged_from")
+    of_the_moment = ("started", "process", "backend", "salvaged", "salvaged_from", "study_sha256")
     return [
         f"{name} {then} -> {now[name]}"
         for name, then in record.provenance.items()

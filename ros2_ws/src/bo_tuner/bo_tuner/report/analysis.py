@@ -16,7 +16,7 @@ from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
-from bo_tuner.tuning.limits import WITHIN, Sample, verdict
+from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.tuning.validation import Validation
 
@@ -77,7 +77,7 @@ class Analysis:
     @cached_property
     def certificate(self) -> CertificateFile | None:
         """The certificate, if `validate` has written one."""
-        return certificate(self.record)
+        return certificate(self.record, self.answer)
 
     @cached_property
     def answer(self) -> Trial | None:
@@ -108,12 +108,26 @@ class Analysis:
         if self.record.summary is None:
             return None
         try:
-            default, tuned = (_validation(self.record.summary[key]) for key in ("default", "tuned"))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            default, tuned = (
+                Validation.from_mapping(self.record.summary[key]) for key in ("default", "tuned")
+            )
+            for side in (default, tuned):
+                self._check_validation(side)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise RunRecordError(
-                f"{self.record.path}: its summary is not one of tune's: {error!r}"
+                f"{self.record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
             ) from error
         return default, tuned
+
+    def _check_validation(self, side: Validation) -> None:
+        """Refuse a validation of other parameters or constraints than the study's."""
+        space = self.study.search_space()
+        if side.parameters != space.completed(side.parameters):
+            raise ValueError("other values of tied or fixed parameters")
+        if side.constraints.keys() != self.study.constraints.keys():
+            raise ValueError(f"constraints {', '.join(side.constraints)}")
+        if not 0 <= side.failures <= side.draws:
+            raise ValueError(f"{side.failures} failures of {side.draws} draws")
 
     def outcome(self, trial: Trial) -> str:
         """Return the `Outcome` of a trial."""
@@ -138,14 +152,19 @@ class Analysis:
 
         Over the draws of the validation that both completed; None without two of them.
         """
+        if self.answer is None:
+            return None
+        # In the validation, trial 0 is the default and trial 1 the tuned parameter set. A run that
+        # was extended may have validated another one before.
+        sides = (dict(self.defaults), dict(self.answer.parameters))
         seen: dict[int, dict[int, float]] = {}
         for evaluation in self.record.evaluations:
             if (
                 evaluation.stage is Stage.VALIDATION
+                and dict(evaluation.parameters) == sides[evaluation.trial]
                 and evaluation.outcome.state is EvaluationState.COMPLETE
             ):
                 value = evaluation.outcome.metrics[self.study.objective.metric]
-                # In the validation, trial 0 is the default and trial 1 the tuned parameter set.
                 seen.setdefault(evaluation.index, {})[evaluation.trial] = value
         pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
         if len(pairs) < 2:
@@ -162,30 +181,3 @@ class Analysis:
             if evaluation.outcome.state is EvaluationState.COMPLETE
             and space.key(evaluation.parameters) == key
         ]
-
-
-def _validation(entry: object) -> Validation:
-    if not isinstance(entry, Mapping):
-        raise TypeError(f"expected an object, found {entry!r}")
-    return Validation(
-        parameters=dict(entry["parameters"]),
-        draws=int(entry["draws"]),
-        failures=int(entry["failures"]),
-        objective=_number(entry["objective"]),
-        deviation=_number(entry["deviation"]),
-        constraints={
-            str(name): Sample(
-                name=str(sample["name"]),
-                worst=_number(sample["worst"]),
-                count=int(sample["count"]),
-                violations=int(sample["violations"]),
-                holds=bool(sample["holds"]),
-            )
-            for name, sample in entry["constraints"].items()
-        },
-    )
-
-
-def _number(value: object) -> float:
-    """Read a number of the summary, where null stands for NaN."""
-    return math.nan if value is None else float(str(value))

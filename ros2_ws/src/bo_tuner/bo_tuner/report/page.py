@@ -26,6 +26,7 @@ from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.report.sections.trajectories import trajectories
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.record import RunRecord
 
 NAME = "report.html"
@@ -85,15 +86,12 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
         If the file cannot be written.
     """
     text = render(analysis, parts)
-    # Atomically: a browser may reload the page while it is written again.
-    temporary = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    return path
+    # A browser may reload the page while it is written again.
+    return write_atomically(path, text)
 
 
 def render(analysis: Analysis, parts: Sequence[Section]) -> str:

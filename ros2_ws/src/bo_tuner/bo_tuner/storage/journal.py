@@ -15,10 +15,12 @@ from types import TracebackType
 from typing import Self
 
 from bo_tuner.errors import JournalError
+from bo_tuner.storage.run_files import is_same_file
+from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 3
-"""Of the tables below; a journal of another version is refused."""
+SCHEMA_VERSION = 4
+"""Of the tables below, and of what a session tells; a journal of another version is refused."""
 
 COLUMNS = {
     "session": ("provenance",),
@@ -49,6 +51,12 @@ CREATE TABLE evaluation (
 """
 
 
+_OBJECTS = "SELECT type, name, tbl_name, sql FROM sqlite_master"
+
+LONGEST_VALUE = 10_000_000
+"""Size [byte] of a value that is neither read nor written any more."""
+
+
 class Journal:
     """Append-only record of evaluations and trials.
 
@@ -75,8 +83,10 @@ class Journal:
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {error}") from error
         try:
+            harden(self._db)
             self._open(new, (json.dumps(dict(provenance)),))
-        except sqlite3.Error as error:
+            self._identity = path.stat()
+        except (sqlite3.Error, FileNotFoundError) as error:
             self.close()
             raise JournalError(f"{path}: {error}") from error
         except JournalError:
@@ -98,6 +108,7 @@ class Journal:
 
     def record_evaluation(self, evaluation: Evaluation) -> None:
         """Append an evaluation."""
+        self._check_file()
         outcome = evaluation.outcome
         row = (
             evaluation.trial,
@@ -116,6 +127,7 @@ class Journal:
 
     def record_trial(self, trial: Trial) -> None:
         """Append a trial whose evaluations were recorded before."""
+        self._check_file()
         row = (
             trial.number,
             json.dumps(dict(trial.parameters)),
@@ -145,9 +157,15 @@ class Journal:
         else:
             (version,) = self._db.execute("PRAGMA user_version").fetchone()
             check_version(self._path, version)
+            check_schema(self._path, self._db)
         self._insert("session", session)
         if new:
             self._db.execute("COMMIT")
+
+    def _check_file(self) -> None:
+        # SQLite would write to a file that nobody can open any more.
+        if not is_same_file(self._path, self._identity):
+            raise JournalError(f"{self._path}: was deleted, moved or replaced during the run")
 
     def _insert(self, table: str, row: tuple[object, ...]) -> None:
         marks = ", ".join("?" * (len(row) + 1))
@@ -165,6 +183,37 @@ def checksum(row: Sequence[object]) -> int:
     return zlib.crc32(repr(tuple(row)).encode())
 
 
+def harden(db: sqlite3.Connection) -> None:
+    """Let a database of anybody's do nothing but hold rows.
+
+    See https://www.sqlite.org/security.html.
+    """
+    db.execute("PRAGMA trusted_schema = OFF")
+    db.execute("PRAGMA cell_size_check = ON")
+    db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_VALUE)
+    # From Python 3.12 on.
+    if hasattr(db, "setconfig"):
+        for name, value in (("DEFENSIVE", True), ("TRUSTED_SCHEMA", False)):
+            db.setconfig(getattr(sqlite3, f"SQLITE_DBCONFIG_{name}"), value)
+
+
+def check_schema(path: Path, db: sqlite3.Connection) -> None:
+    """Refuse a journal with other tables, or with views, triggers or indices.
+
+    Raises
+    ------
+    JournalError
+        With what is too much, or missing.
+    """
+    with contextlib.closing(sqlite3.connect(":memory:")) as own:
+        own.executescript(SCHEMA)
+        expected = set(own.execute(_OBJECTS))
+    found = set(db.execute(_OBJECTS))
+    if found != expected:
+        kind, name, *_ = sorted(found ^ expected, key=repr)[0]
+        raise JournalError(f"{path}: {kind} {checks.quoted(str(name))} is not as in a journal")
+
+
 def check_version(path: Path, version: int) -> None:
     """Refuse a journal of another version.
 
@@ -175,7 +224,8 @@ def check_version(path: Path, version: int) -> None:
     """
     if version != SCHEMA_VERSION:
         raise JournalError(
-            f"{path}: journal version {version}; this program reads version {SCHEMA_VERSION}"
+            f"{path}: journal version {version}, but this version of bo_tuner reads version "
+            f"{SCHEMA_VERSION} only; use the version that made the run, or start a new run"
         )
 
 

@@ -5,6 +5,7 @@ from there, see `salvage`.
 """
 
 import csv
+import io
 import json
 import sqlite3
 import struct
@@ -14,17 +15,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
-from bo_tuner.storage.journal import COLUMNS, Journal, check_version, checksum
-from bo_tuner.trials import (
-    TUNING,
-    Evaluation,
-    EvaluationState,
-    Outcome,
-    Stage,
-    Trial,
-    TrialState,
-    WorstCase,
+from bo_tuner.storage import rows
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.journal import (
+    COLUMNS,
+    Journal,
+    check_schema,
+    check_version,
+    checksum,
+    harden,
 )
+from bo_tuner.study import maxima
+from bo_tuner.text import csv_cell, one_line
+from bo_tuner.trials import TUNING, Evaluation, Trial
 
 OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
 """Columns that hold JSON objects."""
@@ -75,10 +78,13 @@ def read_journal(path: Path) -> JournalContent:
     """
     if not path.is_file():
         raise JournalError(f"{path}: no journal there")
+    if path.stat().st_size > maxima.JOURNAL_BYTES:
+        raise JournalError(f"{path}: larger than {maxima.JOURNAL_BYTES / 1e9:g} GB")
     try:
         with closing(_connect(path)) as db:
             (version,) = db.execute("PRAGMA user_version").fetchone()
             check_version(path, version)
+            check_schema(path, db)
             sessions, damaged_sessions = _rows(db, "session")
             evaluation_rows, damaged_evaluations = _rows(db, "evaluation")
             trial_rows, damaged_trials = _rows(db, "trial")
@@ -87,12 +93,14 @@ def read_journal(path: Path) -> JournalContent:
             raise
         raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
     try:
-        evaluations = tuple(_evaluation(row) for row in evaluation_rows)
+        evaluations = tuple(rows.evaluation_of(row) for row in evaluation_rows)
         trials = tuple(_trials(trial_rows, evaluations))
-        provenances = tuple(dict(json.loads(str(row["provenance"]))) for row in sessions)
-    except (ValueError, TypeError, AttributeError, KeyError, RecursionError) as error:
+        provenances = tuple(rows.provenance_of(row) for row in sessions)
+    except ValueError as error:
         # The checksums hold, so it was no disk: somebody else wrote this.
-        raise JournalError(f"{path}: rows that this program does not write: {error}") from error
+        raise JournalError(
+            f"{path}: rows that this program does not write: {one_line(str(error))[:200]}"
+        ) from error
     missing = "" if len(trials) == len(trial_rows) else "a trial lacks some of its evaluations"
     damage = damaged_evaluations or damaged_trials or damaged_sessions or missing
     return JournalContent(
@@ -150,7 +158,9 @@ def export_csv(path: Path, directory: Path) -> None:
     Raises
     ------
     JournalError
-        If the journal cannot be read, or a file cannot be written.
+        If the journal cannot be read.
+    OutputError
+        If a file cannot be written.
     """
     for table in ("trial", "evaluation"):
         try:
@@ -158,17 +168,17 @@ def export_csv(path: Path, directory: Path) -> None:
                 found, _ = _rows(db, table)
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
-        rows = [_flat(row) for row in found]
-        names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
-        header = list(dict.fromkeys(key for row in rows for key in row)) or names
-        file = directory / f"{table}s.csv"
         try:
-            with file.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.DictWriter(stream, header)
-                writer.writeheader()
-                writer.writerows(rows)
-        except OSError as error:
-            raise JournalError(f"{file}: cannot be written: {error.strerror}") from error
+            flat = [_flat(row) for row in found]
+        except (ValueError, AttributeError, RecursionError) as error:
+            raise JournalError(f"{path}: {table}: {one_line(str(error))}") from error
+        names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
+        header = list(dict.fromkeys(key for row in flat for key in row)) or names
+        text = io.StringIO()
+        writer = csv.DictWriter(text, header)
+        writer.writeheader()
+        writer.writerows(flat)
+        write_atomically(directory / f"{table}s.csv", text.getvalue())
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -189,6 +199,8 @@ def _connect(path: Path) -> sqlite3.Connection:
         data[18:20] = b"\1\1"
         db = sqlite3.connect(":memory:")
         db.deserialize(bytes(data.ljust(size, b"\0")))
+    harden(db)
+    db.execute("PRAGMA query_only = ON")
     return db
 
 
@@ -207,49 +219,22 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
     return found, ""
 
 
-def _evaluation(row: Mapping[str, object]) -> Evaluation:
-    state = EvaluationState(str(row["state"]))
-    outcome = Outcome(
-        state, json.loads(str(row["metrics"])), str(row["reason"]), json.loads(str(row["details"]))
-    )
-    return Evaluation(
-        trial=int(str(row["trial"])),
-        index=int(str(row["position"])),
-        stage=Stage(str(row["stage"])),
-        parameters=json.loads(str(row["parameters"])),
-        context=json.loads(str(row["context"])),
-        seed=int(str(row["seed"])),
-        outcome=outcome,
-        seconds=float(str(row["seconds"])),
-    )
-
-
-def _trials(rows: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
+def _trials(found: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
     by_trial: dict[int, dict[int, Evaluation]] = {}
     for evaluation in evaluations:
         if evaluation.stage in TUNING:
             # A later one of the same place takes the place of one that a kill left behind.
             by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
-    for number, row in enumerate(sorted(rows, key=lambda row: int(str(row["number"])))):
+    for number, row in enumerate(sorted(found, key=rows.number_of)):
         of_trial = by_trial.get(number, {})
-        count = int(str(row["evaluations"]))
-        if row["number"] != number or any(index not in of_trial for index in range(count)):
+        count = rows.evaluations_of(row)
+        # Not more than there are, whatever the row says.
+        if rows.number_of(row) != number or count > len(of_trial):
             return
-        worst = row["worst_case"]
-        hyperparameters = json.loads(str(row["hyperparameters"]))
-        yield Trial(
-            number=number,
-            parameters=json.loads(str(row["parameters"])),
-            origin=str(row["origin"]),
-            state=TrialState(str(row["state"])),
-            reason=str(row["reason"]),
-            evaluations=tuple(of_trial[index] for index in range(count)),
-            worst_case=WorstCase(**json.loads(str(worst))) if worst else None,
-            warnings=tuple(json.loads(str(row["warnings"]))),
-            hyperparameters={key: tuple(phi) for key, phi in hyperparameters.items()},
-            seconds=float(str(row["seconds"])),
-        )
+        if any(index not in of_trial for index in range(count)):
+            return
+        yield rows.trial_of(row, tuple(of_trial[index] for index in range(count)))
 
 
 def _lost_commits(path: Path) -> str:
@@ -300,7 +285,8 @@ def _flat(row: Mapping[str, object]) -> dict[str, object]:
             continue
         if key in OBJECTS and value is not None:
             # With the section in front: names are unique within one only.
-            flat |= {f"{key}.{name}": v for name, v in json.loads(str(value)).items()}
+            values = json.loads(str(value))
+            flat |= {f"{key}.{name}": csv_cell(v) for name, v in values.items()}
         else:
-            flat[key] = value
+            flat[key] = csv_cell(value)
     return flat

@@ -1,18 +1,27 @@
 """What produced a run: enough to tell later whether another one was made the same way."""
 
 import hashlib
+import importlib.util
 import os
 import platform
 import sys
+from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 
 PACKAGES = ("bo_tuner", "numpy", "scipy", "rclpy")
+OWN_PACKAGE = "bo_tuner"
+SOURCES = "sources_sha256"
+STOP_EARLY = "stop_early"
+"""Key that tells of the option, so that a run goes on as it began."""
+STUDY_YAML = "study_yaml"
+"""Key of the study's text in the provenance of a session."""
 COMMIT = "commit-"
 """Begins the keyword in the package's metadata that names the commit it was built from."""
 
@@ -20,30 +29,76 @@ COMMIT = "commit-"
 def provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
     """Tell what works on a run: versions, sources, machine, backend, algorithm and seed."""
     packages = [*PACKAGES, *(node.package for node in study.nodes.values() if node.package)]
-    return {
-        "study": study.name,
-        "study_sha256": hashlib.sha256(study_to_yaml(study).encode()).hexdigest(),
-        "seed": str(study.seed),
-        "backend": backend,
-        "algorithm": algorithm,
-        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "host": platform.node(),
-        "process": str(os.getpid()),
-        "platform": platform.platform(),
-        "python": sys.version.split()[0],
-        "commit": _commit(),
-        "sources_sha256": _sources(),
-    } | {package: _version(package) for package in dict.fromkeys(packages)}
+    return (
+        {
+            "study": study.name,
+            "study_sha256": study_sha256(study),
+            "seed": str(study.seed),
+            "backend": backend,
+            "algorithm": algorithm,
+            "started": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "host": platform.node(),
+            "process": str(os.getpid()),
+            "platform": platform.platform(),
+            "python": sys.version.split()[0],
+            "commit": commit(),
+        }
+        | sources(study, backend)
+        | {package: version_of(package) for package in dict.fromkeys(packages)}
+    )
 
 
-def _version(package: str) -> str:
+def session_provenance(study: Study, backend: str, algorithm: str) -> dict[str, str]:
+    """Return the provenance for the journal: with the study itself, to be held against its file."""
+    return provenance(study, backend, algorithm) | {STUDY_YAML: study_to_yaml(study)}
+
+
+def study_sha256(study: Study) -> str:
+    """Return the digest of a study."""
+    return hashlib.sha256(study_to_yaml(study).encode()).hexdigest()
+
+
+def sources(study: Study, backend: str) -> dict[str, str]:
+    """Return digests of the code that evaluates a study, as it lies on the disk.
+
+    A commit tells nothing of changes since. Beside this package these are the Python packages
+    installed here of the nodes that a study starts or, in process, of its objects. What is not
+    written in Python, or runs on another machine, has no digest.
+
+    Returns
+    -------
+    dict from str to str
+        ``sources_sha256`` for this package, ``sources_sha256.<package>`` for each other.
+    """
+    if backend == IN_PROCESS:
+        names = [node.object.split(":")[0] for node in study.nodes.values() if node.object]
+    else:
+        names = [node.package for node in study.nodes.values() if node.package]
+    packages = sorted({name.split(".")[0] for name in names} - {OWN_PACKAGE})
+    digests = {SOURCES: _digest(OWN_PACKAGE)} | {f"{SOURCES}.{p}": _digest(p) for p in packages}
+    return {key: digest for key, digest in digests.items() if digest}
+
+
+def changed_sources(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Return the names of the packages whose digest has changed between two provenances."""
+    keys = {key for key in (*then, *now) if key == SOURCES or key.startswith(f"{SOURCES}.")}
+    return sorted(
+        key.removeprefix(SOURCES).removeprefix(".") or OWN_PACKAGE
+        for key in keys
+        if then.get(key) != now.get(key)
+    )
+
+
+def version_of(package: str) -> str:
+    """Return the version of an installed package."""
     try:
         return version(package)
     except PackageNotFoundError:
         return "not installed as a package"
 
 
-def _commit() -> str:
+def commit() -> str:
+    """Return the commit that this package was built from, as far as it is known."""
     try:
         words = " ".join(metadata("bo_tuner").get_all("Keywords") or []).replace(",", " ").split()
     except PackageNotFoundError:
@@ -53,10 +108,21 @@ def _commit() -> str:
 
 
 @cache
-def _sources() -> str:
-    """Digest of this package's code as it lies on the disk: a commit tells nothing of changes."""
-    digest = hashlib.sha256()
-    folder = Path(__file__).parent
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()
+def _digest(package: str) -> str:
+    """Return the digest of a package's or module's code; empty if there is none."""
+    try:
+        # Of a name without a dot this imports nothing.
+        spec = importlib.util.find_spec(package)
+    except (ImportError, ValueError):
+        return ""
+    if spec is None:
+        return ""
+    digest, found = hashlib.sha256(), False
+    for folder in map(Path, spec.submodule_search_locations or ()):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
+            found = True
+    if spec.submodule_search_locations is None and spec.origin and Path(spec.origin).is_file():
+        digest.update(Path(spec.origin).read_bytes())
+        found = True
+    return digest.hexdigest() if found else ""

@@ -1,16 +1,22 @@
 """A run as it stands in its folder, for whoever wants to know of it; nothing is written."""
 
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.storage.provenance import STOP_EARLY, STUDY_YAML
+from bo_tuner.storage.rows import check_study
+from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.study import checks
+from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study
+from bo_tuner.study.study_file import load_study, parse_study
 from bo_tuner.trials import Evaluation, Trial
 
 
@@ -23,9 +29,11 @@ class RunRecord:
     path
         Its folder.
     study
-        The study as run.
+        The study of the last session.
     algorithm, backend
         What it is run by; keys of `ALGORITHMS` and of the command line.
+    stop_early
+        Whether its last session follows the advice to stop.
     provenance
         Versions, seed and host of the process that began it.
     trials
@@ -33,7 +41,8 @@ class RunRecord:
     evaluations
         All evaluations, checks and validation included, in the order in which they were recorded.
     summary
-        The result; None while the run has not ended.
+        The content of its file; None without a readable one. `bo_tuner.tuning.summary` checks it,
+        and makes it from the journal.
     damage
         What of the record could not be read, in a line; empty if nothing is amiss.
     """
@@ -42,6 +51,7 @@ class RunRecord:
     study: Study
     algorithm: str
     backend: str
+    stop_early: bool
     provenance: Mapping[str, str]
     trials: tuple[Trial, ...]
     evaluations: tuple[Evaluation, ...]
@@ -55,28 +65,38 @@ def read_run(path: Path) -> RunRecord:
     Raises
     ------
     RunRecordError
-        If it is no run folder, or its study or journal cannot be read. One line.
+        If it is no run folder, holds links or pipes, its study or journal cannot be read, or the
+        study is not the one on record. One line.
     """
     if not path.is_dir():
         raise RunRecordError(f"{path}: no such run folder")
+    if os.path.lexists(path / STUDY):
+        check_files(path)
     if not (path / STUDY).is_file():
         raise RunRecordError(f"{path}: no run folder: it has no {STUDY}")
     try:
-        study = load_study(path / STUDY)
+        # First: of a journal of another version, the study may not be readable either.
         content = read_journal(path / JOURNAL)
+        found = load_study(path / STUDY)
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error
-    provenance = content.sessions[0] if content.sessions else {}
+    study = _study(path, found, content.sessions)
+    try:
+        check_study(study, content.evaluations, content.trials)
+    except ValueError as error:
+        raise RunRecordError(f"{path / JOURNAL}: not of this study: {str(error)[:200]}") from error
+    provenance = dict(content.sessions[0]) if content.sessions else {}
+    provenance.pop(STUDY_YAML, None)
     algorithm = provenance.get("algorithm", "")
     if algorithm not in ALGORITHMS:
-        raise RunRecordError(
-            f"{path / JOURNAL}: no known algorithm in its provenance: {algorithm or 'none'}"
-        )
+        named = checks.quoted(algorithm) if algorithm else "none"
+        raise RunRecordError(f"{path / JOURNAL}: no known algorithm in its provenance: {named}")
     return RunRecord(
         path=path,
         study=study,
         algorithm=algorithm,
         backend=provenance.get("backend", ""),
+        stop_early=STOP_EARLY in content.sessions[-1],
         provenance=provenance,
         trials=content.trials,
         evaluations=content.evaluations,
@@ -85,13 +105,30 @@ def read_run(path: Path) -> RunRecord:
     )
 
 
-def _summary(path: Path) -> Mapping[str, object] | None:
+def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
+    """Return the study of the last session after comparing its file with it."""
     try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+        texts = dict.fromkeys(session[STUDY_YAML] for session in sessions)
+        studies = [parse_study(text, "study on record") for text in texts]
+    except (KeyError, StudyError) as error:
+        raise RunRecordError(f"{path / JOURNAL}: no study in its provenance: {error}") from error
+    # The file may still be that of an earlier session: it is replaced once the session with more
+    # trials is on record.
+    if found not in studies:
+        raise RunRecordError(
+            f"{path / STUDY}: is not the study on record: "
+            f"{summarized(changes(studies[-1], found))}; restore it, or start a new run with it"
+        )
+    return studies[-1]
+
+
+def _summary(path: Path) -> Mapping[str, object] | None:
+    """Read a summary; None if there is no readable one, since it can be made from the journal."""
+    try:
+        summary = json.loads(read_text(path))
+    except (OSError, ValueError, RecursionError):
         return None
-    except (OSError, ValueError) as error:
-        raise RunRecordError(f"{path}: cannot be read: {error}") from error
     if not isinstance(summary, dict):
-        raise RunRecordError(f"{path}: expected an object")
-    return summary
+        return None
+    trial = summary.get("trial")
+    return summary if isinstance(trial, int) and not isinstance(trial, bool) else None

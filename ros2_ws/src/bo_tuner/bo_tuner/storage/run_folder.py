@@ -1,16 +1,20 @@
 """The folder of a run: the study as run, the journal, and what came out of it."""
 
+import contextlib
 import fcntl
 import json
 import math
 import os
+import shutil
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Self
 
 from bo_tuner.errors import OutputError
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.storage.run_files import is_same_file, open_file
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -21,6 +25,7 @@ STUDY = "study.yaml"
 JOURNAL = "journal.sqlite"
 BEST = "best.yaml"
 SUMMARY = "summary.json"
+RECORDING = "recording.json"
 REPORT = "report.html"
 
 
@@ -41,8 +46,9 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            self._identity = path.stat()
             # The lock ends with the process, however that ends.
-            self._lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+            self._lock = open_file(path / LOCK, os.O_RDWR | os.O_CREAT)
         except OSError as error:
             raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
         try:
@@ -80,16 +86,45 @@ class RunFolder:
             output.mkdir(parents=True, exist_ok=True)
             folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
             folder.log.mkdir()
-            (folder.path / STUDY).write_text(study_to_yaml(study), encoding="utf-8")
+            folder.write_study(study)
         except OutputError:
             raise
         except OSError as error:
             raise OutputError(f"{output}: cannot write runs there: {error.strerror}") from error
         return folder
 
+    def check(self) -> None:
+        """Refuse to go on in a folder that is no longer this process's own.
+
+        Raises
+        ------
+        OutputError
+            If the folder was deleted, moved or replaced, or its lock was, so that another process
+            may work in it, too.
+        """
+        if not is_same_file(self.path.resolve(), self._identity):
+            raise OutputError(f"{self.path}: the run folder was deleted or moved during the run")
+        if not is_same_file(self.path / LOCK, os.fstat(self._lock)):
+            raise OutputError(f"{self.path / LOCK}: was deleted or replaced during the run")
+
     def close(self) -> None:
         """Let other processes work in the folder."""
         os.close(self._lock)
+
+    def discard(self) -> None:
+        """Remove the folder of a run that did not start; what its nodes printed stays.
+
+        Does nothing if the run has a journal.
+        """
+        if self.journal.exists():
+            return
+        printed = [path for path in self.log.rglob("*") if path.is_file() and path.stat().st_size]
+        with contextlib.suppress(OSError):
+            if not printed:
+                shutil.rmtree(self.log)
+            for name in (STUDY, LOCK):
+                (self.path / name).unlink(missing_ok=True)
+            self.path.rmdir()
 
     @property
     def log(self) -> Path:
@@ -111,6 +146,8 @@ class RunFolder:
         """
         link = self.path.with_name(f".{LATEST}-{os.getpid()}")
         target = self.path.with_name(LATEST)
+        if os.path.lexists(target) and not target.is_symlink():
+            raise OutputError(f"{target}: cannot point to the run: it is no symbolic link")
         try:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path.name)
@@ -127,26 +164,29 @@ class RunFolder:
         OutputError
             If the file cannot be written.
         """
-        return self._write(BEST, to_yaml(node_values(study, parameters)))
+        return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
 
-    def write_summary(self, summary: Mapping[str, object]) -> Path:
-        """Write ``summary.json``, with null for what is not a number, and return its path.
+    def write_study(self, study: Study) -> Path:
+        """Write ``study.yaml``, and return its path.
 
         Raises
         ------
         OutputError
             If the file cannot be written.
         """
-        text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
-        return self._write(SUMMARY, text + "\n")
+        return write_atomically(self.path / STUDY, study_to_yaml(study))
 
-    def _write(self, name: str, text: str) -> Path:
-        path = self.path / name
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        return path
+    def write_json(self, name: str, content: Mapping[str, object]) -> Path:
+        """Write a file of JSON, with null for what is not a number, and return its path.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        self.check()
+        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+        return write_atomically(self.path / name, text + "\n")
 
 
 def _new_folder(path: Path) -> Path:

@@ -7,9 +7,10 @@ value, relative to the object that is checked.
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from bo_tuner.errors import StudyError
+from bo_tuner.study import maxima
 
 ParameterValue = bool | int | float | str | tuple[bool | int | float | str, ...]
 """What a ROS parameter can hold."""
@@ -24,6 +25,18 @@ TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*
 PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")
 EXECUTABLE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 OBJECT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", re.ASCII)
+
+
+def same_value(one: object, other: object) -> bool:
+    """Return whether two parameter values are equal; 1 and 1.0 are, 1 and true are not.
+
+    A node that declares a double may be given an integer. NaN equals itself.
+    """
+    if isinstance(one, bool) != isinstance(other, bool):
+        return False
+    if isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+        return len(one) == len(other) and all(map(same_value, one, other))
+    return one == other or repr(one) == repr(other)
 
 
 def show(value: object) -> str:
@@ -60,7 +73,12 @@ def suggestion(value: str, allowed: Iterable[str]) -> str:
     return f"expected one of {', '.join(names)}" if names else "there are none"
 
 
-def integer(value: object, *path: str | int, at_least: int = -INTEGER_LIMIT) -> int:
+def integer(
+    value: object,
+    *path: str | int,
+    at_least: int = -INTEGER_LIMIT,
+    at_most: int = INTEGER_LIMIT,
+) -> int:
     """Return `value` if it is an integer: neither 3.0 nor "3" nor true is one."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise StudyError(f"expected an integer, found {show(value)}", path)
@@ -68,7 +86,15 @@ def integer(value: object, *path: str | int, at_least: int = -INTEGER_LIMIT) -> 
         raise StudyError(f"expected a 64-bit integer, found {show(value)}", path)
     if value < at_least:
         raise StudyError(f"expected an integer of at least {at_least}, found {value}", path)
+    if value > at_most:
+        raise StudyError(f"expected an integer of at most {at_most}, found {value}", path)
     return value
+
+
+def at_most(items: Collection[object], most: int, *path: str | int) -> None:
+    """Refuse more than `most` items."""
+    if len(items) > most:
+        raise StudyError(f"expected at most {most} entries, found {len(items)}", path)
 
 
 def number(value: object, *path: str | int) -> float:
@@ -177,6 +203,7 @@ def parameter_values(values: object, *path: str | int) -> dict[str, ParameterVal
     """Return values by parameter name, of the types that a ROS parameter can have."""
     if not isinstance(values, Mapping):
         raise StudyError(f"expected parameters by name, found {show(values)}", path)
+    at_most(values, maxima.CONSTANTS, *path)
     checked: dict[str, ParameterValue] = {}
     for name, value in values.items():
         parameter_name(name, *path)
@@ -184,6 +211,7 @@ def parameter_values(values: object, *path: str | int) -> dict[str, ParameterVal
         if not isinstance(value, (list, tuple)):
             checked[name] = _scalar(value, *here)
             continue
+        at_most(value, maxima.CONSTANTS, *here)
         items = tuple(_scalar(item, *here, index) for index, item in enumerate(value))
         if len({type(item) for item in items}) != 1:
             raise StudyError("expected a list of values of one type, at least one", here)

@@ -15,8 +15,13 @@ from scipy.special import ndtri
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.distributions import Distribution
+
+ROS, IN_PROCESS = "ros", "inprocess"
+BACKENDS = (ROS, IN_PROCESS)
+"""Names of the backends, on the command line and on record: ROS nodes, the default, or objects in
+this process."""
 
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
@@ -140,7 +145,12 @@ class Trigger:
         checks.matching(
             self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
         )
-        object.__setattr__(self, "timeout", checks.positive(self.timeout, "timeout"))
+        timeout = checks.positive(self.timeout, "timeout")
+        if timeout > maxima.TIMEOUT:
+            raise StudyError(
+                f"expected at most {maxima.TIMEOUT:g} s, found {timeout:g}", ("timeout",)
+            )
+        object.__setattr__(self, "timeout", timeout)
 
 
 class Metric(Protocol):
@@ -298,6 +308,36 @@ class Constraint:
         return float(ndtri(self.probability))
 
 
+MOST = {
+    "trials": maxima.TRIALS,
+    "initial_trials": maxima.TRIALS,
+    "drawn_contexts": maxima.EVALUATIONS,
+    "search_evaluations": maxima.EVALUATIONS,
+    "validation_draws": maxima.DRAWS,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateRequirement:
+    """What a certificate must have for `apply`, at least.
+
+    Attributes
+    ----------
+    draws : int
+        Fresh draws of context and noise; more where a chance constraint takes more to be shown.
+    confidence : float
+        Confidence of each bound, between 0 and 1.
+    """
+
+    draws: int = 300
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.integer(self.draws, "draws", at_least=2)
+        object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Budget:
     """Number of trials and evaluations.
@@ -326,7 +366,8 @@ class Budget:
         """Check the fields."""
         for item in dataclasses.fields(self):
             lowest = 0 if item.name == "search_evaluations" else 1
-            checks.integer(getattr(self, item.name), item.name, at_least=lowest)
+            most = MOST[item.name]
+            checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)
         if self.initial_trials > self.trials:
             raise StudyError(
                 f"{self.initial_trials} are more than the {self.trials} trials in all",

@@ -124,6 +124,16 @@ class SearchSpace:
         """
         return self._to_unit(self._space.row(parameters))
 
+    def completed(self, parameters: Mapping[str, Number]) -> dict[str, Number]:
+        """Return all parameters, tied and fixed ones included, for the tuned ones.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`.
+        """
+        return self._space.complete(self._space.row(parameters))
+
     def repair(self, positions: ArrayLike) -> Array:
         """Move positions to points that represent a permitted parameter set.
 

@@ -5,13 +5,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.parts import (
     CHANCE,
     WORST_CASE,
     Budget,
+    CertificateRequirement,
     Constraint,
     ContextVariable,
     NodeSpec,
@@ -26,6 +27,7 @@ from bo_tuner.study.signals import Signal, SignalMetric
 
 __all__ = [
     "Budget",
+    "CertificateRequirement",
     "Constraint",
     "ContextVariable",
     "NodeSpec",
@@ -39,6 +41,16 @@ __all__ = [
     "Study",
     "Trigger",
 ]
+
+
+MOST = {
+    "nodes": maxima.NODES,
+    "parameters": maxima.PARAMETERS,
+    "contexts": maxima.CONTEXTS,
+    "metrics": maxima.METRICS,
+    "constraints": maxima.CONSTRAINTS,
+    "order": maxima.PARAMETERS,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +82,8 @@ class Study:
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
         Limits on metrics; at most one is a worst case.
+    certificate : CertificateRequirement
+        What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
     seed_parameter : SeedParameter, optional
@@ -96,6 +110,7 @@ class Study:
     signals: Mapping[str, Signal] = field(default_factory=dict)
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
+    certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
     seed_parameter: SeedParameter | None = None
     seed: int = 1
@@ -107,6 +122,13 @@ class Study:
         checks.text(self.description, "description")
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
+        for section, most in MOST.items():
+            checks.at_most(getattr(self, section), most, section)
+        tuned = [name for name, item in self.parameters.items() if item.is_tuned]
+        if len(tuned) > maxima.TUNED:
+            raise StudyError(
+                f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}", ("parameters",)
+            )
         for section in ("nodes", "parameters", "metrics"):
             if not getattr(self, section):
                 raise StudyError("expected at least one", (section,))

@@ -13,6 +13,7 @@ from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import (
     Budget,
+    CertificateRequirement,
     Constraint,
     ContextVariable,
     NodeSpec,
@@ -37,6 +38,7 @@ _SINGLE: dict[str, type[Any]] = {
     "objective": Objective,
     "budget": Budget,
     "run": Run,
+    "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
     "nodes": NodeSpec,

@@ -1,4 +1,4 @@
-"""One evaluation: run, checked, and told to the observer."""
+"""Running one evaluation, and counting consecutive losses."""
 
 from dataclasses import replace
 
@@ -9,13 +9,15 @@ from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
 LOST_IN_A_ROW = 3
-"""So many losses in a row end a run: the nodes are gone for good."""
+"""Number of consecutive losses that ends a run: the nodes are gone, or not ours alone."""
 
 
 def evaluate(
     study: Study, backend: Backend, planned: Evaluation, observer: RunObserver
 ) -> Evaluation:
-    """Run a planned evaluation; an objective that its scale cannot take makes it a failed one.
+    """Run a planned evaluation and pass the result to the observer.
+
+    On a logarithmic scale, an evaluation whose objective is not positive counts as failed.
 
     Parameters
     ----------
@@ -24,14 +26,14 @@ def evaluate(
     backend
         Runs the evaluation; open.
     planned
-        The evaluation, with no outcome yet.
+        The evaluation, without an outcome.
     observer
-        Told of it.
+        Is passed the result.
 
     Returns
     -------
     Evaluation
-        With its outcome, and how long it took.
+        The planned one with its outcome and wall time.
     """
     (evaluation,) = backend.run([planned])
     objective, outcome = study.objective, evaluation.outcome
@@ -46,31 +48,36 @@ def evaluate(
 
 
 class Losses:
-    """Counts what was lost with its nodes in a row, and ends the run at `LOST_IN_A_ROW`.
+    """Counter of spoilt outcomes in a row, see `Outcome.spoilt`; ends the run at `LOST_IN_A_ROW`.
 
     Parameters
     ----------
     what
-        What is counted, in the plural.
+        What is counted, in the plural, for the error message.
     """
 
     def __init__(self, what: str) -> None:
         self._what = what
-        self._in_a_row = 0
+        self._in_a_row: list[Outcome] = []
 
-    def note(self, lost: bool) -> None:
-        """Count one more; one that was not lost begins a new row."""
-        self._in_a_row = self._in_a_row + 1 if lost else 0
+    def note(self, outcome: Outcome | None) -> None:
+        """Count a spoilt outcome; any other, or None, resets the counter."""
+        if outcome is not None and outcome.spoilt:
+            self._in_a_row.append(outcome)
+        else:
+            self._in_a_row.clear()
 
-    def check(self, reason: str) -> None:
-        """Raise an error if there are too many.
+    def check(self) -> None:
+        """End the run after too many in a row.
 
         Raises
         ------
         RunError
-            With their number and the reason of the last one.
+            After `LOST_IN_A_ROW` losses in a row.
         """
-        if self._in_a_row >= LOST_IN_A_ROW:
-            raise RunError(
-                f"{self._in_a_row} {self._what} in a row were lost with their nodes: {reason}"
-            )
+        if len(self._in_a_row) < LOST_IN_A_ROW:
+            return
+        last = self._in_a_row[-1]
+        lost = last.state is EvaluationState.LOST
+        how = "lost with their nodes" if lost else "disturbed by others"
+        raise RunError(f"{len(self._in_a_row)} {self._what} in a row were {how}: {last.reason}")

@@ -1,5 +1,7 @@
 """The journal as an observer of the run."""
 
+from collections.abc import Callable
+
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.journal import Journal
 from bo_tuner.trials import Evaluation, Trial
@@ -7,22 +9,27 @@ from bo_tuner.tuning.observer import RunObserver
 
 
 class JournalObserver(RunObserver):
-    """Records each evaluation and each trial, except what is on record already.
+    """Records each evaluation and each trial, except evaluations read from the journal.
 
     Parameters
     ----------
     journal
         The journal, open.
+    check
+        Called before each record; raises what shall end the run.
     """
 
-    def __init__(self, journal: Journal) -> None:
+    def __init__(self, journal: Journal, check: Callable[[], None] = lambda: None) -> None:
         self._journal = journal
+        self._check = check
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Record an evaluation."""
+        """Record an evaluation, unless it was read from the journal."""
         if not evaluation.recorded:
+            self._check()
             self._journal.record_evaluation(evaluation)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Record a trial."""
+        """Record a finished trial."""
+        self._check()
         self._journal.record_trial(trial)

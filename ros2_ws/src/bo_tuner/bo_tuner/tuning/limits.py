@@ -1,7 +1,7 @@
-"""Whether a limit holds: the one place that says so of evaluations and of trials.
+"""Whether the limits of a study hold in evaluations and trials.
 
-What `recommend`, `validate`, the record, the report and the screens say of a limit comes from here;
-the certificate adds confidence bounds to the same counts.
+`recommend`, `validate`, the record, the report and the displays take the answer from here; the
+certificate judges by confidence bounds instead.
 """
 
 import math
@@ -20,18 +20,18 @@ FAILED, WITHIN = "failed", "within limits"
 
 @dataclass(frozen=True)
 class Sample:
-    """Values of a constrained metric in draws of context and noise.
+    """A constraint judged on draws of context and noise.
 
     Attributes
     ----------
     name
-        Of the constraint.
+        Name of the constraint.
     worst
-        The largest value; NaN without any.
+        Largest value of its metric, in the metric's unit; NaN if there are no values.
     count, violations
         Number of values, and of those above the limit.
     holds
-        Whether no more of them violate the limit than the constraint allows; False without any.
+        Whether at most `most_violations` values exceed the limit; False if there are no values.
     """
 
     name: str
@@ -44,14 +44,14 @@ class Sample:
 def most_violations(constraint: Constraint, count: int) -> int:
     """Return how many of `count` draws may exceed the limit.
 
-    The share that a chance constraint allows, 1 - probability, has a rounding error; a draw is not
-    to be refused for it.
+    The result is floor((1 - probability) count) for a chance constraint, and 0 for a worst-case
+    one; the tolerance of 1e-9 compensates for the rounding of 1 - probability.
     """
     return math.floor(constraint.allowed * count + 1e-9)
 
 
 def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
-    """Judge values (n,) of the constrained metric in draws from the contexts' distribution."""
+    """Judge a constraint on values (n,) of its metric in draws of context and noise."""
     found = np.asarray(values, dtype=np.float64)
     violations = int(np.sum(found > constraint.upper))
     return Sample(
@@ -64,7 +64,7 @@ def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
 
 
 def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, Sample]:
-    """Judge every constraint on the complete ones among some draws, by the constraints' names."""
+    """Judge each constraint, by name, on the complete evaluations among some draws."""
     complete = [
         e.outcome.metrics for e in evaluations if e.outcome.state is EvaluationState.COMPLETE
     ]
@@ -75,22 +75,23 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
 
 
 def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:
-    """Whether the estimate of a worst case is within the limit, in expectation over noise."""
+    """Return whether the estimated worst case, an expectation over noise, is within the limit."""
     return worst_case.value <= constraint.upper
 
 
 def refuted(constraint: Constraint, values: ArrayLike) -> bool:
-    """Whether evaluations of one context show that a single one exceeds the limit too often.
+    """Return whether repeated evaluations of one context refute a worst-case constraint.
 
-    Refuted is what violates by more than the error of the estimate mean + z noise, z being the
-    quantile of the constraint's probability.
+    A single evaluation stays below mean + z s with the constraint's probability, where s is the
+    standard deviation and z = Φ⁻¹(probability). The constraint is refuted if this quantile exceeds
+    the limit by more than its standard error, s √((1 + z² / 2) / n).
 
     Parameters
     ----------
     constraint
         A worst-case constraint.
     values
-        Values (n,) of its metric in that context; two at least.
+        Values (n,) of its metric in that context, n ≥ 2.
     """
     found = np.asarray(values, dtype=np.float64)
     mean, noise = float(found.mean()), float(found.std(ddof=1))
@@ -100,7 +101,7 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
 
 
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:
-    """Return the names of the constraints that what was seen of a complete trial violates."""
+    """Return the names of the constraints that a complete trial violates."""
     broken = []
     for chance in study.chance_constraints:
         if not judge_sample(chance, trial.observations(chance.metric)).holds:
@@ -116,7 +117,7 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
 
 
 def verdict(study: Study, trial: Trial) -> str:
-    """Say in a few words whether what was seen of a trial keeps the limits."""
+    """Return `FAILED`, `WITHIN`, or ``violates`` with the names of the violated constraints."""
     if trial.state is TrialState.FAILED:
         return FAILED
     broken = violated(study, trial)

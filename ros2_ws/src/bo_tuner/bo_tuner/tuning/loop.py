@@ -1,4 +1,4 @@
-"""The run: trials of stage one, each with its evaluations of stage two, on any backend."""
+"""The tuning loop: trials of stage one, each with the evaluations of stage two."""
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,9 +24,7 @@ from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
 class Tuning:
-    """A run of a study.
-
-    Iterating over it runs the trials that are left, one by one.
+    """The tuning loop of a study; iterating over it runs the remaining trials.
 
     Parameters
     ----------
@@ -37,9 +35,14 @@ class Tuning:
     algorithm
         The algorithm.
     observer
-        Told of each evaluation.
+        Is passed each evaluation.
     trials
-        Trials of an earlier session of the same run.
+        Trials that an earlier session of the same run recorded.
+
+    Attributes
+    ----------
+    trials
+        All trials so far.
     """
 
     def __init__(
@@ -63,12 +66,12 @@ class Tuning:
             self._take(trial)
 
     def __iter__(self) -> Iterator[Trial]:
-        """Run the trials that are left.
+        """Run the remaining trials, and yield each when it has ended.
 
         Raises
         ------
         RunError
-            If three trials in a row were lost with their nodes.
+            If three trials in a row were lost with their nodes or disturbed.
         """
         while len(self.trials) < self._study.budget.trials:
             begin = time.monotonic()
@@ -76,12 +79,13 @@ class Tuning:
             trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)
             self._take(trial)
             yield trial
-            self._losses.check(trial.reason)
+            self._losses.check()
 
     def _take(self, trial: Trial) -> None:
         self.trials.append(trial)
         self._optimizer.tell(trial)
-        self._losses.note(any(e.outcome.state is EvaluationState.LOST for e in trial.evaluations))
+        spoilt = [e.outcome for e in trial.evaluations if e.outcome.spoilt]
+        self._losses.note(spoilt[0] if spoilt else None)
 
     def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:
         done: list[Evaluation] = []
@@ -102,7 +106,7 @@ class Tuning:
     def _stages(
         self, number: int, proposal: Proposal, done: list[Evaluation]
     ) -> tuple[TrialState, str, WorstCase | None]:
-        """Run the evaluations of a trial, which go into `done`, until one fails."""
+        """Run the evaluations of a trial until one fails, and append each to `done`."""
 
         def run(stage: Stage, context: Mapping[str, float]) -> Outcome:
             seed = noise_seed(self._study.seed, Stream.NOISE, number, len(done))

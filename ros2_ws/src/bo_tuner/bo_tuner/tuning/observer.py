@@ -1,4 +1,4 @@
-"""Who is told of a run while it goes on: the journal, the recording, screens and topics."""
+"""Interface of the observers of a run: journal, recording, displays and topics."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -17,62 +17,62 @@ class Phase(StrEnum):
 
 
 class RunObserver:
-    """Told of each step of a run; does nothing with it by itself.
+    """Callbacks for the steps of a run; each does nothing unless it is overridden.
 
-    All calls come from the thread of the run.
+    All are called from the thread of the run.
     """
 
     def begin(self, phase: str, total: int) -> None:
-        """Take note that `total` steps of `phase` begin."""
+        """Handle the start of a phase, which has `total` steps."""
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Take note of the trials on record, which are steps, and of the best of them."""
+        """Handle the recorded trials of a resumed run, each a step, and their incumbent."""
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Take note of an evaluation, before anything builds on it."""
+        """Handle a finished evaluation, before its result is used."""
 
     def advance(self) -> None:
-        """Take note of a step of the phase that is no trial."""
+        """Handle a step of the phase that is not a trial."""
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
-        """Take note of a trial, which is a step, and of the best one so far."""
+        """Handle a finished trial, which is a step, and the incumbent after it."""
 
     def end(self, phase: str) -> None:
-        """Take note that all steps of `phase` were made."""
+        """Handle the end of a phase, after all its steps."""
 
     def advise(self, advice: StopAdvice) -> None:
-        """Take note that the trials left are not worth their evaluations."""
+        """Handle the advice to stop."""
 
     def pause(self, paused: bool) -> None:
-        """Take note that the run waits between two evaluations, or continues."""
+        """Handle the start of a pause between two evaluations, or its end."""
 
 
 NOBODY = RunObserver()
 
 
 class Observers(RunObserver):
-    """Passes each step on to a list of observers, in its order.
+    """Passes each step on to several observers, in the order in which they were added.
 
     Parameters
     ----------
     *observers
-        The first ones; `add` appends others.
+        The first observers; `add` appends further ones.
     """
 
     def __init__(self, *observers: RunObserver) -> None:
         self._observers = list(observers)
 
     def add(self, observer: RunObserver) -> None:
-        """Tell `observer`, too, from now on."""
+        """Pass all further steps on to `observer` as well."""
         self._observers.append(observer)
 
     def begin(self, phase: str, total: int) -> None:
-        """Pass on that a phase begins."""
+        """Pass on the start of a phase."""
         for observer in self._observers:
             observer.begin(phase, total)
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Pass on the trials on record."""
+        """Pass on the recorded trials."""
         for observer in self._observers:
             observer.recall(trials, incumbent)
 
@@ -82,7 +82,7 @@ class Observers(RunObserver):
             observer.evaluation(evaluation)
 
     def advance(self) -> None:
-        """Pass on a step that is no trial."""
+        """Pass on a step that is not a trial."""
         for observer in self._observers:
             observer.advance()
 
@@ -92,7 +92,7 @@ class Observers(RunObserver):
             observer.trial(trial, incumbent)
 
     def end(self, phase: str) -> None:
-        """Pass on that a phase has ended."""
+        """Pass on the end of a phase."""
         for observer in self._observers:
             observer.end(phase)
 

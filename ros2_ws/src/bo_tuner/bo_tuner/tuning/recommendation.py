@@ -1,9 +1,9 @@
-"""The last step before a recommendation: the best candidates again, on fresh draws.
+"""The recommended parameter set, after a check of the best candidates on fresh draws.
 
-A search picks winners, and the luck that made a trial a winner does not repeat. The candidates are
-therefore evaluated again, in fresh contexts from the distribution and, with fresh noise, in the
-context that is believed the worst. What is seen there joins the trial's record, and `rank` decides
-again among those that held.
+Candidates are selected by noisy evaluations, so the estimates from these are too optimistic. They
+are therefore evaluated again, in fresh contexts from the distribution and, with fresh noise, in
+their estimated worst context. These evaluations are added to the trial, and `rank` decides among
+the candidates that passed the check.
 """
 
 from collections.abc import Sequence
@@ -24,22 +24,23 @@ from bo_tuner.tuning.observer import NOBODY, RunObserver
 DRAWN_EVALUATIONS = 10
 WORST_EVALUATIONS = 10
 CHECK_EVALUATIONS = DRAWN_EVALUATIONS + WORST_EVALUATIONS
-"""Most evaluations of a candidate's check."""
+"""Largest number of evaluations in the check of a candidate."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The answer of a run.
+    """The recommendation of a run.
 
     Attributes
     ----------
     candidate
-        The recommended trial with its checks. If none held, the first that is believed feasible
-        and was not checked any more, or else the least violating one.
+        The recommended trial, the evaluations of its check included. If none passed its check, the
+        first in rank that is believed feasible and was not checked, or else the least violating
+        one.
     feasible
-        Whether it is believed feasible and held in the checks.
+        Whether it passed its check; with no checks allowed, whether it is believed feasible.
     checked
-        Numbers of the trials that were checked, in that order.
+        Numbers of the checked trials, in the order of the checks.
     """
 
     candidate: Candidate
@@ -58,8 +59,7 @@ def recommend(
 ) -> Recommendation | None:
     """Check the best candidates on fresh draws and recommend one.
 
-    Each check joins the record and the ranking is made anew, until its first has been checked and
-    held.
+    The trials are ranked again after each check, until the first in rank has passed its check.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ def recommend(
     backend
         Runs the evaluations; open.
     most_checked
-        Most candidates to check; with 0 the first in rank is recommended as it is.
+        Largest number of candidates to check; with 0 the first in rank is recommended unchecked.
     observer
-        Told of each evaluation, and of each candidate as a step.
+        Is passed each evaluation, and each checked candidate as a step.
 
     Returns
     -------
@@ -105,28 +105,35 @@ def recommend(
         observer.advance()
     for candidate in ranked:
         if candidate.trial.number in held:
-            return Recommendation(candidate, True, tuple(checked))
+            return Recommendation(candidate, candidate.believed_feasible, tuple(checked))
     if open_ones:
         return Recommendation(open_ones[0], False, tuple(checked))
-    # Of several within the limits the first in rank, not the one that stays the farthest away: a
+    # Among several within the limits the first in rank, not the one with the largest margin: a
     # machine that hardly moves keeps every limit.
     least = min(ranked, key=lambda c: max(c.violation, 0.0))
     return Recommendation(least, False, tuple(checked))
 
 
 def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple[Trial, bool]:
-    """Return a trial with the evaluations of its check, and whether all constraints held in it.
+    """Add the evaluations of a check to a trial, and judge all constraints.
 
-    Only a check that was completed gives another estimate of the worst case, and can hold.
+    A check that is not complete is not passed, and leaves the estimated worst case as it is.
 
     Parameters
     ----------
     study
         The study.
     trial
-        As it was before.
+        The trial before the check.
     check
-        Its check, as far as it went.
+        Evaluations of the check, up to the first that is not complete.
+
+    Returns
+    -------
+    trial
+        With the evaluations of the check and the worst case estimated from them.
+    passed
+        Whether the check is complete and all constraints hold.
     """
     extended = replace(trial, evaluations=trial.evaluations + tuple(check))
     completed = len(check) == _size(trial) and all(
@@ -151,7 +158,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
 def _check(
     study: Study, backend: Backend, trial: Trial, observer: RunObserver
 ) -> tuple[Trial, bool]:
-    """Evaluate a trial again, until an evaluation fails; returns as `with_check`."""
+    """Run the check of a trial until an evaluation fails; return as `with_check`."""
     contexts = study.context_space()
     drawn = contexts.draw_stratified(
         DRAWN_EVALUATIONS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)

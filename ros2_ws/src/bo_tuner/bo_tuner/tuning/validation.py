@@ -1,7 +1,9 @@
 """Validation of parameter sets on fresh draws of context and noise (Sec. 5.2)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -16,18 +18,19 @@ from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 @dataclass(frozen=True)
 class Validation:
-    """What fresh draws say of one parameter set.
+    """Result of the validation of one parameter set.
 
     Attributes
     ----------
     parameters
         The parameter set.
     draws, failures
-        Number of evaluations, and of those that failed.
+        Number of evaluations, and of those that are not complete.
     objective, deviation
-        Mean of the objective's metric over the whole evaluations, and its standard deviation.
+        Mean and standard deviation of the objective's metric over the complete evaluations, in the
+        metric's unit; NaN if there are too few.
     constraints
-        How each constraint fared, by name.
+        Each constraint, by name, judged on the complete evaluations.
     """
 
     parameters: Mapping[str, Value]
@@ -37,9 +40,38 @@ class Validation:
     deviation: float
     constraints: Mapping[str, Sample]
 
+    @classmethod
+    def from_mapping(cls, entry: object) -> Self:
+        """Return the validation that a summary holds.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError, AttributeError
+            If it is none.
+        """
+        if not isinstance(entry, Mapping):
+            raise TypeError(f"expected an object, found {entry!r}")
+        return cls(
+            parameters=dict(entry["parameters"]),
+            draws=int(entry["draws"]),
+            failures=int(entry["failures"]),
+            objective=_number(entry["objective"]),
+            deviation=_number(entry["deviation"]),
+            constraints={
+                str(name): Sample(
+                    name=str(sample["name"]),
+                    worst=_number(sample["worst"]),
+                    count=int(sample["count"]),
+                    violations=int(sample["violations"]),
+                    holds=bool(sample["holds"]),
+                )
+                for name, sample in entry["constraints"].items()
+            },
+        )
+
     @property
     def feasible(self) -> bool:
-        """Whether no evaluation failed and every constraint holds."""
+        """Whether all evaluations are complete and every constraint holds."""
         return self.failures == 0 and all_hold(self.constraints)
 
 
@@ -55,18 +87,23 @@ def validate(
     Parameters
     ----------
     study
-        Its budget says how many draws.
+        The study; its budget sets the number of draws.
     backend
         Runs the evaluations; open.
     candidates
-        The parameter sets, compared on equal contexts and noise.
+        The parameter sets; all get the same contexts and seeds.
     observer
-        Told of each evaluation, and of each draw as a step.
+        Is passed each evaluation, and each draw as a step.
+
+    Returns
+    -------
+    list of Validation
+        One for each parameter set, in the order of `candidates`.
 
     Raises
     ------
     RunError
-        If three evaluations in a row were lost with their nodes.
+        If three evaluations in a row were lost with their nodes or disturbed.
     """
     contexts = study.context_space()
     rng = generator(study.seed, Stream.VALIDATION_CONTEXTS)
@@ -80,8 +117,8 @@ def validate(
             planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
             evaluation = evaluate(study, backend, planned, observer)
             evaluations[number].append(evaluation)
-            losses.note(evaluation.outcome.state is EvaluationState.LOST)
-            losses.check(evaluation.outcome.reason)
+            losses.note(evaluation.outcome)
+            losses.check()
         observer.advance()
     return [_judge(study, p, found) for p, found in zip(candidates, evaluations, strict=True)]
 
@@ -101,3 +138,8 @@ def _judge(
         deviation=float(objective.std(ddof=1)) if len(complete) > 1 else float("nan"),
         constraints=judge_samples(study, evaluations),
     )
+
+
+def _number(value: object) -> float:
+    """Read a number of a summary, where null stands for NaN."""
+    return math.nan if value is None else float(str(value))

@@ -1,1 +1,1 @@
-"""The search of the context in which parameters do worst."""
+"""Worst-case search: the context in which a parameter set has the largest constrained metric."""

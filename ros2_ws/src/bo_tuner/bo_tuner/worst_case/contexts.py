@@ -1,4 +1,4 @@
-"""What the searches of the worst context share: priors, effort, and contexts to start from."""
+"""Shared parts of the worst-case searches: priors, swarm and starting contexts."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -13,11 +13,11 @@ from bo_tuner.trials import WorstCase
 SEARCH_EFFORT = SwarmSettings(particles=40, iterations=25, stall=6)
 
 DISTINCT = 0.1
-"""Contexts closer than this in the unit cube count as one."""
+"""Contexts closer than this in every coordinate of the unit cube count as equal."""
 
-# A handful of evaluations cannot tell noise from a short length scale. The priors say what holds
-# for a plant in a bounded box: the response is smooth across it, and a context matters more than
-# noise.
+# A few evaluations cannot distinguish noise from a short length scale. The priors state what is
+# expected of a plant in a bounded box: a smooth response, on which the context has more influence
+# than noise.
 PRIORS = Hyperpriors(
     length_scale=LogNormal(0.7, 0.5, 0.1, 20.0),
     signal=LogNormal(1.0, 0.5, 0.05, 20.0),
@@ -31,25 +31,25 @@ def maximise_over_contexts(
     rng: np.random.Generator,
     initial: Array,
 ) -> tuple[dict[str, float], float]:
-    """Maximise a function of the context by a small swarm.
+    """Maximize a function of the context by a small particle swarm.
 
     Parameters
     ----------
     space
-        The contexts.
+        The context space.
     function
         Maps contexts (m, e) of the unit cube to values (m,).
     rng
-        Moves the swarm.
+        Draws the moves of the swarm.
     initial
         Contexts (k, e) of the unit cube to start from, besides the corners.
 
     Returns
     -------
     context
-        The best one.
+        The context with the largest value, by variable name in its own unit.
     value
-        The function there.
+        Value of the function in it.
     """
     found = maximise(
         function,
@@ -69,7 +69,7 @@ def worst_contexts_nearby(
     space: ContextSpace,
     count: int,
 ) -> list[dict[str, float]]:
-    """Worst contexts of the nearest parameter sets, all different.
+    """Return the worst contexts of the nearest parameter sets, without duplicates.
 
     Parameters
     ----------
@@ -78,11 +78,11 @@ def worst_contexts_nearby(
     tried
         Parameter sets (n, d) with a known worst case.
     worst_cases
-        These worst cases, n of them.
+        Worst cases of the n parameter sets.
     space
-        The contexts.
+        The context space.
     count
-        Most contexts to return; half as many neighbours again are asked for them.
+        Largest number of contexts; they are taken from 1.5 times as many neighbours.
     """
     if space.dimension == 0:
         return []

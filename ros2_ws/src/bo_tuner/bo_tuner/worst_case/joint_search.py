@@ -1,8 +1,9 @@
 """Algorithm V: one Gaussian process over parameter set and context (Krause and Ong 2011).
 
-The paper's stage two starts from nothing for every parameter set. Here every evaluation of every
-trial tells of the constrained metric at its point (theta_c, theta_e); the worst case of a parameter
-set is the largest posterior mean over the contexts, known in part before its first evaluation.
+The paper's stage two starts without data for every parameter set (Sec. 4.2, which names a joint
+model as an alternative). Here one model has the evaluations of all trials as its data. The worst
+case of a parameter set is the largest posterior mean over the contexts; earlier trials inform it
+before the first evaluation of that parameter set.
 
 Notation: d tuned parameters, e context variables; a joint point is (x, c), both in unit cubes.
 """
@@ -21,31 +22,33 @@ from bo_tuner.trials import WorstCase
 from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
 
 DECIDED = 2.0
-"""A limit this many standard deviations away from the worst case needs no further evaluation."""
+"""Standard deviations between the worst case and the limit at which the decision is clear."""
 
 
 class JointSearch:
-    """Stage two of Algorithm V for one parameter set, by ask and tell.
+    """Stage two of Algorithm V for one parameter set, with an ask-and-tell interface.
 
-    Each evaluation is put where the joint model's upper bound is largest, since only there the
-    decision can turn. The search ends as soon as the decision is clear, or with its evaluations.
+    Each evaluation maximizes the upper confidence bound of the joint model, posterior mean plus one
+    standard deviation, since a violation is most likely to be found there. The search ends when the
+    decision is clear, or when all evaluations are used.
 
     Parameters
     ----------
     space
-        The contexts.
+        The context space.
     limit
-        Upper limit of the metric, the distance for a single cut's noise not yet taken off.
+        Upper limit of the metric, in its unit, without the margin for the noise of an evaluation.
     probability
-        As `JointConstraint`.
+        Probability with which a single evaluation in the worst context must keep the limit.
     evaluations
-        Most contexts that `ask` will give.
+        Largest number of contexts that `ask` returns.
     point
         The parameter set (d,) in the unit cube.
     x, y
-        Joint points (n, d + e) and metrics (n,) of earlier trials.
+        Joint points (n, d + e) and values (n,) of the metric in earlier trials.
     hyperparameters
-        Logarithms of those of the joint model; fitted to the data if not given.
+        Logarithms of the joint model's hyperparameters, length d + e + 2; by default they are
+        fitted to the data.
     """
 
     def __init__(
@@ -72,14 +75,14 @@ class JointSearch:
         self._asked = 0
 
     def tell(self, context: Mapping[str, float], value: float) -> None:
-        """Take note of an evaluation: its context and the metric."""
+        """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._joint(self._to_cube(context))])
         self._y = np.append(self._y, value)
         self._observed.append(value)
         self._model = None
 
     def done(self, rng: np.random.Generator) -> bool:
-        """Whether all evaluations are used, or the limit is clearly kept or clearly violated."""
+        """Return whether all evaluations are used or the decision is clear."""
         if self._asked >= self._evaluations:
             return True
         model = self._fit(rng)
@@ -88,18 +91,18 @@ class JointSearch:
         mean, variance = model.predict(self._joint(self._to_cube(context)))
         distance = self._limit - margin - float(mean[0])
         error = DECIDED * sqrt(float(variance[0]))
-        # A few drawn evaluations can make a model too sure: nothing counts as kept without an
-        # evaluation where the model expects the worst.
+        # A model with few data can be overconfident: the limit counts as kept only after an
+        # evaluation at the maximum of the upper confidence bound.
         return distance < -error or (distance > error and self._asked > 0)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
-        """Give the context with the largest upper bound."""
+        """Return the context with the largest upper confidence bound."""
         self._asked += 1
         model = self._fit(rng)
         return self._maximise(lambda c: self._upper(model, c), rng)[0]
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
-        """Estimate the worst case from all that was told."""
+        """Estimate the worst case from all evaluations so far."""
         model = self._fit(rng)
         observed = max(self._observed)
         context, value = self._maximise(lambda c: model.predict_mean(self._joint(c)), rng)

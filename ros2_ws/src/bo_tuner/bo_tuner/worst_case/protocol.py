@@ -1,4 +1,4 @@
-"""What the loop asks of a search of the worst context."""
+"""Interface of the worst-case searches of stage two."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -9,20 +9,20 @@ from bo_tuner.trials import WorstCase
 
 
 class WorstCaseSearch(Protocol):
-    """Searches the context in which one parameter set does worst, by ask and tell.
+    """Search of the worst context of one parameter set, with an ask-and-tell interface.
 
-    What it asks for depends on what it was told and on the generators alone, so that a run can be
-    resumed.
+    The contexts depend only on the evaluations passed to `tell` and on the generators, so a run can
+    be resumed.
     """
 
     def tell(self, context: Mapping[str, float], value: float) -> None:
-        """Take note of an evaluation: its context and the constrained metric."""
+        """Add an evaluation: its context and the constrained metric."""
 
     def done(self, rng: np.random.Generator) -> bool:
-        """Whether nothing is left to ask."""
+        """Return whether the search has ended."""
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
-        """Give the next context to evaluate."""
+        """Return the next context to evaluate."""
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
-        """Estimate the worst case from all that was told."""
+        """Estimate the worst case from all evaluations so far."""

@@ -15,27 +15,28 @@ OBSERVED, POSTERIOR = "observed", "posterior"
 
 
 class ReinterpolationSearch:
-    """Bayesian search of the context that maximises one metric of a parameter set.
+    """Bayesian optimization of the context that maximizes a metric of one parameter set.
 
-    It builds on whatever contexts it is told, tries given starting contexts, then maximises the
-    reinterpolation expected improvement. It ends when the limit is violated or all evaluations are
-    used.
+    It returns the starting contexts first, then those that maximize the expected improvement under
+    the reinterpolation model of all evaluations. It ends when the limit is violated, or when all
+    evaluations are used.
 
     Parameters
     ----------
     space
-        The contexts.
+        The context space.
     limit
-        Upper limit of the metric.
+        Upper limit of the metric, in its unit.
     evaluations
-        Most contexts that `ask` will give.
+        Largest number of contexts that `ask` returns.
     estimate
-        ``observed``, as in the paper: the limit is violated by a single observation above it, and
-        the worst case is the largest observation, which noise biases upwards by more, the more
-        evaluations there are. ``posterior``: violated where the posterior mean is a standard
-        deviation above it, and the worst case is the largest posterior mean over all contexts.
+        ``observed``, as in the paper: a single observation above the limit violates it, and the
+        worst case is the largest observation, whose upward bias grows with the number of
+        evaluations. ``posterior``: the limit is violated if the posterior mean exceeds it by a
+        standard deviation in an evaluated context, and the worst case is the largest posterior mean
+        over all contexts.
     starts
-        Contexts that were the worst for neighbouring parameter sets; tried first in any case.
+        Starting contexts, the worst of neighbouring parameter sets; all are evaluated.
     """
 
     def __init__(
@@ -56,12 +57,12 @@ class ReinterpolationSearch:
         self._asked = 0
 
     def tell(self, context: Mapping[str, float], value: float) -> None:
-        """Take note of an evaluation: its context and the metric."""
+        """Add an evaluation: its context and the constrained metric."""
         self._contexts.append(np.array([context[name] for name in self._space.names]))
         self._values.append(value)
 
     def done(self, rng: np.random.Generator) -> bool:
-        """Whether nothing is left to ask: all evaluations are used, or the limit is violated."""
+        """Return whether all evaluations are used or the limit is violated."""
         if self._asked >= self._evaluations:
             return True
         if self._starts:
@@ -73,10 +74,10 @@ class ReinterpolationSearch:
         return bool((mean - np.sqrt(variance)).max() > self._limit)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
-        """Give the next context.
+        """Return the next context to evaluate.
 
-        Where the model leaves no improvement to expect, it is the context that is farthest from
-        all that were tried.
+        If no improvement is expected in any context, it is the one farthest from all evaluated
+        ones.
         """
         self._asked += 1
         if self._starts:
@@ -99,7 +100,7 @@ class ReinterpolationSearch:
         return context
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
-        """Estimate the worst case from all that was told."""
+        """Estimate the worst case from all evaluations so far."""
         top = int(np.argmax(self._values))
         observed = self._values[top]
         if self._estimate == OBSERVED or self._space.dimension == 0:

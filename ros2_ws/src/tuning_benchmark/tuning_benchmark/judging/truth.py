@@ -18,6 +18,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 from bo_tuner.trials import Value
+from bo_tuner.tuning.limits import judge_sample
 from tuning_benchmark.experiments import plugins
 from tuning_benchmark.judging.evaluator import Evaluator
 
@@ -207,17 +208,17 @@ class Truth:
         evaluator = Evaluator(self.study)
         space = self.study.context_space()
         chances = self.study.chance_constraints
-        within = {constraint.name: 0 for constraint in chances}
+        seen: dict[str, list[float]] = {constraint.name: [] for constraint in chances}
         count = self.effort.real_evaluations if real_evaluations is None else real_evaluations
         rows = np.linspace(0, self.effort.drawn - 1, count).astype(int)
         for number, row in enumerate(rows):
             context = space.to_dict(self.drawn_contexts[row])
             metrics = evaluator.metrics(parameters, context, SEED + number)
             for constraint in chances:
-                value = metrics.get(constraint.metric, np.inf)
-                within[constraint.name] += value <= constraint.upper
-        shares = {name: number / count for name, number in within.items()}
-        return shares, all(shares[c.name] >= c.probability for c in chances)
+                seen[constraint.name].append(metrics.get(constraint.metric, np.inf))
+        samples = [judge_sample(constraint, seen[constraint.name]) for constraint in chances]
+        shares = {s.name: (s.count - s.violations) / s.count for s in samples}
+        return shares, all(sample.holds for sample in samples)
 
     def _columns(self, contexts: Array) -> dict[str, Array]:
         variables = self.study.contexts.values()

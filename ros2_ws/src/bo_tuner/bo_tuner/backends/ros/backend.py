@@ -1,18 +1,29 @@
 """Evaluations on ROS 2 nodes, which the backend starts, watches, and restarts when one is lost."""
 
+import contextlib
 import dataclasses
+import json
 import os
+import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from rclpy.context import Context
 
-from bo_tuner.backends.protocol import ROS, SequentialBackend
+from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
+from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
-from bo_tuner.backends.ros.study_client import LostError, RefusedError, StudyClient
-from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.backends.ros.study_client import (
+    DisturbedError,
+    LostError,
+    RefusedError,
+    StudyClient,
+)
+from bo_tuner.backends.ros.suspension import Suspension
+from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
@@ -21,14 +32,24 @@ from bo_tuner.metrics.recording import (
     signal_sources,
 )
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
 HIGHEST_DOMAIN = 232
+HELD = "held_parameters.json"
+"""File beside the logs with the parameters that the study does not set, as the run began."""
 LEASE = 3.0
 """Time [s] after which the discovery profile has forgotten a killed node for sure."""
+ATTEMPTS = 3
+"""Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
+END_OF_TIME = 2**31 - 1
+"""Latest time [s] in a ROS message, in January 2038."""
+MARGIN = 86_400.0
+"""Time [s] before that for an evaluation."""
 LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
 
@@ -84,6 +105,8 @@ class RosBackend(SequentialBackend):
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
         self._found: dict[str, dict[str, object]] = {}
+        self._held: dict[str, dict[str, object]] = {}
+        self._suspension = Suspension()
         self.processes: dict[str, NodeProcess] = {}
 
     def open(self) -> None:
@@ -92,12 +115,15 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         BackendError
-            If another tuner is at work on these nodes, nodes to be started run already, one
-            cannot be started, or one does not appear in time.
+            If the clock shows what no ROS message can, another tuner is at work on these nodes,
+            nodes to be started run already, one cannot be started, one does not appear in time, or
+            one runs more than once; or if, attached, a parameter that the study does not set is
+            not what it was when the first backend with this log directory was opened.
         StudyError
-            If a node refuses its constant parameters, the study does not say how to start it, or
-            a topic or service of its run is not there.
+            If a node does not take its constant parameters, the study does not say how to start
+            it, or a topic or service of its run is not there.
         """
+        _check_clock()
         given = _domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
         self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
@@ -117,9 +143,15 @@ class RosBackend(SequentialBackend):
                 # That the nodes are discovered does not mean that another tuner is, too.
                 client.spin_for(LOOK_AROUND)
             self._refuse_second_tuner(client)
+            if twins := client.twins(LEASE):
+                raise BackendError(f"{twins}; end all but one")
+            found = {key: client.read(key) for key in self._study.nodes}
             if self._attach:
-                self._found = {key: client.get(key, self._names(key)) for key in self._study.nodes}
+                self._found = {key: self._of_study(key, found[key]) for key in found}
             self._set_constants(client)
+            constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
+            self._held = {key: found[key] | dict(constants[key]) for key in found}
+            self._compare_with_earlier({key: self._not_of_study(key, found[key]) for key in found})
             if self._study.run is not None:
                 self._procedure = Procedure(self._study, self._study.run, client)
         except LostError as loss:
@@ -136,24 +168,36 @@ class RosBackend(SequentialBackend):
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
 
-        After a lost evaluation the nodes are started anew, or, attached, waited for.
+        All parameters of the nodes that the study does not set are held at the values that the
+        nodes had when the backend was opened. An evaluation during which any parameter had another
+        value than it should is a failed one. After a lost evaluation the nodes are started anew,
+        or, attached, waited for. One during which this process was suspended says nothing of the
+        parameters, and is repeated.
         """
+        for _ in range(ATTEMPTS):
+            self._suspension.begin()
+            outcome = self._attempt(planned)
+            self._suspension.look()
+            seconds = self._suspension.seconds
+            if not seconds:
+                return outcome
+        return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
+
+    def _attempt(self, planned: Evaluation) -> Outcome:
         client = self._client
         if client is None:
             raise BackendError("the backend is not open")
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
+        wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         try:
-            for key in client.restarted():
-                client.set(key, self._study.nodes[key].parameters)
-            for key, values in assignments.items():
-                client.set(key, values)
-            said = self._run(client)
-            if lost := client.restarted():
-                raise LostError(f"{self._study.nodes[lost[0]].node} was started anew in the cut")
-            result = self._collector.outcome(said)
+            run = None if self._procedure is None else partial(self._run, self._procedure, client)
+            result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
             counts = self._recording.counts()
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
+        except DisturbedError as error:
+            reason = one_line(str(error))
+            return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
         except LostError as loss:
             reason = one_line(f"{loss}{self._recover(client)}")
             return Outcome(EvaluationState.LOST, {}, reason)
@@ -162,17 +206,14 @@ class RosBackend(SequentialBackend):
             result, details={**result.details, **ignored, **self._recording.counts()}
         )
 
-    def _run(self, client: StudyClient) -> dict[str, dict[str, object]]:
-        """Run once; returns what nodes said of it, which those of a procedure do not."""
-        if self._procedure is None:
-            return client.run_cut()
+    def _run(self, procedure: Procedure, client: StudyClient) -> None:
         try:
-            self._procedure.run()
-        finally:
-            # Without a result, a node that died in the run would go unnoticed.
+            procedure.run()
+        except FailedRunError:
+            # A run may have failed for want of a node.
             for key in self._study.nodes:
                 client.expect_answer(key)
-        return {}
+            raise
 
     @property
     def _recording(self) -> Recording:
@@ -199,13 +240,40 @@ class RosBackend(SequentialBackend):
             self._claim.release()
             self._claim = None
 
-    def _names(self, key: str) -> list[str]:
-        """List the parameters of a node that the study sets."""
+    def _not_of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
+        of_study = self._of_study(key, values)
+        return {name: value for name, value in values.items() if name not in of_study}
+
+    def _compare_with_earlier(self, values: Mapping[str, Mapping[str, object]]) -> None:
+        """Refuse nodes whose parameters, other than the study's, changed since the run began.
+
+        A validation, or the rest of a run, on attached nodes would else measure something else.
+        """
+        file = self._log_directory / HELD
+        try:
+            earlier = json.loads(file.read_text(encoding="utf-8"))
+            known = {key: dict(earlier[key]) for key in values}
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            known = {}
+        if not known:
+            with contextlib.suppress(OutputError):
+                write_atomically(file, json.dumps(values, indent=1, default=str))
+            return
+        if not self._attach:
+            return
+        for key, now in values.items():
+            common = {name: known[key][name] for name in now if name in known[key]}
+            if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
+                raise BackendError(f"{changed[0]}, as when the run began; set it back")
+
+    def _of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
+        """Keep the parameters of a node that the study sets."""
         study = self._study
         contexts = study.context_space()
         nominal = contexts.to_dict(contexts.nominal())
         of_evaluation = study.assignments(study.search_space().defaults, nominal, 0)
-        return list(dict.fromkeys([*study.nodes[key].parameters, *of_evaluation.get(key, {})]))
+        names = {*study.nodes[key].parameters, *of_evaluation.get(key, {})}
+        return {name: value for name, value in values.items() if name in names}
 
     def _restore(self, client: StudyClient) -> None:
         """Restore attached nodes: a live one must not keep what an evaluation was run with."""
@@ -215,11 +283,12 @@ class RosBackend(SequentialBackend):
         self._interrupted = lambda: None
         for key, values in found.items():
             try:
-                client.set(key, values)
+                client.assign(key, values)
             except (RefusedError, LostError) as error:
                 client.warn(f"{self._study.nodes[key].node} is not set back: {error}")
 
     def _watch(self) -> None:
+        self._suspension.look()
         self._interrupted()
         for process in self.processes.values():
             if process.exit_reason is not None:
@@ -265,17 +334,19 @@ class RosBackend(SequentialBackend):
     def _set_constants(self, client: StudyClient) -> None:
         for key, spec in self._study.nodes.items():
             try:
-                client.set(key, spec.parameters)
+                client.assign_and_read_back(key, spec.parameters)
             except RefusedError as refusal:
                 raise StudyError(str(refusal), ("nodes", key, "parameters")) from refusal
 
     def _recover(self, client: StudyClient) -> str:
         """Get the nodes back; returns what to add to the reason if that failed."""
         client.forget_parameters()
+        self._suspension.look()
         processes = list(self.processes.values())
         # Stopped ones are no longer watched.
         self.processes.clear()
         stop_all(processes)
+        self._suspension.skip()
         try:
             if not self._attach:
                 client.wait_until_gone(LEASE)
@@ -290,6 +361,22 @@ class RosBackend(SequentialBackend):
             # The next evaluation will be lost in turn; three lost trials end the run.
             return f"; not recovered: {error}"
         return ""
+
+
+def _check_clock() -> None:
+    """Refuse a wall clock whose time no ROS message can hold: every cut would be refused.
+
+    Raises
+    ------
+    BackendError
+        With the time.
+    """
+    now = time.time()
+    if not 0.0 <= now <= END_OF_TIME - MARGIN:
+        shown = time.strftime("%Y-%m-%d", time.gmtime(now))
+        raise BackendError(
+            f"the clock of this machine shows {shown}; ROS messages hold times from 1970 to 2038"
+        )
 
 
 def _domain_of_environment() -> int | None:

@@ -9,6 +9,7 @@ from typing import IO
 
 from bo_tuner.errors import BackendError
 from bo_tuner.package_files import config_directory
+from bo_tuner.storage.run_files import open_file
 
 # RTPS maps domains to UDP ports; above 101 they reach into the ephemeral range.
 HIGHEST_DOMAIN = 101
@@ -45,7 +46,13 @@ class DomainClaim:
         for candidate in candidates:
             if domain is None and _has_participant(candidate):
                 continue
-            self._lock = _lock(candidate, namespace)
+            try:
+                self._lock = _lock(candidate, namespace)
+            except BackendError:
+                # Whatever bears the name of this lock, another domain will do.
+                if domain is None:
+                    continue
+                raise
             if self._lock is not None:
                 self.domain = candidate
                 return
@@ -96,8 +103,8 @@ def _lock(domain: int, namespace: str) -> IO[str] | None:
     name = f"bo_tuner-{os.getuid()}-domain{domain}{namespace.rstrip('/').replace('/', '-')}.lock"
     path = Path(tempfile.gettempdir()) / name
     try:
-        # Appending truncates nothing, whatever a file of this name may be.
-        handle = path.open("a")
+        # Not what anybody may have put there instead: the folder is open to all.
+        handle = os.fdopen(open_file(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "a")
     except OSError as error:
         raise BackendError(f"{path}: cannot be locked: {error.strerror}") from error
     try:

@@ -1,12 +1,12 @@
 """Node processes that the tuner starts, and ends whatever happens."""
 
-import contextlib
 import ctypes
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -15,7 +15,21 @@ from bo_tuner.errors import BackendError
 STOP_TIMEOUT = 3.0
 """Time [s] that a node has to end after SIGTERM before it is killed."""
 
+POLL = 0.02
+
 PR_SET_PDEATHSIG = 1
+
+# Waits for the end of its standard input, which is the end of the tuner, and then ends the group.
+GUARD = """\
+read group || exit
+while read line; do :; done
+kill -s TERM -- "-$group" && kill -s CONT -- "-$group" || exit
+for wait in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15; do
+    sleep 0.2
+    kill -0 "-$group" || exit
+done
+kill -s KILL -- "-$group"
+"""
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -41,10 +55,13 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 class NodeProcess:
-    """One node in a process of its own.
+    """One node in a process of its own, and what that starts in turn.
 
-    The process ends with the tuner, also when the tuner is killed: the kernel then sends it
-    SIGTERM. It sits in a session of its own, so that Ctrl-C reaches the tuner alone.
+    They are a process group in a session of their own, so that Ctrl-C reaches the tuner alone, and
+    end together: a node may stand behind a shell script. They end with the tuner, also when it is
+    killed: the kernel then sends the process SIGTERM, and a shell that has waited for this ends the
+    rest, and what was stopped by SIGSTOP. What has left the group, by a session of its own, is not
+    reached.
 
     Parameters
     ----------
@@ -74,6 +91,7 @@ class NodeProcess:
         self.name = executable
         self.log = log
         command = [str(find_executable(package, executable)), *arguments]
+        self._guard = _Guard()
         try:
             with log.open("ab") as output:
                 self._process = subprocess.Popen(
@@ -86,7 +104,9 @@ class NodeProcess:
                     preexec_fn=_end_with_parent(os.getpid()),
                 )
         except OSError as error:
+            self._guard.end()
             raise BackendError(f"{command[0]}: cannot be started: {error.strerror}") from error
+        self._guard.watch(self._process.pid)
 
     @property
     def pid(self) -> int:
@@ -105,17 +125,55 @@ class NodeProcess:
 
     def ask_to_end(self) -> None:
         """Send SIGTERM, and do not wait."""
-        if self._process.poll() is None:
-            self._process.terminate()
+        self._signal(signal.SIGTERM)
+        # A process that was stopped takes it only when it goes on.
+        self._signal(signal.SIGCONT)
 
     def stop(self) -> None:
-        """End the process: SIGTERM first, SIGKILL if it does not follow."""
+        """End the process and its group: SIGTERM first, SIGKILL if they do not follow."""
         self.ask_to_end()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(STOP_TIMEOUT)
-        if self._process.poll() is None:
-            self._process.kill()
+        deadline = time.monotonic() + STOP_TIMEOUT
+        while (self._process.poll() is None or self._signal(0)) and time.monotonic() < deadline:
+            time.sleep(POLL)
+        self._signal(signal.SIGKILL)
         self._process.wait()
+        self._guard.end()
+
+    def _signal(self, signum: int) -> bool:
+        """Send a signal to the group; False if it has no process."""
+        try:
+            os.killpg(self._process.pid, signum)
+        except (ProcessLookupError, PermissionError):
+            return False
+        return True
+
+
+class _Guard:
+    """A shell that ends a process group once this process is gone."""
+
+    def __init__(self) -> None:
+        end, self._pipe = os.pipe()
+        try:
+            self._shell = subprocess.Popen(
+                ["/bin/sh", "-c", GUARD],
+                stdin=end,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env={"PATH": os.defpath},
+                start_new_session=True,
+            )
+        finally:
+            os.close(end)
+
+    def watch(self, group: int) -> None:
+        """Tell it which group."""
+        os.write(self._pipe, f"{group}\n".encode())
+
+    def end(self) -> None:
+        """End it, with the group left alone."""
+        self._shell.kill()
+        self._shell.wait()
+        os.close(self._pipe)
 
 
 def stop_all(processes: Iterable[NodeProcess]) -> None:

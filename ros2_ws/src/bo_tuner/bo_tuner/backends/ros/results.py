@@ -9,16 +9,19 @@ class RunResults:
     """Keeps what the nodes say of the present evaluation, and counts what does not belong to it.
 
     Between `begin` and `identify` the evaluation runs, but its identifier is still on its way, and
-    a result may be faster. Of a node's results the first one counts.
+    a result may be faster. Of a node's results the first one counts; another one of the same
+    evaluation contradicts it.
     """
 
     def __init__(self) -> None:
         self._evaluation: str | None = NO_RUN
         self._said: dict[str, dict[str, dict[str, object]]] = {}
         self._ignored = 0
+        self._contradicted: set[tuple[str, str]] = set()
 
     def begin(self) -> None:
         """Take the results of an evaluation whose identifier is not known yet."""
+        self._contradicted = set()
         self._evaluation = None
 
     def identify(self, evaluation: str) -> None:
@@ -41,12 +44,20 @@ class RunResults:
         """Take a result of the node `key`; its key ``cut`` names the evaluation it belongs to."""
         evaluation = str(pairs.get("cut", NO_RUN))
         repeated = key in self._said.get(evaluation, {})
+        if repeated and pairs != self._said[evaluation][key]:
+            self._contradicted.add((evaluation, key))
         if evaluation == NO_RUN or repeated or self._evaluation not in (None, evaluation):
             self._ignored += 1
             return
         self._said.setdefault(evaluation, {})[key] = pairs
         if len(self._said) > MOST_EARLY:
             self._forget(next(iter(self._said)))
+
+    @property
+    def contradicted(self) -> list[str]:
+        """Keys of the nodes of which there are different results of the present evaluation."""
+        present = self._evaluation
+        return sorted(key for evaluation, key in self._contradicted if evaluation == present)
 
     def take_ignored(self) -> int:
         """Return how many results belonged to no evaluation of ours since this was last asked."""

@@ -1,26 +1,35 @@
 """A client of a study's nodes: parameters and trigger by services, results by topics."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from bo_tuner.backends.ros.parameters import (
+    Difference,
+    ParameterWatch,
+    differences,
+    read_values,
+    to_messages,
+)
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BackendError
 from bo_tuner.metrics.collect import STATUS_OK
+from bo_tuner.study import checks
 from bo_tuner.study.study import ReportedMetric, Study
 from bo_tuner.study.study import Trigger as TriggerSpec
 
@@ -31,6 +40,11 @@ ANSWER_TIMEOUT = 1.0
 SPIN_PERIOD = 0.1
 
 PARAMETER_EVENTS = "/parameter_events"
+
+NAME_TIMEOUT = 1.0
+"""Time [s] that the graph has to tell which node a new publisher belongs to."""
+LONGEST_LEASE = 21.0
+"""Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
@@ -45,7 +59,11 @@ class SilentError(LostError):
 
 
 class RefusedError(Exception):
-    """A node refused its parameters."""
+    """A node refused its parameters, or did not take their values."""
+
+
+class DisturbedError(Exception):
+    """Somebody else has a hand in the evaluation, so that it is not what it was planned to be."""
 
 
 class StudyClient:
@@ -79,7 +97,11 @@ class StudyClient:
         self._study = study
         self._watch = watch
         self._known: dict[str, dict[str, object]] = {}
+        self._names: dict[str, list[str]] = {}
         self._publishers: dict[str, set[bytes]] = {}
+        self._renewed: set[str] = set()
+        self._anonymous: set[bytes] = set()
+        self._twins: list[str] = []
         self.results = RunResults()
         self._context = Context()
         try:
@@ -134,7 +156,7 @@ class StudyClient:
         return [
             key
             for key in self._study.nodes
-            if not self._setters[key].service_is_ready()
+            if not all(client.service_is_ready() for client, _ in self._parameter_calls(key))
             or self._node.count_publishers(self._sign_of_life(key)) == 0
             or (key == self._triggered and not self._trigger.service_is_ready())
         ]
@@ -161,14 +183,15 @@ class StudyClient:
                 raise LostError(f"{name}: no such node in ROS domain {domain} after {timeout:g} s")
             self._spin()
         for key in self._study.nodes:
-            # A node that was killed looks discovered until its lease ends.
-            while True:
-                try:
-                    self.expect_answer(key, ANSWER_TIMEOUT)
-                    break
-                except SilentError:
-                    if time.monotonic() > deadline:
-                        raise
+            for client, request in self._parameter_calls(key):
+                # A node that was killed looks discovered until its lease ends.
+                while True:
+                    try:
+                        self._call(client, request, key, ANSWER_TIMEOUT)
+                        break
+                    except SilentError:
+                        if time.monotonic() > deadline:
+                            raise
         self.restarted()
 
     def wait_until_gone(self, timeout: float) -> None:
@@ -182,28 +205,46 @@ class StudyClient:
 
         Such a node has forgotten its parameters, and is to be told them again.
         """
+        self._wait_for_names()
         found = []
-        for key, spec in self._study.nodes.items():
-            names = (spec.node.rpartition("/")[2], UNKNOWN_NODE)
-            infos = self._node.get_publishers_info_by_topic(self._sign_of_life(key))
-            if not spec.result:
-                # The topic of every node: only where it is named it is known to be this one.
-                path = self._node.resolve_service_name(spec.node)
-                infos = [i for i in infos if _path(i) == path]
-            present = {bytes(i.endpoint_gid) for i in infos if i.node_name in names}
+        for key in self._study.nodes:
+            present = self._publishers_of(key)
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
                 found.append(key)
+                self._renewed.add(key)
                 self._known.pop(key, None)
             self._publishers[key] = present
         return found
 
+    def twins(self, timeout: float) -> str:
+        """Tell in a line of nodes that run more than once; empty if none does.
+
+        A node that was killed and is back counts twice until its lease ends, which is waited for at
+        most `timeout` seconds, and once only.
+        """
+        deadline = time.monotonic() + timeout
+        while twins := self._repeated():
+            if time.monotonic() > deadline or twins == self._twins:
+                self._twins = twins
+                return (
+                    f"{twins[0]} runs more than once in ROS domain {self._context.get_domain_id()}"
+                )
+            self._spin()
+        self._twins = []
+        return ""
+
     def forget_parameters(self) -> None:
-        """Forget what the nodes were told, so that they are told again."""
+        """Forget what the nodes have, so that they are asked, and told, again."""
         self._known.clear()
 
-    def set(self, key: str, values: Mapping[str, object]) -> None:
-        """Set those parameters of a node that it was not told already, all of them or none.
+    def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
+        """Set those parameters of a node that it does not have already, all of them or none.
+
+        Returns
+        -------
+        list of str
+            The names of those that were set.
 
         Raises
         ------
@@ -212,30 +253,159 @@ class StudyClient:
         LostError
             If it does not answer.
         """
-        known = self._known.setdefault(key, {})
-        changes = {name: v for name, v in values.items() if known.get(name) != v}
+        if key not in self._known:
+            self._known[key] = self.read(key)
+        known = self._known[key]
+        changes = {name: v for name, v in values.items() if _differs(known, name, v)}
         if not changes:
-            return
-        request = SetParametersAtomically.Request(
-            parameters=[Parameter(n, value=v).to_parameter_msg() for n, v in changes.items()]
-        )
+            return []
+        request = SetParametersAtomically.Request(parameters=to_messages(changes))
         result = self._call(self._setters[key], request, key).result
         if not result.successful:
             raise RefusedError(f"{key} refused its parameters: {result.reason}")
         known.update(changes)
+        # A node may take what it has not declared.
+        self._names[key] += [name for name in changes if name not in self._names[key]]
+        return list(changes)
 
-    def get(self, key: str, names: Sequence[str]) -> dict[str, object]:
-        """Read those parameters of a node that it has.
+    def assign_and_read_back(self, key: str, values: Mapping[str, object]) -> None:
+        """Set parameters of a node, which must then have these values.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them, or has others then.
+        LostError
+            If it does not answer.
+        """
+        self.assign(key, values)
+        self._known |= self._read([key])
+        if wrong := differences(key, self._known[key], values):
+            raise _not_taken(wrong[0])
+
+    def read(self, key: str) -> dict[str, object]:
+        """Read all parameters of a node.
 
         Raises
         ------
         LostError
             If it does not answer.
         """
-        request = GetParameters.Request(names=list(names))
+        request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+        listed = self._call(self._listers[key], request, key).result.names
+        self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
+        return self._read([key])[key]
+
+    def evaluate(
+        self,
+        wanted: Mapping[str, Mapping[str, object]],
+        run: Callable[[], object] | None = None,
+    ) -> dict[str, dict[str, object]]:
+        """Set parameters, run an evaluation, and see that it ran with them.
+
+        Parameters
+        ----------
+        wanted
+            By node key the values that its parameters must have, whether the study sets them or
+            not.
+        run
+            Runs once, in place of the trigger; then no node says anything.
+
+        Returns
+        -------
+        dict
+            By node key what the node said of the evaluation: of all nodes that give metrics, or
+            fewer as soon as one says that it failed.
+
+        Raises
+        ------
+        RefusedError
+            If a node refuses its parameters, or has another value right after it was told one.
+        DisturbedError
+            If somebody else changed a parameter, a node runs more than once, or two of them report
+            the same evaluation.
+        LostError
+            If a node does not answer, is started anew, or gives no result.
+        """
+        self.restarted()
+        for key in self._renewed:
+            self._known[key] = self.read(key)
+            self._parameters.forget(key)
+        self._renewed.clear()
+        self._refuse_twins()
+        self._parameters.expect(wanted)
+        told = {key: self._tell(key, values) for key, values in wanted.items()}
+        self._check(wanted, told)
+        self.results.begin()
+        try:
+            said = self._run_cut() if run is None else {}
+            if run is not None:
+                run()
+            anew = self.restarted()
+            self._refuse_twins()
+            if anew:
+                name = self._study.nodes[anew[0]].node
+                raise LostError(f"{name} was started anew in the evaluation")
+            self._check(wanted, {})
+            if self.results.contradicted:
+                raise DisturbedError(
+                    f"{self.results.contradicted[0]}: two different results of one evaluation"
+                )
+            return said
+        finally:
+            self.results.end()
+
+    def _tell(self, key: str, values: Mapping[str, object]) -> list[str]:
+        before = dict(self._known.get(key, {}))
+        try:
+            return self.assign(key, values)
+        except RefusedError:
+            # What was changed by somebody else may be what the values do not go with.
+            self._known[key] = self._read([key])[key]
+            changed = differences(key, self._known[key], before) + self._parameters.take_seen()
+            if changed:
+                raise _disturbed(changed[0]) from None
+            raise
+
+    def _check(
+        self, wanted: Mapping[str, Mapping[str, object]], told: Mapping[str, Sequence[str]]
+    ) -> None:
+        """Compare what the nodes have, and had since the last check, with what they should."""
+        found = self._read(wanted)
+        self._known |= found
+        seen = self._parameters.take_seen()
+        for key, values in wanted.items():
+            for difference in differences(key, found[key], values):
+                if difference.name in told.get(key, ()):
+                    raise _not_taken(difference)
+                raise _disturbed(difference)
+        if seen:
+            raise _disturbed(seen[0])
+
+    def _refuse_twins(self) -> None:
+        if twins := self.twins(LONGEST_LEASE):
+            raise DisturbedError(twins)
+
+    def _read(self, keys: Iterable[str]) -> dict[str, dict[str, object]]:
+        """Read the parameters of nodes side by side, by key."""
+        calls = {
+            key: self._getters[key].call_async(GetParameters.Request(names=self._names[key]))
+            for key in keys
+        }
+        found = {}
+        for key, future in calls.items():
+            name = self._study.nodes[key].node
+            values = self._await(self._getters[key], future, name, CALL_TIMEOUT).values
+            if len(values) != len(self._names[key]):
+                # A node leaves out all if it lacks one.
+                values = [self._value(key, name) for name in self._names[key]]
+            found[key] = read_values(self._names[key], values)
+        return found
+
+    def _value(self, key: str, name: str) -> ParameterValue:
+        request = GetParameters.Request(names=[name])
         values = self._call(self._getters[key], request, key).values
-        found = zip(names, map(parameter_value_to_python, values), strict=False)
-        return {name: value for name, value in found if value is not None}
+        return values[0] if values else ParameterValue()
 
     def expect_answer(self, key: str, timeout: float = CALL_TIMEOUT) -> None:
         """Ask a node to change no parameter.
@@ -247,31 +417,14 @@ class StudyClient:
         """
         self._call(self._setters[key], SetParametersAtomically.Request(), key, timeout)
 
-    def run_cut(self) -> dict[str, dict[str, object]]:
-        """Start an evaluation and wait for its results.
-
-        Returns
-        -------
-        dict
-            By node key what the node said of the evaluation: of all nodes that give metrics, or
-            fewer as soon as one says that it failed.
-
-        Raises
-        ------
-        LostError
-            If the evaluation does not start, or a result does not come, within the trigger's
-            timeout, or a node that has not said anything of a failed evaluation does not answer.
-        """
+    def _run_cut(self) -> dict[str, dict[str, object]]:
+        """Start an evaluation and wait for its results."""
         trigger = self._study.trigger
         if trigger is None:
             raise BackendError("the study has no trigger")
         deadline = time.monotonic() + trigger.timeout
-        self.results.begin()
-        try:
-            self.results.identify(self._start_evaluation(trigger, deadline))
-            return self._await_results(trigger, deadline)
-        finally:
-            self.results.end()
+        self.results.identify(self._start_evaluation(trigger, deadline))
+        return self._await_results(trigger, deadline)
 
     def _await_results(self, trigger: TriggerSpec, deadline: float) -> dict[str, dict[str, object]]:
         metrics = self._study.metrics.values()
@@ -306,12 +459,18 @@ class StudyClient:
     def _connect(self) -> None:
         self._setters: dict[str, Client] = {}
         self._getters: dict[str, Client] = {}
+        self._listers: dict[str, Client] = {}
+        nodes = {key: spec.node for key, spec in self._study.nodes.items()}
+        self._parameters = ParameterWatch(self._node, nodes)
         for key, spec in self._study.nodes.items():
             self._setters[key] = self._node.create_client(
                 SetParametersAtomically, f"{spec.node}/set_parameters_atomically"
             )
             self._getters[key] = self._node.create_client(
                 GetParameters, f"{spec.node}/get_parameters"
+            )
+            self._listers[key] = self._node.create_client(
+                ListParameters, f"{spec.node}/list_parameters"
             )
             if spec.result:
                 topic = _of_node(spec.node, spec.result)
@@ -324,6 +483,50 @@ class StudyClient:
             self._trigger = self._node.create_client(
                 Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
             )
+
+    def _parameter_calls(self, key: str) -> list[tuple[Client, Any]]:
+        """List the services of a node's parameters, each with a request that changes nothing."""
+        return [
+            (self._setters[key], SetParametersAtomically.Request()),
+            (self._getters[key], GetParameters.Request()),
+            (self._listers[key], ListParameters.Request()),
+        ]
+
+    def _repeated(self) -> list[str]:
+        """Name the nodes and services that more than one process gives."""
+        found = [
+            spec.node
+            for key, spec in self._study.nodes.items()
+            if self._node.count_services(self._setters[key].srv_name) > 1
+        ]
+        if self._triggered and self._node.count_services(self._trigger.srv_name) > 1:
+            found.append(self._trigger.srv_name)
+        return found
+
+    def _publishers_of(self, key: str) -> set[bytes]:
+        """Find the publishers of a node's sign of life that the graph says are of the node."""
+        name = expand_topic_name(self._study.nodes[key].node, NODE_NAME, self._node.get_namespace())
+        infos = self._node.get_publishers_info_by_topic(self._sign_of_life(key))
+        return {
+            bytes(info.endpoint_gid)
+            for info in infos
+            if f"{info.node_namespace.rstrip('/')}/{info.node_name}" == name
+        }
+
+    def _wait_for_names(self) -> None:
+        """Wait until the graph tells whose the new signs of life are."""
+        deadline = time.monotonic() + NAME_TIMEOUT
+        while nameless := self._nameless() - self._anonymous:
+            if time.monotonic() > deadline:
+                # Not of a ROS node, or else it is noticed once it has a name.
+                self._anonymous |= nameless
+                return
+            self._spin()
+
+    def _nameless(self) -> set[bytes]:
+        topics = {self._sign_of_life(key) for key in self._study.nodes}
+        infos = [i for topic in topics for i in self._node.get_publishers_info_by_topic(topic)]
+        return {bytes(info.endpoint_gid) for info in infos if info.node_name == UNKNOWN_NODE}
 
     def _sign_of_life(self, key: str) -> str:
         """Topic on which a node has a publisher from its start on, and anew when it restarts."""
@@ -349,7 +552,9 @@ class StudyClient:
         SilentError
             If it does not answer within `timeout` seconds.
         """
-        future = client.call_async(request)
+        return self._await(client, client.call_async(request), name, timeout)
+
+    def _await(self, client: Client, future: Future, name: str, timeout: float) -> Any:
         deadline = time.monotonic() + timeout
         while not future.done():
             # A dead server looks ready until its lease ends, and the call would never return.
@@ -368,10 +573,18 @@ class StudyClient:
         self.spin_once(SPIN_PERIOD)
 
 
-def _path(info: TopicEndpointInfo) -> str:
-    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-
-
 def _of_node(node: str, name: str) -> str:
     """Expand ``~/name`` for a node other than this one."""
     return f"{node}/{name.removeprefix('~/')}" if name.startswith("~/") else name
+
+
+def _differs(known: Mapping[str, object], name: str, value: object) -> bool:
+    return name not in known or not checks.same_value(known[name], value)
+
+
+def _not_taken(difference: Difference) -> RefusedError:
+    return RefusedError(f"{difference} (not taken by the node)")
+
+
+def _disturbed(difference: Difference) -> DisturbedError:
+    return DisturbedError(f"{difference} (changed by someone else)")

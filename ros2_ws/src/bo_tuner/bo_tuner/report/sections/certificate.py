@@ -1,16 +1,17 @@
 """The certificate of a run, as `validate` has written it."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePath
 from typing import Any
 
-from bo_tuner.certificate.certificate import CERTIFICATE, DEFAULT, TUNED
+from bo_tuner.certificate.certificate import DEFAULT, TUNED
+from bo_tuner.certificate.store import certificate_paths, read_certificate
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.trials import Trial
 
 
 @dataclass(frozen=True)
@@ -50,25 +51,33 @@ class CertificateFile:
         return [str(reason) for reason in self.content["reasons"]]
 
 
-def certificate(record: RunRecord) -> CertificateFile | None:
-    """Read a run's certificate; None if there is none.
+def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | None:
+    """Read the latest certificate of a run's answer, or else of another trial; None without any.
 
     Raises
     ------
     RunRecordError
-        If it cannot be read, or does not have the format of `validate`.
+        If one cannot be read, or does not have the format of `validate`.
     """
-    path = record.path / CERTIFICATE
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return CertificateFile(content, _section(content, path))
-    except FileNotFoundError:
+    found = [(path, read_certificate(path)) for path in certificate_paths(record.path)]
+    of_answer = [
+        item
+        for item in found
+        if answer is not None and item[1]["parameters"] == dict(answer.parameters)
+    ]
+    if not found:
         return None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-        raise RunRecordError(f"{path}: not a readable certificate: {error!r}") from error
+    path, content = (of_answer or found)[0]
+    try:
+        file = CertificateFile(content, _section(content, path.relative_to(record.path)))
+        # All that the report takes from it, so that what is wrong is found here.
+        _ = (file.passed, file.trial, file.scope, file.reasons)
+        return file
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
 
 
-def _section(content: Mapping[str, Any], path: Path) -> Section:
+def _section(content: Mapping[str, Any], path: PurePath) -> Section:
     verdict = str(content["verdict"])
     confidence = f"{100.0 * float(content['confidence']):g} %"
     lead = (
@@ -83,7 +92,7 @@ def _section(content: Mapping[str, Any], path: Path) -> Section:
         notes=[
             *map(str, content["reasons"]),
             *map(str, content["warnings"]),
-            f"Details are in {path.name}, the evaluations in {path.stem}_evaluations.csv.",
+            f"Details are in {path}, the evaluations in {path.stem}_evaluations.csv beside it.",
         ],
     )
 

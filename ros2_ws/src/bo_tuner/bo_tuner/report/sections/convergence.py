@@ -25,6 +25,7 @@ from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, quantity, values
 from bo_tuner.study.parts import LOG
 from bo_tuner.trials import EvaluationState, Trial, TrialState
+from bo_tuner.tuning.limits import worst_case_holds
 
 MOST_INCUMBENTS = 40
 """The incumbent is computed after at most this many numbers of trials, at some 0.1 s each."""
@@ -123,7 +124,10 @@ def _worst_case(analysis: Analysis) -> Figure:
     metric = study.metrics[constraint.metric]
     found = np.array([t.worst_case.value if t.worst_case else math.nan for t in analysis.trials])
     shown = _within_sight(analysis, found, Scale.LINEAR)
-    within = int(np.sum(found <= constraint.upper))
+    within = sum(
+        t.worst_case is not None and worst_case_holds(constraint, t.worst_case)
+        for t in analysis.trials
+    )
     places = np.arange(len(found), dtype=float)
     return Figure(
         name="worst-cases",

@@ -18,6 +18,7 @@ from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Pa
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, values
+from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 
 TIME = "time"
@@ -94,6 +95,13 @@ def trajectories(analysis: Analysis) -> Section | None:
     contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
     if answer.worst_case is not None:
         contexts["worst context"] = dict(answer.worst_case.context)
+    if not is_trusted(analysis.study):
+        programs = ", ".join(foreign_programs(analysis.study))
+        lead = (
+            f"No trajectories: they would be simulated by {programs}, and this study was never run "
+            "here by you; read the study, then use report --trust."
+        )
+        return Section(name=section.name, title=section.title, lead=lead)
     try:
         panels = _panels(analysis, answer.parameters, contexts)
     except (NoTraceError, StudyError, BackendError) as error:

@@ -1,0 +1,129 @@
+"""Parameters of nodes: their messages as values, and what becomes of them during an evaluation."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterEvent, ParameterValue
+from rclpy.expand_topic_name import expand_topic_name
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.qos import qos_profile_parameter_events
+
+from bo_tuner.metrics.collect import one_line
+from bo_tuner.study.checks import same_value
+
+EVENTS = "/parameter_events"
+
+
+@dataclass(frozen=True)
+class UnknownType:
+    """A parameter value of a type that ROS does not define; equal to none that can be set."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"of unknown type {self.code}"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A parameter of a node that has another value than it was given; None is not set."""
+
+    node: str
+    name: str
+    found: object
+    expected: object
+
+    def __str__(self) -> str:
+        found = "not set" if self.found is None else one_line(str(self.found))
+        return f"{self.node}: parameter {self.name} is {found}, expected {self.expected}"
+
+
+def to_messages(values: Mapping[str, object]) -> list[ParameterMessage]:
+    """Make the messages that set parameters."""
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+
+
+def to_value(message: ParameterValue) -> object:
+    """Read a parameter value; None if it is not set."""
+    try:
+        return parameter_value_to_python(message)
+    except RuntimeError:
+        return UnknownType(int(message.type))
+
+
+def differences(
+    node: str, found: Mapping[str, object], expected: Mapping[str, object]
+) -> list[Difference]:
+    """Compare what a node has with what it was given."""
+    return [
+        Difference(node, name, found.get(name), value)
+        for name, value in expected.items()
+        if not same_value(found.get(name), value)
+    ]
+
+
+class ParameterWatch:
+    """Listens on ``/parameter_events`` for values that are not as expected.
+
+    Parameters
+    ----------
+    node
+        The tuner's node.
+    nodes
+        Names of the watched nodes, relative to its namespace, by their keys in the study.
+    """
+
+    def __init__(self, node: Node, nodes: Mapping[str, str]) -> None:
+        self._keys: dict[str, list[str]] = {}
+        for key, name in nodes.items():
+            full_name = expand_topic_name(name, node.get_name(), node.get_namespace())
+            self._keys.setdefault(full_name, []).append(key)
+        self._expected: Mapping[str, Mapping[str, object]] = {}
+        self._seen: list[Difference] = []
+        self._subscription = node.create_subscription(
+            ParameterEvent, EVENTS, self._on_event, qos_profile_parameter_events
+        )
+
+    def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:
+        """Expect these values of the nodes from now on, by key."""
+        self._take_all()
+        self._expected = expected
+
+    def forget(self, key: str) -> None:
+        """Forget what was seen of a node: it was started anew, and has declared its parameters."""
+        self._take_all()
+        self._seen = [difference for difference in self._seen if difference.node != key]
+
+    def take_seen(self) -> list[Difference]:
+        """Return what was not as expected since this was last asked."""
+        self._take_all()
+        seen, self._seen = self._seen, []
+        return seen
+
+    def _take_all(self) -> None:
+        """Take the events that wait: a node publishes its own ahead of its answer to a call."""
+        with self._subscription.handle:
+            while taken := self._subscription.handle.take_message(ParameterEvent, False):
+                self._on_event(taken[0])
+
+    def _on_event(self, event: ParameterEvent) -> None:
+        for key in self._keys.get(event.node, ()):
+            expected = self._expected.get(key, {})
+            changed = _read((*event.new_parameters, *event.changed_parameters))
+            deleted = {p.name: None for p in event.deleted_parameters}
+            now = changed | deleted
+            watched = {name: value for name, value in expected.items() if name in now}
+            self._seen += differences(key, now, watched)
+
+
+def read_values(names: Sequence[str], values: Sequence[ParameterValue]) -> dict[str, object]:
+    """Read an answer of ``get_parameters`` to `names`; what is not set is left out."""
+    found = {name: to_value(value) for name, value in zip(names, values, strict=False)}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _read(parameters: Iterable[Any]) -> dict[str, object]:
+    return {p.name: to_value(p.value) for p in parameters}

@@ -1,0 +1,178 @@
+"""The certificates of a run, ``RUN/certificates/``: none is ever overwritten.
+
+Each is a pair of files, ``0001.json`` and ``0001_evaluations.csv``; the first has the digest of the
+second. The number tells the order.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, Value
+
+CERTIFICATES = "certificates"
+FORMAT = 2
+"""Version of the files' format."""
+
+_NAME = re.compile(r"(\d{4,9})(_evaluations\.csv|\.json)", re.ASCII)
+
+
+def certificate_paths(folder: Path) -> list[Path]:
+    """Return the certificates in a run folder, the latest first."""
+    found = [path for path in _numbered(folder) if path.suffix == ".json"]
+    return sorted(found, key=_number, reverse=True)
+
+
+def evaluations_path(certificate: Path) -> Path:
+    """Return the path of the evaluations of a certificate."""
+    return certificate.with_name(f"{certificate.stem}_evaluations.csv")
+
+
+def next_path(folder: Path) -> Path:
+    """Return the path for a new certificate, and make its folder.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be made.
+    """
+    directory = folder / CERTIFICATES
+    try:
+        directory.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{directory}: cannot be written: {error.strerror}") from error
+    # Evaluations alone, which a crash has left, take up a number, too.
+    number = 1 + max(map(_number, _numbered(folder)), default=0)
+    return directory / f"{number:04d}.json"
+
+
+def read_certificate(path: Path) -> Mapping[str, Any]:
+    """Read a certificate.
+
+    Raises
+    ------
+    RunRecordError
+        If it is none that `validate` has written. One line.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise RunRecordError(
+            f"{path}: not a readable certificate: {' '.join(str(error).split())}; run validate"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise RunRecordError(f"{path}: not a certificate of this version of bo_tuner; run validate")
+    parameters, verdict = content.get("parameters"), content.get("verdict")
+    if not isinstance(parameters, dict) or content.get("parameters_sha256") != parameters_sha256(
+        parameters
+    ):
+        raise RunRecordError(f"{path}: its parameters do not have the digest in it; run validate")
+    if verdict not in (PASS, FAIL):
+        raise RunRecordError(
+            f"{path}: expected {PASS} or {FAIL}, found {checks.show(verdict)}; run validate"
+        )
+    return content
+
+
+def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
+    """Return the latest certificate of a trial's parameter set; None if there is none.
+
+    Raises
+    ------
+    RunRecordError
+        If a later one cannot be read: it may be of the same parameter set.
+    """
+    for path in certificate_paths(record.path):
+        if _is_of(read_certificate(path), trial):
+            return path
+    return None
+
+
+def certificate_problem(record: RunRecord, trial: Trial) -> str:
+    """Return in one line why no certificate of a parameter set opens `apply`; empty if one does.
+
+    It does if it is a PASS, on enough draws and with enough confidence for the study, of exactly
+    this study, parameter set, evaluations and code, and if no later one is a FAIL.
+    """
+    first = ""
+    for path in certificate_paths(record.path):
+        try:
+            content = read_certificate(path)
+        except RunRecordError as error:
+            # It may be a FAIL.
+            return first or str(error)
+        if not _is_of(content, trial):
+            continue
+        if content["verdict"] != PASS:
+            return first or f"{path}: expected {PASS}, found {FAIL}"
+        problem = _mismatch(record.study, path, content)
+        if not problem:
+            return ""
+        first = first or f"{path}: {problem}; run validate"
+    where = record.path / CERTIFICATES
+    return first or f"{where}: no certificate of trial {trial.number}; run validate"
+
+
+def required_draws(study: Study, confidence: float) -> int:
+    """Return the number of draws that a certificate of a study takes."""
+    return max(study.certificate.draws, most_draws_needed(study, confidence)[0])
+
+
+def shortfall(study: Study, draws: object, confidence: object) -> str:
+    """Return in a few words what a certificate lacks of what the study requires; else empty."""
+    required = study.certificate.confidence
+    needed = required_draws(study, required)
+    if type(draws) is not int or draws < needed:
+        return f"made with {checks.show(draws)} draws, the study requires {needed}"
+    if type(confidence) is not float or not confidence >= required:
+        return f"has a confidence of {checks.show(confidence)}, the study requires {required:g}"
+    return ""
+
+
+def parameters_sha256(parameters: Mapping[str, Value]) -> str:
+    """Return the digest of a parameter set's JSON with sorted keys and without spaces."""
+    text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
+    if content.get("study_sha256") != study_sha256(study):
+        return "belongs to another version of the study"
+    try:
+        evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        return f"its evaluations cannot be read: {error.strerror}"
+    if content.get("evaluations_sha256") != evaluations:
+        return f"{evaluations_path(path).name} does not have the digest in it"
+    missing = shortfall(study, content.get("draws"), content.get("confidence"))
+    if missing:
+        return missing
+    provenance = content.get("provenance")
+    if not isinstance(provenance, dict):
+        return "does not name the code it was made with"
+    changed = changed_sources(provenance, sources(study, str(provenance.get("backend"))))
+    return f"the code of {', '.join(changed)} has changed since" if changed else ""
+
+
+def _is_of(content: Mapping[str, Any], trial: Trial) -> bool:
+    return bool(content["parameters"] == dict(trial.parameters))
+
+
+def _numbered(folder: Path) -> list[Path]:
+    directory = folder / CERTIFICATES
+    if not directory.is_dir():
+        return []
+    return [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
+
+
+def _number(path: Path) -> int:
+    return int(path.name.split(".")[0].split("_")[0])

@@ -1,0 +1,84 @@
+"""Writing a file so that it holds its old content or its new one, whatever happens meanwhile."""
+
+import os
+import stat
+from pathlib import Path
+
+from bo_tuner.errors import OutputError
+
+
+def write_atomically(path: Path, content: str | bytes) -> Path:
+    """Replace a file, or create it, in one step that survives a power failure; return its path.
+
+    A temporary file in the same folder is written, synchronized and renamed, and the folder is
+    synchronized. A file that has this content already is left alone.
+
+    Parameters
+    ----------
+    path
+        A regular file, or the name of a new one.
+    content
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written, or if what is there is no regular file. A symbolic link is not
+        followed: it may lead out of the run folder.
+    """
+    data = content.encode("utf-8", "replace") if isinstance(content, str) else content
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        if _is_regular(path) and path.read_bytes() == data:
+            return path
+        try:
+            # What a killed process of the same number has left.
+            temporary.unlink(missing_ok=True)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+            with open(os.open(temporary, flags, 0o666), "wb") as file:  # noqa: PTH123
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        synchronize(path.parent)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def synchronize(folder: Path) -> None:
+    """Make the names in a folder durable.
+
+    Raises
+    ------
+    OSError
+        If that fails.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _is_regular(path: Path) -> bool:
+    """Return whether there is a regular file; False if there is nothing.
+
+    Raises
+    ------
+    OSError
+        If there is something else.
+    """
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISLNK(mode):
+        raise OSError("expected a file, found a symbolic link")
+    if stat.S_ISDIR(mode):
+        raise OSError("Is a directory")
+    if not stat.S_ISREG(mode):
+        raise OSError("expected a regular file")
+    return True

@@ -1,0 +1,240 @@
+"""From rows of a journal to evaluations and trials, or a refusal of what this program never writes.
+
+A checksum tells of damage by a disk, and not of rows that somebody else has written.
+"""
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+from bo_tuner.errors import ParameterError
+from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    WorstCase,
+)
+
+Row = Mapping[str, object]
+
+
+def provenance_of(row: Row) -> dict[str, str]:
+    """Make the provenance of a session.
+
+    Raises
+    ------
+    ValueError
+        If the row is not one of a journal; as in the functions below.
+    """
+    return _texts(row, "provenance")
+
+
+def evaluation_of(row: Row) -> Evaluation:
+    """Make an evaluation."""
+    state, reason = EvaluationState(_text(row, "state")), _text(row, "reason")
+    metrics = {name: float(value) for name, value in _numbers(row, "metrics").items()}
+    problems = {name: problem for name in metrics if (problem := metric_problem(metrics[name]))}
+    if problems:
+        # An earlier version recorded what is refused today.
+        name, problem = next(iter(problems.items()))
+        state, metrics, reason = EvaluationState.FAILED, {}, f"metric {name} is {problem}"
+    return Evaluation(
+        trial=_count(row, "trial"),
+        index=_count(row, "position"),
+        stage=Stage(_text(row, "stage")),
+        parameters=_numbers(row, "parameters"),
+        context=_numbers(row, "context"),
+        seed=_count(row, "seed"),
+        outcome=Outcome(state, metrics, reason, _texts(row, "details")),
+        seconds=float(_number(row["seconds"], "seconds")),
+    )
+
+
+def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
+    """Make a trial."""
+    state, reason, worst_case = TrialState(_text(row, "state")), _text(row, "reason"), None
+    failed = [e for e in evaluations if e.outcome.state is not EvaluationState.COMPLETE]
+    if state is TrialState.COMPLETE and failed:
+        state, reason = TrialState.FAILED, failed[0].outcome.reason
+    else:
+        worst_case = _worst_case(row)
+    return Trial(
+        number=number_of(row),
+        parameters=_numbers(row, "parameters"),
+        origin=_text(row, "origin"),
+        state=state,
+        reason=reason,
+        evaluations=evaluations,
+        worst_case=worst_case,
+        warnings=tuple(_text({"warnings": text}, "warnings") for text in _list(row, "warnings")),
+        hyperparameters={
+            name: tuple(float(_number(phi, "hyperparameters")) for phi in _sequence(values))
+            for name, values in _object(row, "hyperparameters").items()
+        },
+        seconds=float(_number(row["seconds"], "seconds")),
+    )
+
+
+def number_of(row: Row) -> int:
+    """Return the number of a trial."""
+    return _count(row, "number")
+
+
+def evaluations_of(row: Row) -> int:
+    """Return the number of evaluations of a trial."""
+    return _count(row, "evaluations")
+
+
+def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterable[Trial]) -> None:
+    """Refuse evaluations and trials that cannot be of a study.
+
+    Raises
+    ------
+    ValueError
+        With the first one, and why.
+    """
+    space = study.search_space()
+    known: set[str] = set()
+
+    def check_parameters(parameters: Mapping[str, Value]) -> None:
+        key = repr(parameters)
+        if key in known:
+            return
+        try:
+            expected = space.completed(parameters)
+        except ParameterError as error:
+            raise ValueError(str(error)) from error
+        if expected != parameters:
+            raise ValueError("other values of tied or fixed parameters")
+        known.add(key)
+
+    def check_context(context: Mapping[str, float]) -> None:
+        _same_names(context, study.contexts, "context")
+        _check_size(context.values(), "context")
+
+    for evaluation in evaluations:
+        outcome = evaluation.outcome
+        complete = outcome.state is EvaluationState.COMPLETE
+        try:
+            check_parameters(evaluation.parameters)
+            check_context(evaluation.context)
+            _same_names(outcome.metrics, study.metrics if complete else (), "metrics")
+            _check_size(outcome.metrics.values(), "metrics")
+            if complete and not math.isfinite(
+                float(study.objective.to_cost(outcome.metrics[study.objective.metric]))
+            ):
+                raise ValueError(f"{study.objective.metric} has no {study.objective.scale} scale")
+        except ValueError as error:
+            where = f"evaluation {evaluation.index} of trial {evaluation.trial}"
+            raise ValueError(f"{where}: {error}") from error
+    for trial in trials:
+        complete = trial.state is TrialState.COMPLETE
+        searched = complete and study.worst_case_constraint is not None
+        states = [evaluation.outcome.state for evaluation in trial.evaluations]
+        try:
+            check_parameters(trial.parameters)
+            if not states or complete != all(s is EvaluationState.COMPLETE for s in states):
+                raise ValueError(f"is {trial.state}, unlike its evaluations")
+            if searched != (trial.worst_case is not None):
+                raise ValueError("has a worst case without a search, or none after one")
+            if trial.worst_case is not None:
+                found = trial.worst_case
+                check_context(found.context)
+                _check_size((found.value, found.observed, found.noise), "worst_case")
+            if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
+                raise ValueError("has evaluations of other parameters")
+        except ValueError as error:
+            raise ValueError(f"trial {trial.number}: {error}") from error
+
+
+def _worst_case(row: Row) -> WorstCase | None:
+    if row["worst_case"] is None:
+        return None
+    found = _object(row, "worst_case")
+    _same_names(found, ("value", "context", "observed", "noise"), "worst_case")
+    value, observed, noise = (
+        float(_number(found[key], "worst_case")) for key in ("value", "observed", "noise")
+    )
+    if noise < 0.0:
+        raise ValueError(f"worst_case: noise {noise}")
+    return WorstCase(value, _as_numbers(found["context"], "worst_case"), observed, noise)
+
+
+def _text(row: Row, column: str) -> str:
+    value = row[column]
+    if not isinstance(value, str):
+        raise ValueError(f"{column}: expected text, found {checks.show(value)}")
+    return value
+
+
+def _count(row: Row, column: str) -> int:
+    value = row[column]
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError(f"{column}: expected a count, found {checks.show(value)}")
+    return value
+
+
+def _number(value: object, column: str) -> Value:
+    if isinstance(value, int) and not isinstance(value, bool):
+        if abs(value) < checks.INTEGER_LIMIT:
+            return value
+    elif isinstance(value, float) and math.isfinite(value):
+        return value
+    raise ValueError(f"{column}: expected a number, found {checks.show(value)}")
+
+
+def _json(row: Row, column: str) -> object:
+    try:
+        return json.loads(_text(row, column))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{column}: {error}") from error
+
+
+def _object(row: Row, column: str) -> dict[str, object]:
+    value = _json(row, column)
+    if not isinstance(value, dict):
+        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
+    return value
+
+
+def _list(row: Row, column: str) -> Sequence[object]:
+    return _sequence(_json(row, column))
+
+
+def _sequence(value: object) -> Sequence[object]:
+    if not isinstance(value, list):
+        raise ValueError(f"expected a list, found {checks.show(value)}")
+    return value
+
+
+def _numbers(row: Row, column: str) -> dict[str, Value]:
+    return _as_numbers(_object(row, column), column)
+
+
+def _as_numbers(value: object, column: str) -> dict[str, Value]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
+    return {name: _number(item, column) for name, item in value.items()}
+
+
+def _texts(row: Row, column: str) -> dict[str, str]:
+    return {name: _text({column: item}, column) for name, item in _object(row, column).items()}
+
+
+def _check_size(values: Iterable[float], what: str) -> None:
+    for value in values:
+        if not abs(value) <= LARGEST_METRIC:
+            raise ValueError(f"{what}: {value:g} is beyond {LARGEST_METRIC:g}")
+
+
+def _same_names(found: Iterable[str], expected: Iterable[str], what: str) -> None:
+    odd = sorted(set(found) ^ set(expected))
+    if odd:
+        raise ValueError(f"{what}: {checks.quoted(odd[0])} is missing or unknown")

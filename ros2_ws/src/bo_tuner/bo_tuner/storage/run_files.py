@@ -1,0 +1,103 @@
+"""Files of a run folder, which may be anybody's: opened and listed without following links."""
+
+import os
+import stat
+from pathlib import Path
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.study import maxima
+
+LOGS = "log"
+"""Folder in which nodes may leave what they like, as ``launch`` does a link to its latest log."""
+
+KINDS = {
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFBLK: "a device",
+    stat.S_IFCHR: "a device",
+    stat.S_IFDIR: "a folder",
+}
+
+
+def check_files(folder: Path) -> None:
+    """Refuse a run folder in which anything is not a file or a folder.
+
+    A link would lead reading and writing elsewhere, and a pipe would hold them up.
+
+    Raises
+    ------
+    RunRecordError
+        With the first one found, or the folder that cannot be read.
+    """
+    pending = [folder]
+    while pending:
+        here = pending.pop()
+        is_log = here.name == LOGS
+        try:
+            with os.scandir(here) as entries:
+                for entry in entries:
+                    if entry.is_dir(follow_symlinks=False):
+                        if not is_log:
+                            pending.append(Path(entry.path))
+                    elif entry.is_file(follow_symlinks=False):
+                        continue
+                    elif not is_log or entry.name.endswith(".log"):
+                        mode = entry.stat(follow_symlinks=False).st_mode
+                        raise RunRecordError(
+                            f"{entry.path}: is {_kind(mode)}; expected only files and folders "
+                            "in a run folder"
+                        )
+        except FileNotFoundError:
+            # A run that is going on renames and deletes.
+            continue
+        except OSError as error:
+            if isinstance(error, RunRecordError):
+                raise
+            raise RunRecordError(f"{here}: cannot be read: {error.strerror}") from error
+
+
+def is_same_file(path: Path, known: os.stat_result) -> bool:
+    """Whether a path still leads to the file or folder that it led to."""
+    try:
+        found = path.stat(follow_symlinks=False)
+    except OSError:
+        return False
+    return (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino)
+
+
+def open_file(path: Path, flags: int, mode: int = 0o666) -> int:
+    """Open a file and return its descriptor; a link, a pipe, a device or a folder is refused.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, or is something else.
+    """
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, mode)
+    found = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(found):
+        os.close(descriptor)
+        raise OSError(0, f"is {_kind(found)}, no file", str(path))
+    return descriptor
+
+
+def read_text(path: Path) -> str:
+    """Read a file of UTF-8 text.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read, is too large, or is not a file.
+    UnicodeDecodeError
+        If it is no such text.
+    """
+    with os.fdopen(open_file(path, os.O_RDONLY), "rb") as file:
+        data = file.read(maxima.FILE_BYTES + 1)
+    if len(data) > maxima.FILE_BYTES:
+        raise OSError(0, f"is larger than {maxima.FILE_BYTES // 10**6} MB", str(path))
+    return data.decode()
+
+
+def _kind(mode: int) -> str:
+    return KINDS.get(stat.S_IFMT(mode), "no file")

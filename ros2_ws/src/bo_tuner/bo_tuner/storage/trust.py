@@ -1,0 +1,92 @@
+"""Which studies' programs may be started and objects be imported without being asked for.
+
+A run folder may come from anybody, and its study names executables and Python objects. Those of the
+shipped studies are known. Others are trusted once this user has run a study with them here, by
+``tune --study``, or has said ``--trust``: the folder of trusted studies, below
+``$XDG_STATE_HOME/bo_tuner``, then holds an empty file named after the digest of the study. Nothing
+in the run folder itself counts, since whoever made the folder made that, too.
+"""
+
+import hashlib
+import json
+import os
+from functools import cache
+from pathlib import Path
+
+from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.study.study import NodeSpec, Study
+from bo_tuner.study.study_file import load_study, shipped_studies, study_to_mapping
+
+OF_A_RUN = ("name", "description", "seed", "budget")
+"""Sections of a study that do not matter: they say how much is run, not what."""
+
+
+def is_trusted(study: Study) -> bool:
+    """Whether the programs that a study names may be started, and its objects be imported."""
+    return not foreign_programs(study) or (_trusted() / _digest(study)).is_file()
+
+
+def trust(study: Study) -> None:
+    """Trust a study from now on, for this user on this machine.
+
+    Raises
+    ------
+    OutputError
+        If that cannot be noted down.
+    """
+    if is_trusted(study):
+        return
+    path = _trusted() / _digest(study)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        path.touch(mode=0o600)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def check_trust(study: Study, folder: Path) -> None:
+    """Refuse to start what the study of a run names unless it is trusted.
+
+    Raises
+    ------
+    RunRecordError
+        With what the study names.
+    """
+    if not is_trusted(study):
+        raise RunRecordError(
+            f"{folder}: its study would start {', '.join(foreign_programs(study))}, and was never "
+            "run here by you; read the study, then use --trust"
+        )
+
+
+def foreign_programs(study: Study) -> list[str]:
+    """List the executables and objects that a study names and no shipped study does."""
+    named = [program for node in study.nodes.values() for program in _programs(node)]
+    return [program for program in dict.fromkeys(named) if program not in _shipped()]
+
+
+@cache
+def _shipped() -> frozenset[str]:
+    return frozenset(
+        program
+        for name in shipped_studies()
+        for node in load_study(name).nodes.values()
+        for program in _programs(node)
+    )
+
+
+def _programs(node: NodeSpec) -> list[str]:
+    executable = f"{node.package}/{node.executable}" if node.executable else None
+    return [program for program in (executable, node.object) if program]
+
+
+def _digest(study: Study) -> str:
+    sections = {k: v for k, v in study_to_mapping(study).items() if k not in OF_A_RUN}
+    return hashlib.sha256(json.dumps(sections, sort_keys=True).encode()).hexdigest()
+
+
+def _trusted() -> Path:
+    given = os.environ.get("XDG_STATE_HOME", "")
+    # As the specification has it, a relative path counts as none.
+    state = Path(given) if given.startswith("/") else Path("~/.local/state").expanduser()
+    return state / "bo_tuner" / "trusted"

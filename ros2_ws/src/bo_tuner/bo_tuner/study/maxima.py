@@ -1,0 +1,29 @@
+"""The largest numbers and sizes that are accepted; docs/interfaces.md has the same table.
+
+Beyond them memory or patience would end before the run does. They are far above what the method
+is made for: some hundreds of trials, some tens of tuned parameters.
+"""
+
+TRIALS = 10_000
+EVALUATIONS = 10_000
+"""Contexts drawn, or searched, in a trial."""
+DRAWS = 100_000
+"""Of a validation or a certificate."""
+NODES = 100
+PARAMETERS = 500
+"""Tuned, tied and fixed ones."""
+TUNED = 50
+CONTEXTS = 50
+METRICS = 200
+CONSTRAINTS = 50
+CONSTANTS = 1_000
+"""Constant parameters of a node, and values in a list."""
+TIMEOUT = 86_400.0
+"""Of an evaluation [s]."""
+MEGABYTES = 10_000_000
+"""Of all bags of a run."""
+ANSWER = 1_000
+"""Keys in what a node says of an evaluation."""
+JOURNAL_BYTES = 2_000_000_000
+FILE_BYTES = 50_000_000
+"""Of a summary, a certificate or a parameter file."""

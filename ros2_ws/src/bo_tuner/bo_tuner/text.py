@@ -1,0 +1,32 @@
+"""Text of others, such as names in a study and what nodes say, made fit to be shown."""
+
+
+def printable(text: str) -> str:
+    """Replace what would steer a terminal, or reorder its line, by question marks.
+
+    Line breaks stay; all other control and format characters (escape sequences, changes of the
+    direction of writing) go.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+
+
+def one_line(text: str) -> str:
+    """Make text fit for a single line of a terminal."""
+    return printable(" ".join(text.split()))
+
+
+def csv_cell(value: object) -> object:
+    """Keep a spreadsheet from reading text as a formula, by an apostrophe ahead of it.
+
+    A number stays as it is, also if it is given as text. See
+    https://owasp.org/www-community/attacks/CSV_Injection.
+    """
+    if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r", "\n")):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value

@@ -1,0 +1,238 @@
+"""The result of a run, made from its record.
+
+A run that ends and a reader who finds no usable ``summary.json`` take the same steps: recommend,
+validate, summarize. The reader's evaluations all come from the journal.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.errors import RunError
+from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
+from bo_tuner.optimizers.stopping import StopAdvice, StopAdvisor
+from bo_tuner.storage.provenance import study_sha256
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_folder import SUMMARY, without_nan
+from bo_tuner.study.study import Study
+from bo_tuner.trials import TUNING, Evaluation, Trial
+from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
+from bo_tuner.tuning.recommendation import Recommendation, recommend
+from bo_tuner.tuning.validation import Validation, validate
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """What the trials of a run lead to: the recommendation, and the validation of it.
+
+    Attributes
+    ----------
+    recommendation
+        The recommended trial.
+    default, tuned
+        Validation of the hand-tuned parameter set and of the recommended one.
+    """
+
+    recommendation: Recommendation
+    default: Validation
+    tuned: Validation
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the parameter set held in the checks and in the validation."""
+        return self.recommendation.feasible and self.tuned.feasible
+
+
+def conclude(
+    study: Study,
+    backend: Backend,
+    algorithm: Algorithm,
+    trials: Sequence[Trial],
+    observer: RunObserver = NOBODY,
+) -> Conclusion | None:
+    """Check the best candidates, and validate the recommended one beside the default.
+
+    Parameters
+    ----------
+    study, algorithm
+        Of the run.
+    backend
+        Runs the evaluations; open.
+    trials
+        All trials of the run.
+    observer
+        Told of phases, evaluations and steps.
+
+    Returns
+    -------
+    Conclusion or None
+        None if every trial failed.
+
+    Raises
+    ------
+    RunError
+        As in `validate`.
+    """
+    observer.begin(Phase.CHECKING, algorithm.most_checked)
+    best = recommend(
+        study,
+        backend,
+        trials,
+        algorithm.models,
+        most_checked=algorithm.most_checked,
+        observer=observer,
+    )
+    observer.end(Phase.CHECKING)
+    if best is None:
+        return None
+    observer.begin(Phase.VALIDATION, study.budget.validation_draws)
+    default, tuned = validate(
+        study,
+        backend,
+        [study.search_space().defaults, best.candidate.trial.parameters],
+        observer=observer,
+    )
+    observer.end(Phase.VALIDATION)
+    return Conclusion(best, default, tuned)
+
+
+def summarize(
+    study: Study,
+    conclusion: Conclusion,
+    advice: StopAdvice | None,
+    *,
+    stop_early: bool,
+    trials: int,
+    evaluations: int,
+) -> dict[str, object]:
+    """Return the content of ``summary.json``.
+
+    Parameters
+    ----------
+    study, conclusion
+        Of the run.
+    advice
+        The advice to stop, if it was given.
+    stop_early
+        Whether it was to be followed.
+    trials, evaluations
+        How many are on record: of another record this is not the summary.
+    """
+    best, default, tuned = conclusion.recommendation, conclusion.default, conclusion.tuned
+    content = {
+        "study_sha256": study_sha256(study),
+        "trials": trials,
+        "evaluations": evaluations,
+        "feasible": conclusion.feasible,
+        "trial": best.candidate.trial.number,
+        "checked_trials": best.checked,
+        "predicted_objective": best.candidate.objective,
+        "predicted_feasibility": best.candidate.feasibility,
+        "default": asdict(default) | {"feasible": default.feasible},
+        "tuned": asdict(tuned) | {"feasible": tuned.feasible},
+        "stop_advice": advice and asdict(advice),
+        "stopped_early": stop_early and advice is not None,
+    }
+    # As it will be read from the file.
+    found: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
+    return found
+
+
+def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
+    """Return a record with the summary of its file if that is one of this record, or made anew.
+
+    Parameters
+    ----------
+    record
+        The run, with the file's content if that is readable.
+    warn
+        Called with a line if the file cannot be used.
+    """
+    if record.summary is not None and _belongs(record.summary, record):
+        return record
+    made = summary_from_record(record)
+    path = record.path / SUMMARY
+    if path.exists() or path.is_symlink() or made is not None:
+        how = "not the summary of this record" if path.exists() else "missing"
+        done = "ignored, since the run has not ended" if made is None else "made from the journal"
+        warn(f"warning: {path}: {how}; {done}")
+    return replace(record, summary=made)
+
+
+def summary_from_record(record: RunRecord) -> dict[str, object] | None:
+    """Return the summary of a run from its journal alone; None if the run has not ended."""
+    study, algorithm = record.study, ALGORITHMS[record.algorithm]
+    if len(record.trials) < study.budget.trials and not record.stop_early:
+        return None
+    advisor = StopAdvisor(study, algorithm)
+    for count in range(1, len(record.trials) + 1):
+        advisor.consider(record.trials[:count])
+    if len(record.trials) < study.budget.trials and advisor.advice is None:
+        return None
+    # What the trials hold is not given again.
+    later = [item for item in record.evaluations if item.stage not in TUNING]
+    try:
+        backend = RecordedEvaluations(_Nothing(), study, later)
+        conclusion = conclude(study, backend, algorithm, record.trials)
+    except (_NotOnRecordError, RunError, KeyError):
+        return None
+    if conclusion is None:
+        return None
+    return summarize(
+        study,
+        conclusion,
+        advisor.advice,
+        stop_early=record.stop_early,
+        trials=len(record.trials),
+        evaluations=len(record.evaluations),
+    )
+
+
+def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
+    """Return whether a summary has the form that `summarize` gives it, and is of this record."""
+    expected = {
+        "study_sha256": study_sha256(record.study),
+        "trials": len(record.trials),
+        "evaluations": len(record.evaluations),
+    }
+    if any(repr(summary.get(key)) != repr(value) for key, value in expected.items()):
+        return False
+    number, flags = summary.get("trial"), ("feasible", "stopped_early")
+    if type(number) is not int or not 0 <= number < len(record.trials):
+        return False
+    if any(type(summary.get(key)) is not bool for key in flags):
+        return False
+    try:
+        default, tuned = (Validation.from_mapping(summary[key]) for key in ("default", "tuned"))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return False
+    sides = (
+        (default, record.study.search_space().defaults),
+        (tuned, record.trials[number].parameters),
+    )
+    return all(
+        dict(found.parameters) == dict(parameters)
+        and found.constraints.keys() == record.study.constraints.keys()
+        for found, parameters in sides
+    )
+
+
+class _NotOnRecordError(Exception):
+    pass
+
+
+class _Nothing:
+    """A backend that has nothing to run on."""
+
+    name = "record"
+
+    def open(self) -> None:
+        pass
+
+    def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
+        raise _NotOnRecordError
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,49 @@
+"""What all commands share."""
+
+import importlib
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.cli.common import run_folder
+from bo_tuner.errors import RunRecordError
+
+COMMANDS = ("apply", "replay", "report", "tune", "validate")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_version(capsys, name):
+    parser = importlib.import_module(f"bo_tuner.cli.{name}").make_parser()
+    with pytest.raises(SystemExit) as caught:
+        parser.parse_args(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.startswith(f"{name} {version('bo_tuner')} (commit ")
+
+
+class TestLatest:
+    @pytest.fixture(autouse=True)
+    def here(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+
+    def test_is_the_one_in_runs(self, tmp_path):
+        (tmp_path / "runs" / "latest").mkdir(parents=True)
+        assert run_folder(Path("latest")) == Path("runs/latest")
+
+    def test_a_folder_of_that_name_comes_first(self, tmp_path):
+        (tmp_path / "runs" / "latest").mkdir(parents=True)
+        (tmp_path / "latest").mkdir()
+        assert run_folder(Path("latest")) == Path("latest")
+
+    def test_other_paths_are_what_they_say(self):
+        assert run_folder(Path("x/latest")) == Path("x/latest")
+
+    def test_none(self):
+        with pytest.raises(RunRecordError, match="runs/latest: no such run folder"):
+            run_folder(Path("latest"))
+
+
+@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune"}))
+def test_a_run_may_be_called_latest(name):
+    text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
+    assert "or 'latest' for runs/latest" in " ".join(text.split())

@@ -1,0 +1,147 @@
+"""Commands whose terminal goes away, or whose output nobody takes, end in a line and a code."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from axis import node, write_axis
+from commands import environment, finish, run, start
+from waiting import count_in, wait_until
+
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+
+COMMANDS = (("report",), ("replay",), ("validate", "--draws", "100"))
+# The commands take the feasible way out.
+WELL = (0, 3)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, make_study):
+    folder = tmp_path_factory.mktemp("streams")
+    write_axis(folder, "streamed_axis")
+    (folder / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("streamed_axis"))))
+    code, _, err = run(*TUNE, folder=folder)
+    assert code == 0, err
+    return folder
+
+
+TUNE = ("tune", "--study", "axis.yaml", "--backend", "inprocess", "--output", "runs")
+
+
+def held(runs, tmp_path, *arguments, **options):
+    """Start a command that waits in an evaluation."""
+    cuts = tmp_path / "cuts"
+    process = start(*arguments, folder=runs, env={"CUTS": str(cuts), "HOLD": "3"}, **options)
+    wait_until(lambda: count_in(cuts) == 3, "the third evaluation", process)
+    return process, cuts
+
+
+def go_on(cuts):
+    (cuts.parent / f"{cuts.name}.go").touch()
+
+
+@pytest.mark.parametrize("command", [(*TUNE[:-1], "hung"), COMMANDS[2]], ids=lambda c: c[0])
+@pytest.mark.parametrize("signum", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_a_command_once_and_for_all(runs, tmp_path, command, signum):
+    """Whatever comes after the first one changes nothing."""
+    arguments = command if command[0] == "tune" else (command[0], "runs/latest", *command[1:])
+    process, cuts = held(runs, tmp_path, *arguments)
+    for _ in range(3):
+        process.send_signal(signum)
+    go_on(cuts)
+    code, _, err = finish(process)
+    assert code == 128 + signum
+    assert err.splitlines()[-1].startswith(f"interrupted by {signum.name}")
+
+
+def test_under_nohup_the_terminal_may_go(runs, tmp_path):
+    ignore = "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); "
+    ignore += "os.execv(sys.executable, [sys.executable, '-m', 'bo_tuner', *sys.argv[1:]])"
+    cuts = tmp_path / "cuts"
+    process = subprocess.Popen(
+        [sys.executable, "-c", ignore, *TUNE[:-1], str(tmp_path / "kept")],
+        cwd=runs,
+        env=environment(runs, CUTS=str(cuts), HOLD="3"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_until(lambda: count_in(cuts) == 3, "the third evaluation", process)
+    process.send_signal(signal.SIGHUP)
+    go_on(cuts)
+    code, _, err = finish(process)
+    assert code == 0, err
+
+
+def test_a_terminal_that_is_gone_leaves_a_record_that_goes_on(runs, tmp_path):
+    """The terminal takes no more output, and the signal comes with it."""
+    ours, theirs = os.openpty()
+    command = (*TUNE[:-1], str(tmp_path / "gone"))
+    process, cuts = held(runs, tmp_path, *command, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    os.close(ours)
+    process.send_signal(signal.SIGHUP)
+    go_on(cuts)
+    assert process.wait(100) == 128 + signal.SIGHUP
+    assert len(read_run(tmp_path / "gone" / "latest").evaluations) == 3
+    code, _, err = run("tune", "--resume", tmp_path / "gone" / "latest", folder=runs)
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+@pytest.mark.parametrize("to_error", [False, True])
+def test_a_pipe_that_nobody_reads(runs, command, to_error):
+    reading, writing = os.pipe()
+    os.close(reading)
+    name, *options = command
+    streams = {"stdout": writing} | ({"stderr": writing} if to_error else {})
+    process = start(name, "runs/latest", *options, folder=runs, **streams)
+    os.close(writing)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 128 + signal.SIGPIPE
+    if not to_error:
+        assert err.splitlines()[-1] == "error: nobody reads the output any more"
+        assert "Traceback" not in err
+
+
+def test_a_tuner_that_nobody_listens_to_stops_with_its_record_whole(runs, tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = (*TUNE[:-1], str(tmp_path / "unheard"))
+    process = start(*command, folder=runs, stdout=writing)
+    os.close(writing)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 128 + signal.SIGPIPE
+    assert "Traceback" not in err
+    code, _, err = run("tune", "--resume", tmp_path / "unheard" / "latest", folder=runs)
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+def test_a_full_device(runs, command):
+    name, *options = command
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        process = start(name, "runs/latest", *options, folder=runs, stdout=full)
+        _, err = process.communicate(timeout=100)
+    assert process.returncode == 1
+    assert err.splitlines()[-1] == "error: output: No space left on device"
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_were_closed_are_as_dev_null(runs, command, closed):
+    name, *options = command
+    line = f'"$0" -m bo_tuner {name} runs/latest {" ".join(options)} {closed}'
+    done = subprocess.run(
+        ["sh", "-c", line, sys.executable],
+        cwd=runs,
+        env=environment(runs),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in WELL, done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,45 @@
+"""Text of others, on a terminal and in a table."""
+
+import io
+
+import pytest
+
+from bo_tuner.monitoring.display import PlainConsole
+from bo_tuner.text import csv_cell, one_line, printable
+
+HOSTILE = "\x1b[2Jx\x07\x9b1m\u202etxt\u2066\u200f\r"
+
+
+def test_nothing_steers_the_terminal():
+    shown = printable(f"{HOSTILE}\nü [b]")
+    assert shown == "?[2Jx??1m?txt???\nü [b]"
+
+
+def test_a_line_stays_a_line():
+    assert one_line("a\n\x1b[0m  b\x85c") == "a ?[0m b c"
+
+
+def test_the_console_of_all_commands_shows_no_escape_sequence(monkeypatch):
+    from rich.table import Table
+
+    out = io.StringIO()
+    console = PlainConsole()
+    console.file = out
+    table = Table(title=HOSTILE)
+    table.add_column(HOSTILE)
+    table.add_row(HOSTILE)
+    console.print(HOSTILE, soft_wrap=True)
+    console.print(table)
+    said = out.getvalue()
+    assert said.count("[2Jx") == 4
+    assert not set(said) & set("\x1b\x07\x9b\u202e\u2066\u200f\r")
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+SUM(A1)", "-2+3|cmd", "@x", "\t=1", "\r=1", "\n=1"])
+def test_a_formula_is_text(text):
+    assert csv_cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("value", ["-0.5", "+1", "-inf", "text", "a=1", "", -1, None, 0.5])
+def test_all_else_stays(value):
+    assert csv_cell(value) == value
