@@ -9,18 +9,20 @@ import shlex
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
 from commands import python_path, run
-from waiting import DEADLINE
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.__main__ import COMMANDS as OF_TUNER
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
+from bo_tuner.trials import EvaluationState
 
 MODULES = {name: f"bo_tuner.cli.{name}" for name in OF_TUNER}
 MODULES["benchmark"] = "tuning_benchmark.command"
@@ -28,6 +30,7 @@ COMMANDS = tuple(MODULES)
 PACKAGE_OF = {name: module.partition(".")[0] for name, module in MODULES.items()}
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "your_own_node"
+UNCHANGED = ROOT / "examples" / "unchanged_system"
 DOCUMENTS = sorted(
     [
         *ROOT.glob("*.md"),
@@ -209,10 +212,11 @@ def test_yaml_blocks_are_what_they_seem(text):
         parse_study(text)
 
 
-def test_excerpts_of_the_example_are_the_example():
+@pytest.mark.parametrize("example", [EXAMPLE, UNCHANGED], ids=lambda path: path.name)
+def test_excerpts_of_an_example_are_the_example(example):
     """Each block of the tutorial that shows the example's code is in its files, word for word."""
-    files = [path.read_text(encoding="utf-8") for path in EXAMPLE.iterdir() if path.is_file()]
-    text = (ROOT / "docs" / "tutorial_your_own_node.md").read_text(encoding="utf-8")
+    files = [path.read_text(encoding="utf-8") for path in example.iterdir() if path.is_file()]
+    text = (ROOT / "docs" / f"tutorial_{example.name}.md").read_text(encoding="utf-8")
     excerpts = [m[3] for m in FENCE.finditer(text) if m[2] in ("python", "yaml")]
     assert excerpts
     for excerpt in excerpts:
@@ -305,35 +309,50 @@ def test_the_example_is_tuned_in_process(hot_plate, tmp_path):
     assert mean("mean_error", found) < 0.5 * mean("mean_error", default)
 
 
+@contextmanager
+def nodes_of_example(folder, monkeypatch, *scripts):
+    """Run the nodes of an example by themselves; yields the environment to find them in."""
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    claim = DomainClaim("/docs_test")
+    environment = isolated_environment(claim.domain) | {"ROS_LOG_DIR": str(folder / "log")}
+    nodes, logs = [], [folder / f"{script.stem}.txt" for script in scripts]
+    try:
+        for script, log in zip(scripts, logs, strict=True):
+            with log.open("w") as output:
+                nodes.append(
+                    subprocess.Popen(
+                        [sys.executable, str(script)],
+                        env=os.environ | environment,
+                        stdin=subprocess.DEVNULL,
+                        stdout=output,
+                        stderr=subprocess.STDOUT,
+                    )
+                )
+        for node, log in zip(nodes, logs, strict=True):
+            wait_until(lambda log=log: "ready" in log.read_text(), "a node", node, log.read_text)
+        yield environment
+        for node in nodes:
+            node.send_signal(signal.SIGTERM)
+        for node, log in zip(nodes, logs, strict=True):
+            assert node.wait(DEADLINE) == 0
+            said = log.read_text()
+            assert "Traceback" not in said, said
+    finally:
+        for node in nodes:
+            node.kill()
+            node.wait()
+        claim.release()
+
+
 @pytest.mark.ros
 def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
     study = load_study(EXAMPLE / "study.yaml").replace(
         trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=3, validation_draws=2
     )
     (tmp_path / "study.yaml").write_text(study_to_yaml(study))
-    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
-        monkeypatch.delenv(name, raising=False)
-    claim = DomainClaim("/docs_test")
-    environment = isolated_environment(claim.domain) | {"ROS_LOG_DIR": str(tmp_path / "log")}
-    node = subprocess.Popen(
-        [sys.executable, str(EXAMPLE / "hot_plate_node.py")],
-        env=os.environ | environment,
-        stdin=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        ready = node.stderr.readline()
+    with nodes_of_example(tmp_path, monkeypatch, EXAMPLE / "hot_plate_node.py") as environment:
         code, err, folder = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
-    finally:
-        node.send_signal(signal.SIGTERM)
-        try:
-            _, said = node.communicate(timeout=DEADLINE)
-        finally:
-            node.kill()
-            claim.release()
-    assert "ready" in ready, ready + said
-    assert (node.returncode, said) == (0, "")
     # Too few trials to find something for sure.
     assert code in (0, 3), err
     journal = read_journal(folder / "journal.sqlite")
@@ -349,3 +368,30 @@ def test_the_example_node_is_tuned_over_ros(hot_plate, tmp_path, monkeypatch):
         metrics = plate.run_cut()
         found = recorded.outcome.metrics
         assert {name: metrics[name] for name in found} == found
+
+
+@pytest.mark.ros
+def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
+    scripts = [UNCHANGED / "motor_node.py", UNCHANGED / "pid_node.py"]
+    study = load_study(UNCHANGED / "study.yaml").replace(
+        trials=3, initial_trials=2, validation_draws=1
+    )
+    (tmp_path / "study.yaml").write_text(study_to_yaml(study))
+    with nodes_of_example(tmp_path, monkeypatch, *scripts) as environment:
+        code, err, folder = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
+    # Too few trials to find something for sure.
+    assert code in (0, 3), err
+    journal = read_journal(folder / "journal.sqlite")
+    assert len(journal.trials) == 3
+    complete = [e for e in journal.evaluations if e.outcome.state is EvaluationState.COMPLETE]
+    assert complete, [e.outcome.reason for e in journal.evaluations]
+    for evaluation in complete:
+        metrics = evaluation.outcome.metrics
+        # The error is between 0 and 3 rad for 2 s, and a motor in motion takes some torque.
+        assert 0.0 < metrics["error"] < 6.0
+        assert 0.0 <= metrics["overshoot"] <= 100.0
+        assert metrics["effort"] > 0.0
+
+
+def test_the_study_of_the_unchanged_system_is_short():
+    assert len((UNCHANGED / "study.yaml").read_text().splitlines()) <= 40

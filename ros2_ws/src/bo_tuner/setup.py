@@ -56,6 +56,7 @@ setup(
         "PyYAML>=6,<7",
         "rich>=13,<16",
         "rosbags>=0.10,<0.12",
+        "simpleeval>=1.0.3,<2",
         "threadpoolctl>=3,<4",
     ],
     extras_require={"test": ["pytest"]},

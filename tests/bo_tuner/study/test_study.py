@@ -566,7 +566,7 @@ class TestRefusedValues:
         message = refusal(put(1, *path))
         assert message.startswith(f"{'.'.join(path)}: unknown key; {suggestion}")
 
-    @pytest.mark.parametrize("key", ["name", "nodes", "trigger", "objective", "budget"])
+    @pytest.mark.parametrize("key", ["name", "nodes", "metrics", "objective", "budget"])
     def test_missing_section(self, key):
         changed = mapping()
         del changed[key]

@@ -36,6 +36,7 @@ class InProcessBackend(SequentialBackend):
         self._study = study
         self._collector = Collector(study, sources)
         self._objects: dict[str, Any] = {}
+        self._triggered = ""
 
     def open(self) -> None:
         """Make the objects and give them the study's constant parameters.
@@ -43,8 +44,10 @@ class InProcessBackend(SequentialBackend):
         Raises
         ------
         StudyError
-            If a node has no object, it cannot be imported, or it refuses a parameter.
+            If the study describes a run of ROS nodes, a node has no object, it cannot be
+            imported, or it refuses a parameter.
         """
+        self._triggered = triggered(self._study)
         for key, node in self._study.nodes.items():
             if not node.object:
                 raise StudyError(
@@ -81,7 +84,7 @@ class InProcessBackend(SequentialBackend):
                 return Outcome(
                     EvaluationState.FAILED, {}, f"{key} refused its parameters: {reason}"
                 )
-        trigger = self._study.trigger.node
+        trigger = self._triggered
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
             said = {trigger: self._objects[trigger].run_cut(*others.values())}
@@ -94,6 +97,19 @@ class InProcessBackend(SequentialBackend):
     def close(self) -> None:
         """Forget the objects."""
         self._objects.clear()
+
+
+def triggered(study: Study) -> str:
+    """Return the key of the node whose object runs an evaluation.
+
+    Raises
+    ------
+    StudyError
+        If there is none.
+    """
+    if study.trigger is None:
+        raise StudyError("needs ROS nodes; use --backend ros", ("run",))
+    return study.trigger.node
 
 
 def _load(path: str) -> Any:

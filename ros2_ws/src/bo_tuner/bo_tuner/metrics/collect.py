@@ -7,7 +7,7 @@ from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import ReportedMetric, Study
 from bo_tuner.trials import EvaluationState, Outcome
 
 STATUS_OK = "ok"
@@ -82,14 +82,17 @@ class Collector:
             except MissingMetricError as error:
                 return Outcome(EvaluationState.FAILED, {}, one_line(str(error)), details)
             if problem := metric_problem(found):
-                reason = f"{metric.node}: metric {metric.key} is {problem}"
+                reason = f"metric {name} is {problem}"
+                if isinstance(metric, ReportedMetric):
+                    reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
             metrics[name] = float(found)  # type: ignore[arg-type]
         return Outcome(EvaluationState.COMPLETE, metrics, "", details)
 
     def _mismatch(self, results: Results, assigned: Results) -> str:
         """Name a parameter that a node ran with another value of than it was given."""
-        metrics = {(metric.node, metric.key) for metric in self._study.metrics.values()}
+        reported = [m for m in self._study.metrics.values() if isinstance(m, ReportedMetric)]
+        metrics = {(metric.node, metric.key) for metric in reported}
         for node, pairs in results.items():
             for name, value in assigned.get(node, {}).items():
                 if name not in pairs or (node, name) in metrics:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import ReportedMetric, Study
 
 Results = Mapping[str, Mapping[str, object]]
 """What the nodes reported of an evaluation, by node key of the study, then by key."""
@@ -50,5 +50,9 @@ class ResultMessage:
 
 
 def sources_of(study: Study) -> dict[str, MetricSource]:
-    """Make the source of each metric of a study, by the metric's name."""
-    return {name: ResultMessage(m.node, m.key) for name, m in study.metrics.items()}
+    """Make the source of each metric that nodes report, by the metric's name."""
+    return {
+        name: ResultMessage(metric.node, metric.key)
+        for name, metric in study.metrics.items()
+        if isinstance(metric, ReportedMetric)
+    }

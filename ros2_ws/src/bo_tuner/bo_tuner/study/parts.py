@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,8 +38,9 @@ class NodeSpec:
         Name in the study.
     node : str
         Name of the ROS node, relative to the namespace.
-    result : str
-        Topic with the metrics of an evaluation; `~/` stands for the node's own name.
+    result : str, optional
+        Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
+        a node that is triggered or reports metrics.
     package, executable : str, optional
         Executable to start; required unless the node is already running.
     object : str, optional
@@ -51,7 +53,7 @@ class NodeSpec:
 
     name: str
     node: str
-    result: str
+    result: str = ""
     package: str | None = None
     executable: str | None = None
     object: str | None = None
@@ -64,9 +66,10 @@ class NodeSpec:
         checks.matching(
             self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
         )
-        checks.matching(
-            self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
-        )
+        if self.result != "":
+            checks.matching(
+                self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
+            )
         for key, pattern, expected in (
             ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
             ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
@@ -150,8 +153,24 @@ class Trigger:
         object.__setattr__(self, "timeout", timeout)
 
 
+class Metric(Protocol):
+    """A number that an evaluation has as its result, wherever it comes from."""
+
+    @property
+    def name(self) -> str:
+        """Name in the study."""
+
+    @property
+    def unit(self) -> str:
+        """Unit, for display only."""
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether the same evaluation gives the same number again."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class Metric:
+class ReportedMetric:
     """A number that `node` reports after an evaluation, under `key` (its `name` unless given).
 
     A metric that depends on measured time is not `reproducible`: over ROS it differs when the same

@@ -15,24 +15,29 @@ from bo_tuner.study.parts import (
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    Metric,
     NodeSpec,
     Objective,
+    ReportedMetric,
     SeedParameter,
     Trigger,
 )
+from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.signals import Signal, SignalMetric
 
 __all__ = [
     "Budget",
     "CertificateRequirement",
     "Constraint",
     "ContextVariable",
-    "Metric",
     "NodeSpec",
     "Objective",
     "Parameter",
+    "ReportedMetric",
+    "Run",
     "SeedParameter",
+    "Signal",
+    "SignalMetric",
     "Study",
     "Trigger",
 ]
@@ -60,14 +65,19 @@ class Study:
         Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
         Tuned, tied and fixed parameters.
-    trigger : Trigger
-        How an evaluation is started.
-    metrics : mapping from str to Metric
+    metrics : mapping from str to ReportedMetric or SignalMetric
         Results of an evaluation.
     objective : Objective
         What is optimized.
     budget : Budget
         Number of trials and evaluations.
+    trigger : Trigger, optional
+        Starts an evaluation of nodes that report their own metrics; a study has either this or
+        `run`.
+    run : Run, optional
+        The procedure that is an evaluation of nodes which know nothing of the tuner.
+    signals : mapping from str to Signal
+        What is recorded of such a run.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
@@ -92,10 +102,12 @@ class Study:
     name: str
     nodes: Mapping[str, NodeSpec]
     parameters: Mapping[str, Parameter]
-    trigger: Trigger
-    metrics: Mapping[str, Metric]
+    metrics: Mapping[str, ReportedMetric | SignalMetric]
     objective: Objective
     budget: Budget
+    trigger: Trigger | None = None
+    run: Run | None = None
+    signals: Mapping[str, Signal] = field(default_factory=dict)
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
@@ -120,12 +132,13 @@ class Study:
         for section in ("nodes", "parameters", "metrics"):
             if not getattr(self, section):
                 raise StudyError("expected at least one", (section,))
-        for section in ("nodes", "parameters", "contexts", "metrics", "constraints"):
+        for section in ("nodes", "parameters", "signals", "contexts", "metrics", "constraints"):
             for name, item in getattr(self, section).items():
                 if item.name != name:
                     raise StudyError(f"is called '{item.name}' in itself", (section, name))
         for path, node in self._node_references():
             checks.reference(node, "node", self.nodes, *path, "node")
+        self._check_run()
         checks.reference(self.objective.metric, "metric", self.metrics, "objective", "metric")
         for name, constraint in self.constraints.items():
             checks.reference(
@@ -227,10 +240,49 @@ class Study:
     def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
         for section in ("parameters", "contexts", "metrics"):
             for name, item in getattr(self, section).items():
-                yield (section, name), item.node
-        yield ("trigger",), self.trigger.node
+                if not isinstance(item, SignalMetric):
+                    yield (section, name), item.node
+        if self.trigger is not None:
+            yield ("trigger",), self.trigger.node
         if self.seed_parameter is not None:
             yield ("seed_parameter",), self.seed_parameter.node
+
+    def _check_run(self) -> None:
+        """Refuse a run that does not give the metrics, or that is described twice."""
+        if self.trigger is None and self.run is None:
+            raise StudyError("missing; expected trigger, or run with signals", ("trigger",))
+        if self.trigger is not None and self.run is not None:
+            raise StudyError("a study has either trigger or run; leave one out", ("run",))
+        reporting = {}
+        for name, metric in self.metrics.items():
+            here = ("metrics", name)
+            if isinstance(metric, SignalMetric):
+                if self.run is None:
+                    raise StudyError("signals are recorded in a run; add run", here)
+                try:
+                    metric.check_signals(self.signals)
+                except StudyError as error:
+                    raise error.under(*here) from None
+            elif self.run is not None:
+                raise StudyError(
+                    "is reported by a node that is triggered; with run, write of and measure",
+                    (*here, "node"),
+                )
+            else:
+                reporting[metric.node] = f"metric '{name}'"
+        if self.trigger is not None:
+            reporting[self.trigger.node] = "the trigger"
+        for node, needed_by in reporting.items():
+            if not self.nodes[node].result:
+                raise StudyError(f"missing; {needed_by} needs it", ("nodes", node, "result"))
+        if self.run is None:
+            if self.signals:
+                raise StudyError("signals are recorded in a run; add run", ("signals",))
+            return
+        try:
+            self.run.check_signals(self.signals)
+        except StudyError as error:
+            raise error.under("run") from None
 
     def _check_targets(self) -> None:
         """Refuse two sources for one parameter of a node."""

@@ -16,12 +16,14 @@ from bo_tuner.study.parts import (
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    Metric,
     NodeSpec,
     Objective,
+    ReportedMetric,
     SeedParameter,
     Trigger,
 )
+from bo_tuner.study.run import Call, End, Publish, Run, Step
+from bo_tuner.study.signals import Signal, SignalMetric
 from bo_tuner.study.study import Study
 
 MAX_BYTES = 1_000_000
@@ -35,13 +37,15 @@ _SINGLE: dict[str, type[Any]] = {
     "seed_parameter": SeedParameter,
     "objective": Objective,
     "budget": Budget,
+    "run": Run,
     "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
     "nodes": NodeSpec,
     "parameters": Parameter,
     "contexts": ContextVariable,
-    "metrics": Metric,
+    "signals": Signal,
+    "metrics": ReportedMetric,
     "constraints": Constraint,
 }
 
@@ -120,7 +124,7 @@ def study_from_mapping(mapping: object) -> Study:
     for key, cls in _SINGLE.items():
         if key in values:
             with _under(key):
-                values[key] = _build(cls, values[key])
+                values[key] = _build_run(values[key]) if cls is Run else _build(cls, values[key])
     for key, cls in _NAMED.items():
         if key in values:
             with _under(key):
@@ -131,9 +135,6 @@ def study_from_mapping(mapping: object) -> Study:
 def study_to_mapping(study: Study) -> dict[str, object]:
     """Return the dictionaries and lists of a study file that describes `study`."""
     mapping = _plain_fields(study)
-    for key in _SINGLE:
-        if key in mapping:
-            mapping[key] = _plain_fields(mapping[key])
     for key in _NAMED:
         items = getattr(study, key)
         if items:
@@ -193,9 +194,36 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
         with _under(name):
             if cls is ContextVariable:
                 items[name] = _build_context(name, fields)
+            elif (
+                cls is ReportedMetric
+                and isinstance(fields, dict)
+                and {"of", "measure"} & fields.keys()
+            ):
+                items[name] = _build(SignalMetric, fields, name=name)
             else:
                 items[name] = _build(cls, fields, name=name)
     return items
+
+
+def _build_run(value: object) -> Run:
+    fields = _arguments(Run, value)
+    with _under("end"):
+        fields["end"] = _build(End, fields["end"])
+    for phase in ("before", "start", "after"):
+        steps = checks.sequence(fields.get(phase, ()), "a list of steps", phase)
+        with _under(phase):
+            fields[phase] = tuple(_build_step(index, step) for index, step in enumerate(steps))
+    return Run(**fields)
+
+
+def _build_step(index: int, value: object) -> Step:
+    with _under(index):
+        fields = _arguments(Step, value)
+        for key, cls in (("call", Call), ("publish", Publish)):
+            if key in fields:
+                with _under(key):
+                    fields[key] = _build(cls, fields[key])
+        return Step(**fields)
 
 
 def _build_context(name: str, value: object) -> ContextVariable:
@@ -258,7 +286,10 @@ def _plain_fields(settings: Any) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    if isinstance(value, tuple):
+    """Return parts within parts as mappings, and tuples as lists."""
+    if dataclasses.is_dataclass(value):
+        return _plain_fields(value)
+    if isinstance(value, (tuple, list)):
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}

@@ -5,6 +5,7 @@ import itertools
 from typing import Any
 
 from bo_tuner.errors import ParameterError
+from bo_tuner.study.parts import ReportedMetric
 from bo_tuner.study.study import Study
 from tuning_benchmark.experiments.experiment import Calibration
 from tuning_benchmark.judging.evaluator import Evaluator
@@ -55,7 +56,7 @@ def _variant(calibration: Calibration, value: str) -> Study:
         node, inprocess_parameters={**node.inprocess_parameters, calibration.parameter: value}
     )
     metric = study.metrics[calibration.metric]
-    if calibration.key:
+    if calibration.key and isinstance(metric, ReportedMetric):
         metric = dataclasses.replace(metric, key=calibration.key)
     return dataclasses.replace(
         study,

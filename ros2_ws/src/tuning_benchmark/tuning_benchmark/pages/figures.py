@@ -19,6 +19,7 @@ from bo_tuner.figures.figure import (
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import ReportedMetric
 from tuning_benchmark.experiments.experiment import Calibration, Case, Cost
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Effort
 from tuning_benchmark.pages.statistics import Mean, Power, mean, power
@@ -173,7 +174,8 @@ def calibration(given: Calibration, result: Record) -> tuple[Figure, str]:
 
 def _other_key(given: Calibration) -> str:
     """Mention if the study limits another key than the one compared here."""
-    limited = given.study.metrics[given.metric].key
+    metric = given.study.metrics[given.metric]
+    limited = metric.key if isinstance(metric, ReportedMetric) else metric.name
     if given.key in ("", limited):
         return ""
     return f" The comparison is by {given.key}, which is less noisy; the study limits {limited}."

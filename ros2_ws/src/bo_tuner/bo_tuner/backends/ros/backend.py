@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from rclpy.context import Context
@@ -13,6 +14,7 @@ from rclpy.context import Context
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.parameters import differences
+from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.processes import NodeProcess, stop_all
 from bo_tuner.backends.ros.study_client import (
     DisturbedError,
@@ -23,6 +25,12 @@ from bo_tuner.backends.ros.study_client import (
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
+from bo_tuner.metrics.recording import (
+    NOTHING_RECORDED,
+    FailedRunError,
+    Recording,
+    signal_sources,
+)
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.study.parts import ROS
@@ -86,7 +94,8 @@ class RosBackend(SequentialBackend):
         sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
-        self._collector = Collector(study, sources)
+        signals = signal_sources(study, lambda: self._recording)
+        self._collector = Collector(study, {**signals, **(sources or {})})
         self._log_directory = log_directory
         self._attach = attach
         self._ros_arguments = ros_arguments or []
@@ -94,6 +103,7 @@ class RosBackend(SequentialBackend):
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
         self._client: StudyClient | None = None
+        self._procedure: Procedure | None = None
         self._found: dict[str, dict[str, object]] = {}
         self._held: dict[str, dict[str, object]] = {}
         self._suspension = Suspension()
@@ -110,8 +120,8 @@ class RosBackend(SequentialBackend):
             one runs more than once; or if, attached, a parameter that the study does not set is
             not what it was when the first backend with this log directory was opened.
         StudyError
-            If a node does not take its constant parameters, or the study does not say how to
-            start it.
+            If a node does not take its constant parameters, the study does not say how to start
+            it, or a topic or service of its run is not there.
         """
         _check_clock()
         given = _domain_of_environment()
@@ -142,6 +152,8 @@ class RosBackend(SequentialBackend):
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
             self._compare_with_earlier({key: self._not_of_study(key, found[key]) for key in found})
+            if self._study.run is not None:
+                self._procedure = Procedure(self._study, self._study.run, client)
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -178,9 +190,11 @@ class RosBackend(SequentialBackend):
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         try:
-            result = self._collector.outcome(client.evaluate(wanted), wanted)
-        except RefusedError as refusal:
-            return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)))
+            run = None if self._procedure is None else partial(self._run, self._procedure, client)
+            result = self._collector.outcome(client.evaluate(wanted, run), wanted)
+        except (RefusedError, FailedRunError) as refusal:
+            counts = self._recording.counts()
+            return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
         except DisturbedError as error:
             reason = one_line(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
@@ -188,7 +202,23 @@ class RosBackend(SequentialBackend):
             reason = one_line(f"{loss}{self._recover(client)}")
             return Outcome(EvaluationState.LOST, {}, reason)
         ignored = {"ignored_results": str(client.results.take_ignored())}
-        return dataclasses.replace(result, details={**result.details, **ignored})
+        return dataclasses.replace(
+            result, details={**result.details, **ignored, **self._recording.counts()}
+        )
+
+    def _run(self, procedure: Procedure, client: StudyClient) -> None:
+        try:
+            procedure.run()
+        except FailedRunError:
+            # A run may have failed for want of a node.
+            for key in self._study.nodes:
+                client.expect_answer(key)
+            raise
+
+    @property
+    def _recording(self) -> Recording:
+        """What was recorded of the last run."""
+        return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
 
     @property
     def nodes(self) -> list[str]:
@@ -199,6 +229,9 @@ class RosBackend(SequentialBackend):
         """End the started nodes, leave attached ones as they were found, and leave ROS."""
         stop_all(self.processes.values())
         self.processes.clear()
+        if self._procedure is not None:
+            self._procedure.close()
+            self._procedure = None
         if self._client is not None:
             self._restore(self._client)
             self._client.close()

@@ -30,13 +30,16 @@ from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BackendError
 from bo_tuner.metrics.collect import STATUS_OK
 from bo_tuner.study import checks
-from bo_tuner.study.study import Study
+from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.study.study import Trigger as TriggerSpec
 
 NODE_NAME = "bo_tuner"
 RESULT_QOS = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.RELIABLE)
 CALL_TIMEOUT = 5.0
 ANSWER_TIMEOUT = 1.0
 SPIN_PERIOD = 0.1
+
+PARAMETER_EVENTS = "/parameter_events"
 
 NAME_TIMEOUT = 1.0
 """Time [s] that the graph has to tell which node a new publisher belongs to."""
@@ -134,6 +137,11 @@ class StudyClient:
         self._node.get_logger().warning(text)
 
     @property
+    def node(self) -> Node:
+        """The tuner's node, which `spin_once` serves."""
+        return self._node
+
+    @property
     def full_name(self) -> str:
         """Name of the tuner's node, with its namespace."""
         return self._node.get_fully_qualified_name()
@@ -149,8 +157,8 @@ class StudyClient:
             key
             for key in self._study.nodes
             if not all(client.service_is_ready() for client, _ in self._parameter_calls(key))
-            or self._node.count_publishers(self._result_topic(key)) == 0
-            or (key == self._study.trigger.node and not self._trigger.service_is_ready())
+            or self._node.count_publishers(self._sign_of_life(key)) == 0
+            or (key == self._triggered and not self._trigger.service_is_ready())
         ]
 
     def spin_for(self, period: float) -> None:
@@ -200,7 +208,7 @@ class StudyClient:
         self._wait_for_names()
         found = []
         for key in self._study.nodes:
-            present = self._result_publishers(key)
+            present = self._publishers_of(key)
             # One that was killed stays in the graph for a while; what counts is what is new.
             if present - self._publishers.get(key, set()):
                 found.append(key)
@@ -288,7 +296,11 @@ class StudyClient:
         self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
         return self._read([key])[key]
 
-    def evaluate(self, wanted: Mapping[str, Mapping[str, object]]) -> dict[str, dict[str, object]]:
+    def evaluate(
+        self,
+        wanted: Mapping[str, Mapping[str, object]],
+        run: Callable[[], object] | None = None,
+    ) -> dict[str, dict[str, object]]:
         """Set parameters, run an evaluation, and see that it ran with them.
 
         Parameters
@@ -296,6 +308,8 @@ class StudyClient:
         wanted
             By node key the values that its parameters must have, whether the study sets them or
             not.
+        run
+            Runs once, in place of the trigger; then no node says anything.
 
         Returns
         -------
@@ -324,7 +338,9 @@ class StudyClient:
         self._check(wanted, told)
         self.results.begin()
         try:
-            said = self._run_cut()
+            said = self._run_cut() if run is None else {}
+            if run is not None:
+                run()
             anew = self.restarted()
             self._refuse_twins()
             if anew:
@@ -378,7 +394,8 @@ class StudyClient:
         }
         found = {}
         for key, future in calls.items():
-            values = self._await(self._getters[key], future, key, CALL_TIMEOUT).values
+            name = self._study.nodes[key].node
+            values = self._await(self._getters[key], future, name, CALL_TIMEOUT).values
             if len(values) != len(self._names[key]):
                 # A node leaves out all if it lacks one.
                 values = [self._value(key, name) for name in self._names[key]]
@@ -403,13 +420,15 @@ class StudyClient:
     def _run_cut(self) -> dict[str, dict[str, object]]:
         """Start an evaluation and wait for its results."""
         trigger = self._study.trigger
+        if trigger is None:
+            raise BackendError("the study has no trigger")
         deadline = time.monotonic() + trigger.timeout
-        self.results.identify(self._start_evaluation(deadline))
-        return self._await_results(deadline)
+        self.results.identify(self._start_evaluation(trigger, deadline))
+        return self._await_results(trigger, deadline)
 
-    def _await_results(self, deadline: float) -> dict[str, dict[str, object]]:
-        trigger = self._study.trigger
-        awaited = {trigger.node} | {metric.node for metric in self._study.metrics.values()}
+    def _await_results(self, trigger: TriggerSpec, deadline: float) -> dict[str, dict[str, object]]:
+        metrics = self._study.metrics.values()
+        awaited = {trigger.node} | {m.node for m in metrics if isinstance(m, ReportedMetric)}
         while True:
             said = self.results.said
             if any(pairs["status"] != STATUS_OK for pairs in said.values()):
@@ -426,8 +445,7 @@ class StudyClient:
                 )
             self._spin()
 
-    def _start_evaluation(self, deadline: float) -> str:
-        trigger = self._study.trigger
+    def _start_evaluation(self, trigger: TriggerSpec, deadline: float) -> str:
         while True:
             response = self._call(self._trigger, Trigger.Request(), trigger.node)
             if response.success:
@@ -454,13 +472,17 @@ class StudyClient:
             self._listers[key] = self._node.create_client(
                 ListParameters, f"{spec.node}/list_parameters"
             )
-            self._node.create_subscription(
-                DiagnosticArray, self._result_topic(key), partial(self._on_result, key), RESULT_QOS
-            )
+            if spec.result:
+                topic = _of_node(spec.node, spec.result)
+                self._node.create_subscription(
+                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS
+                )
         trigger = self._study.trigger
-        self._trigger = self._node.create_client(
-            Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
-        )
+        self._triggered = None if trigger is None else trigger.node
+        if trigger is not None:
+            self._trigger = self._node.create_client(
+                Trigger, _of_node(self._study.nodes[trigger.node].node, trigger.service)
+            )
 
     def _parameter_calls(self, key: str) -> list[tuple[Client, Any]]:
         """List the services of a node's parameters, each with a request that changes nothing."""
@@ -477,14 +499,14 @@ class StudyClient:
             for key, spec in self._study.nodes.items()
             if self._node.count_services(self._setters[key].srv_name) > 1
         ]
-        if self._node.count_services(self._trigger.srv_name) > 1:
+        if self._triggered and self._node.count_services(self._trigger.srv_name) > 1:
             found.append(self._trigger.srv_name)
         return found
 
-    def _result_publishers(self, key: str) -> set[bytes]:
-        """Find the publishers of a node's results that the graph says are of the node."""
+    def _publishers_of(self, key: str) -> set[bytes]:
+        """Find the publishers of a node's sign of life that the graph says are of the node."""
         name = expand_topic_name(self._study.nodes[key].node, NODE_NAME, self._node.get_namespace())
-        infos = self._node.get_publishers_info_by_topic(self._result_topic(key))
+        infos = self._node.get_publishers_info_by_topic(self._sign_of_life(key))
         return {
             bytes(info.endpoint_gid)
             for info in infos
@@ -492,7 +514,7 @@ class StudyClient:
         }
 
     def _wait_for_names(self) -> None:
-        """Wait until the graph tells whose the new publishers of results are."""
+        """Wait until the graph tells whose the new signs of life are."""
         deadline = time.monotonic() + NAME_TIMEOUT
         while nameless := self._nameless() - self._anonymous:
             if time.monotonic() > deadline:
@@ -502,13 +524,14 @@ class StudyClient:
             self._spin()
 
     def _nameless(self) -> set[bytes]:
-        topics = {self._result_topic(key) for key in self._study.nodes}
+        topics = {self._sign_of_life(key) for key in self._study.nodes}
         infos = [i for topic in topics for i in self._node.get_publishers_info_by_topic(topic)]
         return {bytes(info.endpoint_gid) for info in infos if info.node_name == UNKNOWN_NODE}
 
-    def _result_topic(self, key: str) -> str:
+    def _sign_of_life(self, key: str) -> str:
+        """Topic on which a node has a publisher from its start on, and anew when it restarts."""
         spec = self._study.nodes[key]
-        return _of_node(spec.node, spec.result)
+        return _of_node(spec.node, spec.result) if spec.result else PARAMETER_EVENTS
 
     def _on_result(self, key: str, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -519,22 +542,35 @@ class StudyClient:
             self.results.add(key, pairs)
 
     def _call(self, client: Client, request: Any, key: str, timeout: float = CALL_TIMEOUT) -> Any:
-        return self._await(client, client.call_async(request), key, timeout)
+        return self.call(client, request, self._study.nodes[key].node, timeout)
 
-    def _await(self, client: Client, future: Future, key: str, timeout: float) -> Any:
+    def call(self, client: Client, request: Any, name: str, timeout: float = CALL_TIMEOUT) -> Any:
+        """Call a service and return its answer; `name` is that of its node, for a complaint.
+
+        Raises
+        ------
+        SilentError
+            If it does not answer within `timeout` seconds.
+        """
+        return self._await(client, client.call_async(request), name, timeout)
+
+    def _await(self, client: Client, future: Future, name: str, timeout: float) -> Any:
         deadline = time.monotonic() + timeout
         while not future.done():
             # A dead server looks ready until its lease ends, and the call would never return.
             if time.monotonic() > deadline:
                 client.remove_pending_request(future)
-                name = self._study.nodes[key].node
                 raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
             self._spin()
         return future.result()
 
-    def _spin(self) -> None:
+    def spin_once(self, period: float) -> None:
+        """Take one message or answer, if one comes within `period` seconds."""
         self._watch()
-        self._executor.spin_once(timeout_sec=SPIN_PERIOD)
+        self._executor.spin_once(timeout_sec=period)
+
+    def _spin(self) -> None:
+        self.spin_once(SPIN_PERIOD)
 
 
 def _of_node(node: str, name: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.inprocess import InProcessBackend, triggered
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
@@ -55,7 +55,7 @@ class TracingBackend(InProcessBackend):
             If the trigger's object has no ``trace()``; no evaluation is run in vain.
         """
         super().open()
-        key = self._study.trigger.node
+        key = triggered(self._study)
         if getattr(self._objects[key], "trace", None) is None:
             raise NoTraceError(f"the object of node '{key}' has no trace()")
 
@@ -67,7 +67,7 @@ class TracingBackend(InProcessBackend):
         NoTraceError
             If ``trace()`` raises or returns something else.
         """
-        key = self._study.trigger.node
+        key = triggered(self._study)
         try:
             signals = {
                 str(name): Signal(str(unit), np.asarray(seen, dtype=np.float64).ravel())

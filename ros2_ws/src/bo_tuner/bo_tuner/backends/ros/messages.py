@@ -1,0 +1,203 @@
+"""Messages of any installed type: numbers out of them, and messages out of YAML."""
+
+import importlib
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from rosidl_parser.definition import (
+    AbstractGenericString,
+    AbstractNestedType,
+    AbstractType,
+    Array,
+    BasicType,
+    NamespacedType,
+)
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.signals import FieldPart
+
+FLOATS = ("float", "double", "long double")
+OCTET = "octet"
+HEADER_TYPE = "std_msgs/msg/Header"
+
+
+class ItemMissingError(Exception):
+    """A message has not the item of an array that a signal needs."""
+
+
+def interface_class(name: str) -> Any:
+    """Return the class of a message or service type such as ``std_msgs/msg/Float64``.
+
+    Raises
+    ------
+    StudyError
+        If it is not installed.
+    """
+    package, kind, interface = name.split("/")
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), interface)
+    except (ImportError, AttributeError):
+        raise StudyError(f"type {name} is not installed") from None
+
+
+def type_name(cls: Any) -> str:
+    """Name of a message class, such as ``std_msgs/msg/Float64``."""
+    package, kind, *_ = cls.__module__.split(".")
+    return f"{package}/{kind}/{cls.__name__}"
+
+
+def has_header(cls: Any) -> bool:
+    """Whether messages have a header with a stamp."""
+    return bool(cls.get_fields_and_field_types().get("header") == "std_msgs/Header")
+
+
+def number_reader(cls: Any, path: Sequence[FieldPart]) -> Callable[[Any], float]:
+    """Return a function that takes a number out of a message.
+
+    It raises `ItemMissingError` for a message whose array does not have the item.
+
+    Raises
+    ------
+    StudyError
+        If messages of this type do not have the field, or it is no single number.
+    """
+    here = cls
+    for depth, part in enumerate(path):
+        shown = ".".join(p.name for p in path[: depth + 1])
+        if here is None:
+            raise StudyError(f"{shown.rpartition('.')[0]} is a number and has no fields")
+        types = _types(here)
+        if part.name not in types:
+            raise StudyError(
+                f"{type_name(here)} has no field '{part.name}'; "
+                f"{checks.suggestion(part.name, types)}"
+            )
+        kind = _item_type(types, part, shown)
+        if isinstance(kind, NamespacedType):
+            here = interface_class("/".join(kind.namespaced_name()))
+        elif isinstance(kind, BasicType) and kind.typename != OCTET:
+            here = None
+        else:
+            raise StudyError(f"{shown} is text; expected a number")
+    if here is not None:
+        raise StudyError(
+            f"{shown} is a {type_name(here)}; name one of its fields {', '.join(_types(here))}"
+        )
+
+    def read(message: Any) -> float:
+        value = message
+        for part in path:
+            holder, value = value, getattr(value, part.name)
+            if part.item is None:
+                continue
+            try:
+                index = part.item
+                value = value[list(holder.name).index(index) if isinstance(index, str) else index]
+            except (ValueError, IndexError):
+                raise ItemMissingError(_missing(part, holder, value)) from None
+        return float(value)
+
+    return read
+
+
+def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> Any:
+    """Make a message of the values of its fields; a header without a stamp gets `stamp`.
+
+    Raises
+    ------
+    StudyError
+        If the type does not have a field, or the field cannot hold the value.
+    """
+    types = _types(cls)
+    arguments = {}
+    for name, value in values.items():
+        if name not in types:
+            raise StudyError(
+                f"{type_name(cls)} has no field '{name}'; {checks.suggestion(name, types)}", (name,)
+            )
+        try:
+            arguments[name] = _value(types[name], value)
+        except StudyError as error:
+            raise error.under(name) from None
+    # As keywords, arrays are taken as lists.
+    message = cls(**arguments)
+    given = values.get("header")
+    if (
+        stamp is not None
+        and has_header(cls)
+        and not (isinstance(given, Mapping) and "stamp" in given)
+    ):
+        message.header.stamp = stamp
+    return message
+
+
+def _types(cls: Any) -> dict[str, AbstractType]:
+    return dict(zip(cls.get_fields_and_field_types(), cls.SLOT_TYPES, strict=True))
+
+
+def _item_type(types: Mapping[str, AbstractType], part: FieldPart, shown: str) -> AbstractType:
+    kind = types[part.name]
+    if not isinstance(kind, AbstractNestedType):
+        if part.item is not None:
+            raise StudyError(f"{shown} is no array; leave out [{part.item}]")
+        return kind
+    if part.item is None:
+        by_name = f" or {shown}[NAME]" if "name" in types else ""
+        raise StudyError(f"{shown} is an array; name one item, such as {shown}[0]{by_name}")
+    if isinstance(part.item, str) and not isinstance(types.get("name"), AbstractNestedType):
+        raise StudyError(f"{shown} has no array of names beside it; expected a number in [ ]")
+    if isinstance(kind, Array) and isinstance(part.item, int) and part.item >= kind.size:
+        raise StudyError(f"{shown} has {kind.size} items, the last one is {shown}[{kind.size - 1}]")
+    return kind.value_type
+
+
+def _missing(part: FieldPart, holder: Any, value: Sequence[object]) -> str:
+    if isinstance(part.item, str) and part.item not in list(holder.name):
+        return f"has no '{part.item}' among its names {', '.join(holder.name) or '(none)'}"
+    return f"has {len(value)} items in {part.name}, none for [{part.item}]"
+
+
+def _value(kind: AbstractType, value: object) -> Any:
+    """Turn a value of YAML into what a field takes; rclpy itself checks nothing by default."""
+    if isinstance(kind, AbstractNestedType):
+        items = checks.sequence(value, "a list")
+        found = [_item(kind.value_type, item, index) for index, item in enumerate(items)]
+        if isinstance(kind, Array) and len(found) != kind.size:
+            raise StudyError(f"expected {kind.size} items, found {len(found)}")
+        return found
+    if isinstance(kind, NamespacedType):
+        if not isinstance(value, Mapping):
+            raise StudyError(f"expected fields by name, found {checks.show(value)}")
+        return make_message(interface_class("/".join(kind.namespaced_name())), value)
+    if isinstance(kind, AbstractGenericString):
+        return checks.text(value)
+    if not isinstance(kind, BasicType) or kind.typename == OCTET:
+        raise StudyError("bytes cannot be set")
+    if kind.typename in FLOATS:
+        return checks.number(value)
+    if kind.typename == "boolean":
+        if not isinstance(value, bool):
+            raise StudyError(f"expected true or false, found {checks.show(value)}")
+        return value
+    return _integer(kind.typename, value)
+
+
+def _item(kind: AbstractType, value: object, index: int) -> Any:
+    try:
+        return _value(kind, value)
+    except StudyError as error:
+        raise error.under(index) from None
+
+
+def _integer(typename: str, value: object) -> int:
+    bits = int("".join(c for c in typename if c.isdigit()) or 8)
+    lowest, beyond = (
+        (0, 2**bits) if typename.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1))
+    )
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise StudyError(f"expected an integer, found {checks.show(value)}")
+    if not lowest <= operator.index(value) < beyond:
+        raise StudyError(f"expected an integer from {lowest} to {beyond - 1}, found {value}")
+    return value

@@ -1,0 +1,235 @@
+"""Hears the signals of a study, each from the one node that publishes it."""
+
+import time
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from bo_tuner.backends.ros.messages import (
+    ItemMissingError,
+    has_header,
+    interface_class,
+    number_reader,
+)
+from bo_tuner.backends.ros.study_client import NODE_NAME as TUNER
+from bo_tuner.backends.ros.study_client import UNKNOWN_NODE
+from bo_tuner.errors import StudyError
+from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.study import checks
+from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
+
+NODE_NAME = f"{TUNER}_signals"
+DEPTH = 5000
+"""Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
+
+
+class SignalRecorder:
+    """Records the signals of a run, and tells how they are while it lasts.
+
+    Messages wait in the middleware, which notes when they came in, until `poll` takes them; none
+    of them wakes up the tuner.
+
+    Parameters
+    ----------
+    context
+        ROS context of the tuner.
+    signals
+        The study's signals.
+    """
+
+    def __init__(self, context: Context, signals: Mapping[str, Signal]) -> None:
+        self._signals = signals
+        self._node = Node(
+            NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
+        )
+        self._heard: dict[str, _Topic] = {}
+        self._began = 0
+
+    def connect(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+        """Subscribe to every signal.
+
+        Parameters
+        ----------
+        wait
+            Waits until a condition holds; whether it did in time.
+
+        Raises
+        ------
+        StudyError
+            If a topic has no publisher, or two, or other messages than expected.
+        """
+        for name, spec in self._signals.items():
+            try:
+                self._connect(name, spec, wait)
+            except StudyError as error:
+                raise error.under("signals", name) from None
+        # So that also what is published only now and then has a value when a run starts.
+        latched = [heard for heard in self._heard.values() if heard.is_latched]
+        wait(lambda: all(heard.has_message() for heard in latched))
+
+    def begin(self) -> None:
+        """Start a run: time is 0 now, and of what came before only the latest counts."""
+        for heard in self._heard.values():
+            heard.poll()
+            heard.begin()
+        self._began = time.time_ns()
+
+    def poll(self) -> None:
+        """Take what came in.
+
+        Raises
+        ------
+        FailedRunError
+            If a message does not have the item of an array that a signal is.
+        """
+        for heard in self._heard.values():
+            heard.poll()
+            if heard.problem:
+                raise FailedRunError(heard.problem)
+
+    def recording(self, end: float, since: float = -np.inf) -> Recording:
+        """Return what was recorded until `end` [s], from the last message before `since` [s] on."""
+        latest = self._began + round(end * 1e9)
+        signals = {}
+        for name, spec in self._signals.items():
+            heard = self._heard[self._node.resolve_topic_name(spec.topic)]
+            track = heard.tracks[name]
+            first = 0
+            if since > -np.inf:
+                first = max(bisect_right(track.stamps, self._began + round(since * 1e9)) - 1, 0)
+            last = bisect_right(track.stamps, latest)
+            # Of those before the start the last one holds there.
+            first = max(first, bisect_right(track.stamps, self._began - 1) - 1)
+            stamps = np.array(track.stamps[first:last], dtype=np.int64) - self._began
+            signals[name] = RecordedSignal(
+                (stamps * 1e-9).astype(np.float64),
+                np.array(track.values[first:last]),
+                heard.lost,
+                track.late,
+            )
+        return Recording(signals, end)
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._node.destroy_node()
+
+    def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
+        topic = self._node.resolve_topic_name(spec.topic)
+        publishers = self._node.get_publishers_info_by_topic
+        if not wait(lambda: bool(publishers(topic))):
+            names = sorted(n for n, _ in self._node.get_topic_names_and_types() if n != topic)
+            near = checks.suggestion(topic, names)
+            raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
+        found = publishers(topic)
+        if len(found) > 1:
+            nodes = " and ".join(sorted(i.node_name for i in found if i.node_name != UNKNOWN_NODE))
+            raise StudyError(
+                f"{topic} has {len(found)} publishers ({nodes}), whose messages would mix",
+                ("topic",),
+            )
+        (publisher,) = found
+        if spec.type not in ("", publisher.topic_type):
+            raise StudyError(
+                f"{topic} carries {publisher.topic_type}, expected {spec.type}", ("type",)
+            )
+        try:
+            cls = interface_class(publisher.topic_type)
+        except StudyError as error:
+            raise error.under("topic") from None
+        if spec.time == HEADER and not has_header(cls):
+            raise StudyError(
+                f"{publisher.topic_type} has no header; expected {RECEPTION}", ("time",)
+            )
+        try:
+            read = number_reader(cls, field_path(spec.field))
+        except StudyError as error:
+            raise StudyError(error.problem, ("field",)) from None
+        if topic not in self._heard:
+            self._heard[topic] = _Topic(topic, *self._subscribe(topic, cls, publisher.qos_profile))
+        by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
+        self._heard[topic].tracks[name] = _Track(read, by_header)
+
+    def _subscribe(self, topic: str, cls: Any, offered: QoSProfile) -> tuple[Subscription, bool]:
+        qos = QoSProfile(
+            depth=DEPTH, reliability=offered.reliability, durability=offered.durability
+        )
+        # It is in no executor, which would call this.
+        subscription = self._node.create_subscription(cls, topic, lambda message: None, qos)
+        latched = offered.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+        return subscription, latched and offered.reliability == QoSReliabilityPolicy.RELIABLE
+
+
+@dataclass
+class _Track:
+    """The values of one signal, and when each was true [ns since the epoch]."""
+
+    read: Callable[[Any], float]
+    by_header: bool
+    stamps: list[int] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
+    late: int = 0
+
+    def add(self, message: Any, received: int) -> None:
+        stamp = received
+        if self.by_header:
+            stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        value = self.read(message)
+        if self.stamps and stamp <= self.stamps[-1]:
+            self.late += 1
+            return
+        self.stamps.append(stamp)
+        self.values.append(value)
+
+    def begin(self) -> None:
+        del self.stamps[:-1], self.values[:-1]
+        self.late = 0
+
+
+@dataclass
+class _Topic:
+    """A subscription and the signals in its messages."""
+
+    name: str
+    subscription: Subscription
+    is_latched: bool
+    tracks: dict[str, _Track] = field(default_factory=dict)
+    latest: int = 0
+    lost: int = 0
+    problem: str = ""
+
+    def begin(self) -> None:
+        self.lost = 0
+        self.problem = ""
+        for track in self.tracks.values():
+            track.begin()
+
+    def has_message(self) -> bool:
+        """Whether anything ever came."""
+        self.poll()
+        return any(track.stamps for track in self.tracks.values())
+
+    def poll(self) -> None:
+        """Take what waits."""
+        handle = self.subscription.handle
+        with handle:
+            while (item := handle.take_message(self.subscription.msg_type, False)) is not None:
+                message, info = item
+                self._count_lost(info["publication_sequence_number"] or 0)
+                for track in self.tracks.values():
+                    try:
+                        track.add(message, info["received_timestamp"])
+                    except ItemMissingError as error:
+                        self.problem = f"a message on {self.name} {error}"
+
+    def _count_lost(self, number: int) -> None:
+        # A publisher that was started anew begins again; not every middleware numbers.
+        if 0 < self.latest < number:
+            self.lost += number - self.latest - 1
+        self.latest = number

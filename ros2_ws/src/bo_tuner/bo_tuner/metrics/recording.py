@@ -1,0 +1,201 @@
+"""The signals of one run, and the metrics that are computed of them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.numerics.signal_metrics import MEASURES, UndefinedMetricError, options_of
+from bo_tuner.study.signals import TIME, Signal, SignalMetric, expression
+from bo_tuner.study.study import Study
+
+
+class FailedRunError(Exception):
+    """A run does not count, for the reason in one line."""
+
+
+@dataclass(frozen=True)
+class RecordedSignal:
+    """A signal as its messages gave it.
+
+    Attributes
+    ----------
+    time
+        When each message was true (n,) [s] since the start of the run, increasing. The last one
+        before the start, if there was one, stands first.
+    value
+        What it said (n,).
+    lost
+        Messages that the middleware lost.
+    late
+        Messages that were left out, as their time was not after that of the one before.
+    """
+
+    time: Array
+    value: Array
+    lost: int = 0
+    late: int = 0
+
+    @property
+    def messages(self) -> int:
+        """Number of messages in the run."""
+        return int(np.count_nonzero(self.time >= 0.0))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded of a run.
+
+    Between two of its messages a signal has the value of the first one (zero-order hold), and so
+    have signals whose messages come at different times.
+
+    Attributes
+    ----------
+    signals
+        By their names in the study.
+    end
+        When the run ended [s] since its start.
+    """
+
+    signals: Mapping[str, RecordedSignal]
+    end: float
+
+    def check(self, specs: Mapping[str, Signal]) -> None:
+        """Fail a run whose signals are not whole.
+
+        Raises
+        ------
+        FailedRunError
+            If a signal has too few messages, too long a time without one, or a value that is not
+            finite; the message names the signal and its topic.
+        """
+        for name, spec in specs.items():
+            seen = self.signals[name]
+            where = f"signal {name} ({spec.topic})"
+            wrong = np.flatnonzero(~np.isfinite(seen.value))
+            if len(wrong):
+                when = seen.time[wrong[0]]
+                raise FailedRunError(f"{where} is {seen.value[wrong[0]]:g} at {when:.3f} s")
+            if seen.messages < spec.minimum_messages:
+                before = "; the latest has a stamp before the start" if len(seen.time) else ""
+                raise FailedRunError(
+                    f"{where} has {seen.messages} messages in a run of {self.end:.3g} s, "
+                    f"expected at least {spec.minimum_messages}{before}"
+                )
+            if spec.largest_gap is not None:
+                times = np.concatenate(([0.0], seen.time[seen.time >= 0.0], [self.end]))
+                gaps = np.diff(times)
+                k = int(gaps.argmax())
+                if gaps[k] > spec.largest_gap:
+                    raise FailedRunError(
+                        f"{where} has no message for {gaps[k]:.3g} s from {times[k]:.3f} s on, "
+                        f"expected one at least every {spec.largest_gap:g} s"
+                    )
+
+    def sample(self, expression: Expression, held: bool = True) -> tuple[Array, Array]:
+        """Evaluate an expression at the time of each message of its signals.
+
+        Parameters
+        ----------
+        expression
+            The expression.
+        held
+            Whether the values that hold at the start and at the end count, too.
+
+        Returns
+        -------
+        tuple of Array
+            Times (n,) [s], from 0, or where the last of its signals begins, to the end of the run,
+            and values (n,).
+
+        Raises
+        ------
+        MissingMetricError
+            If a signal has no message.
+        """
+        used = {name: self.signals[name] for name in expression.names - {TIME}}
+        for name, seen in used.items():
+            if not len(seen.time):
+                raise MissingMetricError(f"signal {name} has no message")
+        begin = max([0.0, *(seen.time[0] for seen in used.values())])
+        runs = [np.array([begin, self.end] if held else []), *(s.time for s in used.values())]
+        stamps = np.concatenate(runs)
+        # Sorted runs, which a merge sort takes in one pass. Counted along it, the messages of a
+        # signal give which one holds; of equal times the last place knows of all of them.
+        order = np.argsort(stamps, kind="stable")
+        source = np.repeat(np.arange(len(runs)), [len(run) for run in runs])[order]
+        time = stamps[order]
+        keep = np.append(np.diff(time) > 0.0, True) & (time >= begin) & (time <= self.end)
+        values = {
+            name: seen.value[np.cumsum(source == k)[keep] - 1]
+            for k, (name, seen) in enumerate(used.items(), start=1)
+        }
+        time = time[keep]
+        found = expression(values | {TIME: time})
+        return time, np.broadcast_to(found, time.shape).astype(np.float64)
+
+    def counts(self) -> dict[str, str]:
+        """Say in words how many messages of each signal came."""
+        return {
+            f"signals.{name}": f"{seen.messages} messages, {seen.lost} lost, {seen.late} late"
+            for name, seen in self.signals.items()
+        }
+
+
+NOTHING_RECORDED = Recording({}, 0.0)
+
+
+class SignalSource:
+    """Computes a metric of the signals of the last run.
+
+    Parameters
+    ----------
+    metric
+        The metric.
+    study
+        The study, for its signals.
+    recording
+        Returns what was recorded of the last run.
+    """
+
+    def __init__(
+        self, metric: SignalMetric, study: Study, recording: Callable[[], Recording]
+    ) -> None:
+        self._metric = metric
+        self._recording = recording
+        self._of = expression(metric.of, study.signals)
+        self._target = (
+            expression(metric.target, study.signals) if isinstance(metric.target, str) else None
+        )
+
+    def value(self, results: Results) -> float:
+        """Return the value; of `results` nothing is needed."""
+        recording = self._recording()
+        metric = self._metric
+        options = {key: getattr(metric, key) for key in options_of(metric.measure)}
+        if self._target is not None:
+            options["target"] = float(recording.sample(self._target)[1][-1])
+        # What holds at the start came before it: its change would look too steep.
+        time, value = recording.sample(self._of, held=metric.measure != "largest_rate")
+        if not np.isfinite(value).all():
+            when = time[np.flatnonzero(~np.isfinite(value))[0]]
+            raise MissingMetricError(
+                f"metric {metric.name}: {metric.of} is undefined at {when:.3f} s"
+            )
+        try:
+            given = {key: item for key, item in options.items() if item is not None}
+            return MEASURES[metric.measure](time, value, **given)
+        except UndefinedMetricError as error:
+            raise MissingMetricError(f"metric {metric.name}: {metric.of} {error}") from None
+
+
+def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str, MetricSource]:
+    """Make the source of each metric of a study that is computed of signals, by its name."""
+    return {
+        name: SignalSource(metric, study, recording)
+        for name, metric in study.metrics.items()
+        if isinstance(metric, SignalMetric)
+    }

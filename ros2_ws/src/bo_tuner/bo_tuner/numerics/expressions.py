@@ -1,0 +1,178 @@
+"""Expressions between signals, such as ``abs(setpoint - position) > 0.1 and t > 2``.
+
+simpleeval walks Python's syntax tree and knows numbers, names, calls of named functions and
+operators, and nothing else: no attributes, no items, no statements. Its own operators are for
+single numbers; ours work item by item on arrays, ``and``, ``or``, ``not`` and chains such as
+``0 < x < 1`` included.
+"""
+
+import ast
+from collections.abc import Callable, Mapping
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import simpleeval
+from numpy.typing import ArrayLike
+
+from bo_tuner.numerics.arrays import Array
+
+LONGEST = 500
+"""Characters of an expression."""
+
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+    ast.Mod: np.mod,
+    ast.USub: np.negative,
+    ast.UAdd: np.positive,
+    ast.Not: np.logical_not,
+    ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+}
+_NODES = (
+    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Constant,
+)  # fmt: skip
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "exp": np.exp,
+    "log": np.log,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "atan2": np.arctan2,
+    "hypot": np.hypot,
+    "sign": np.sign,
+    "min": np.minimum,
+    "max": np.maximum,
+}
+"""Functions that an expression may call, of one or two arguments."""
+
+
+class ExpressionError(ValueError):
+    """A text is no expression that can be evaluated; the message is one line."""
+
+
+class UnknownNameError(ExpressionError):
+    """An expression has a name that is not known.
+
+    Parameters
+    ----------
+    name
+        The name.
+    known
+        The names that are.
+    """
+
+    def __init__(self, name: str, known: tuple[str, ...]) -> None:
+        super().__init__(f"unknown name {name}")
+        self.name = name
+        self.known = known
+
+
+class Expression:
+    """A checked expression.
+
+    Parameters
+    ----------
+    text
+        The expression.
+    names
+        The names that it may have.
+
+    Attributes
+    ----------
+    text : str
+        The expression.
+    names : frozenset of str
+        The names that it does have.
+
+    Raises
+    ------
+    ExpressionError
+        If it cannot be evaluated.
+    """
+
+    def __init__(self, text: str, names: tuple[str, ...]) -> None:
+        if len(text) > LONGEST:
+            raise ExpressionError(f"expected at most {LONGEST} characters")
+        try:
+            self._tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            raise ExpressionError("not an expression") from None
+        self.text = text
+        called = {id(n.func) for n in ast.walk(self._tree) if isinstance(n, ast.Call)}
+        found = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
+        for node in found:
+            known = tuple(FUNCTIONS) if id(node) in called else names
+            if node.id not in known:
+                raise UnknownNameError(node.id, known)
+        self.names = frozenset(node.id for node in found if id(node) not in called)
+        # Whatever else is wrong, such as a missing argument, shows with any numbers.
+        self({name: np.ones(1) for name in self.names})
+
+    def __call__(self, values: Mapping[str, ArrayLike]) -> Array:
+        """Evaluate the expression item by item.
+
+        Parameters
+        ----------
+        values
+            Of each of its names, arrays (n,) or single numbers.
+
+        Returns
+        -------
+        Array
+            The values (n,); NaN or infinite where they are not defined, such as 1/0. Of a
+            condition, 1 where it holds and 0 elsewhere.
+
+        Raises
+        ------
+        ExpressionError
+            If it has parts that are not supported.
+        """
+        evaluator = simpleeval.SimpleEval(_OPERATORS, FUNCTIONS, dict(values))
+        evaluator.nodes = {kind: evaluator.nodes[kind] for kind in _NODES} | {
+            ast.Constant: _number,
+            ast.BoolOp: lambda node: _all_or_any(evaluator, node),
+            ast.Compare: lambda node: _compare(evaluator, node),
+        }
+        try:
+            with np.errstate(all="ignore"):
+                found = evaluator.eval(self.text, previously_parsed=self._tree)
+                return np.asarray(found, dtype=np.float64)
+        except simpleeval.InvalidExpression as error:
+            raise ExpressionError(" ".join(str(error).split())) from None
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ExpressionError(f"cannot be evaluated: {' '.join(str(error).split())}") from None
+
+
+def _number(node: ast.Constant) -> float:
+    if isinstance(node.value, bool) or not isinstance(node.value, (int, float)):
+        raise ExpressionError(f"expected a number instead of {node.value!r}")
+    try:
+        return float(node.value)
+    except OverflowError:
+        raise ExpressionError("a number is too large") from None
+
+
+def _all_or_any(evaluator: Any, node: ast.BoolOp) -> Any:
+    combine = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
+    return reduce(combine, [evaluator._eval(value) for value in node.values])
+
+
+def _compare(evaluator: Any, node: ast.Compare) -> Any:
+    sides = [evaluator._eval(side) for side in (node.left, *node.comparators)]
+    results = []
+    for operation, left, right in zip(node.ops, sides[:-1], sides[1:], strict=True):
+        if type(operation) not in _OPERATORS:
+            raise ExpressionError("compare numbers by <, <=, >, >=, == or !=")
+        results.append(_OPERATORS[type(operation)](left, right))
+    return reduce(np.logical_and, results)

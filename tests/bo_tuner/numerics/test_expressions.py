@@ -1,0 +1,75 @@
+"""Expressions between signals: right on arrays, and nothing but arithmetic."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bo_tuner.numerics.expressions import Expression, ExpressionError, UnknownNameError
+
+X = np.array([-2.0, -0.5, 0.0, 1.5])
+Y = np.array([1.0, 2.0, 3.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x - y", X - Y),
+        ("-x ** 2 + 3 * y / 2", -(X**2) + 1.5 * Y),
+        ("abs(x) % 2", np.abs(X) % 2),
+        ("hypot(x, y)", np.sqrt(X**2 + Y**2)),
+        ("max(min(x, 1), -1)", np.clip(X, -1, 1)),
+        ("x > 0", [0, 0, 0, 1]),
+        ("-1 < x < 1", [0, 1, 1, 0]),
+        ("x < -1 or y >= 4", [1, 0, 0, 1]),
+        ("x < 0 and not y > 1", [1, 0, 0, 0]),
+        ("x == 0 or x != 0 and y < 2", [1, 0, 1, 0]),
+        ("3", 3.0),
+        (" x ", X),
+    ],
+)
+def test_arithmetic_on_arrays(text, expected):
+    np.testing.assert_allclose(Expression(text, ("x", "y"))({"x": X, "y": Y}), expected)
+
+
+def test_what_is_not_defined_is_not_finite():
+    np.testing.assert_array_equal(Expression("1 / x", ("x",))({"x": [0.0, 2.0]}), [np.inf, 0.5])
+    assert np.isnan(Expression("sqrt(x)", ("x",))({"x": -1.0}))
+
+
+def test_the_names_that_it_has():
+    assert Expression("abs(x) + min(z, x)", ("x", "y", "z")).names == {"x", "z"}
+
+
+@pytest.mark.parametrize("text", ["speed - x", "cosh(x)", "x(1)", "abs", "__import__('os')", "t"])
+def test_unknown_names(text):
+    with pytest.raises(UnknownNameError):
+        Expression(text, ("x",))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "x +", "x; x", "x = 1", "import os", "x.real", "x[0]", "(x).__class__", "[x]", "(x, x)",
+        "{x: 1}", "lambda: x", "x if x else x", "[v for v in x]", "'x' * 9", "f'{x}'", "True", "1j",
+        "x in x", "x is x", "x @ x", "x << 3", "x & 1", "~x", "abs()", "abs(x, x, x, x)",
+        "min(*x)", "max(x, axis=0)", "abs(x, out=x)", "(y := x)", "await x", "x" * 600,
+        "(" * 400 + "x" + ")" * 400 , "-" * 499 + "x" * 2, "9" * 400,
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused_in_one_line(text):
+    with pytest.raises(ExpressionError) as caught:
+        Expression(text, ("x",))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_huge_power_takes_no_time():
+    assert np.isinf(Expression("9 ** 9 ** 9 ** 9", ())({}))
+
+
+@given(st.text(alphabet="xy()+-*/<>=. 019andor,_[]:'", max_size=40))
+def test_a_text_is_evaluated_or_refused(text):
+    with contextlib.suppress(ExpressionError):
+        assert Expression(text, ("x", "y"))({"x": X, "y": Y}).dtype == float

@@ -1,0 +1,184 @@
+"""Studies of systems that know nothing of the tuner: signals, their metrics, and runs."""
+
+import pytest
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import strict_yaml
+from bo_tuner.study.run import Call, End, Publish, Step
+from bo_tuner.study.signals import FieldPart, field_path
+from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
+
+STUDY = """\
+name: position
+nodes:
+  pid: {node: pid}
+parameters:
+  kp: {node: pid, type: double, bounds: [1.0, 50.0], default: 5.0}
+signals:
+  setpoint: {topic: /setpoint, field: data, minimum_messages: 0}
+  position: {topic: joint_states, field: "position[motor]", time: header, largest_gap: 1}
+run:
+  before:
+    - call: {service: /motor/reset}
+    - publish: {topic: /setpoint, type: std_msgs/msg/Float64, message: {data: 0.0}}
+    - wait: 1
+  start:
+    - publish: {topic: /setpoint, message: {data: 1.0}}
+  end: {after: 2}
+  timeout: 5
+  abort_when: abs(position) > 3 and t > 0.1
+metrics:
+  error: {of: setpoint - position, measure: iae, unit: rad s}
+  settling: {of: position, measure: settling_time, target: setpoint, band: 0.05}
+  effort: {of: abs(position), measure: percentile, percent: 95}
+objective: {metric: error}
+budget: {trials: 12, initial_trials: 4}
+"""
+
+
+def put(value, *path):
+    """The study with a value put in; None takes the key out."""
+    changed = inner = strict_yaml.parse(STUDY).value
+    for key in path[:-1]:
+        inner = inner[key]
+    if value is None:
+        del inner[path[-1]]
+    else:
+        inner[path[-1]] = value
+    return changed
+
+
+def refusal(changed):
+    with pytest.raises(StudyError) as caught:
+        study_from_mapping(changed)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_what_is_read():
+    study = parse_study(STUDY)
+    assert study.nodes["pid"].result == ""
+    assert study.trigger is None
+    assert study.signals["position"].largest_gap == 1.0
+    reset, home, wait = study.run.before
+    assert reset == Step(call=Call(service="/motor/reset"))
+    assert home.publish == Publish(
+        topic="/setpoint", type="std_msgs/msg/Float64", message={"data": 0.0}
+    )
+    assert wait == Step(wait=1.0)
+    assert (study.run.end, study.run.after) == (End(after=2.0), ())
+    assert study.metrics["settling"].target == "setpoint"
+    assert [path for path, _ in study.run.steps][-1] == ("run", "start", 0)
+
+
+def test_what_is_written_reads_back_equal():
+    study = parse_study(STUDY)
+    assert parse_study(study_to_yaml(study)) == study
+    lists = {"topic": "a", "message": {"points": [{"x": [1.0, 2.0], "name": "b"}], "on": True}}
+    nested = study_from_mapping(put([{"publish": lists}], "run", "after"))
+    assert parse_study(study_to_yaml(nested)) == nested
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("data", [FieldPart("data")]),
+        ("data[3]", [FieldPart("data", 3)]),
+        ("position[motor]", [FieldPart("position", "motor")]),
+        ("position[left.wheel-1]", [FieldPart("position", "left.wheel-1")]),
+        ("pose.pose.position.x", [FieldPart(n) for n in ("pose", "pose", "position", "x")]),
+        ("points[0].positions[2]", [FieldPart("points", 0), FieldPart("positions", 2)]),
+    ],
+)
+def test_paths_of_fields(text, expected):
+    assert list(field_path(text)) == expected
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[3]", "a..b", "a[", "a[]", "a[1][2]", "a b", "/a", "_a", "é"]
+)
+def test_no_path_of_a_field(text):
+    with pytest.raises(StudyError, match="expected a field such as"):
+        field_path(text)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "complaint"),
+    [
+        ("run", None, "trigger: missing; expected trigger, or run with signals"),
+        ("trigger", {"node": "pid", "service": "~/go"}, "run: a study has either trigger or run"),
+        ("signals/position/topic", "~/state", "expected a topic name such as /joint_states"),
+        ("signals/position/topic", None, "signals.position.topic: missing"),
+        ("signals/position/field", "position motor", "expected a field such as"),
+        ("signals/position/type", "JointState", "expected a message type such as"),
+        ("signals/position/time", "haeder", "unknown 'haeder'; did you mean 'header'?"),
+        ("signals/position/minimum_messages", -1, "expected an integer of at least 0"),
+        ("signals/position/largest_gap", 0, "expected a number above 0"),
+        ("signals/position/filed", "x", "unknown key; did you mean 'field'?"),
+        ("signals/t", {"topic": "a", "field": "b"}, "signals.t: 't' has a meaning in expressions"),
+        ("signals/abs", {"topic": "a", "field": "b"}, "'abs' has a meaning in expressions"),
+        ("signals/a-b", {"topic": "a", "field": "b"}, "expected a name of letters, digits and _"),
+        ("metrics/error/of", "setpoint - positoin", "there is no signal or function 'positoin'; "
+         "did you mean 'position'?"),
+        ("metrics/error/of", "cosh(position)", "there is no signal or function 'cosh'"),
+        ("metrics/error/of", "position.real", "metrics.error.of: Sorry, Attribute is not"),
+        ("metrics/error/of", "t + 1", "expected an expression with a signal"),
+        ("metrics/error/of", 3, "metrics.error.of: expected text, found 3"),
+        ("metrics/error/of", None, "metrics.error.of: missing"),
+        ("metrics/error/measure", "settle_time", "did you mean 'settling_time'?"),
+        ("metrics/error/measure", "percentile", "metrics.error.percent: missing; percentile needs"),
+        ("metrics/error/measure", "largest_rate", "expected one signal"),
+        ("metrics/error/target", 1.0, "metrics.error.target: iae has none"),
+        ("metrics/error/key", "x", "metrics.error.key: unknown key"),
+        ("metrics/settling/target", "stepoint", "did you mean 'setpoint'?"),
+        ("metrics/settling/target", [1], "settling.target: expected a number, found a list"),
+        ("metrics/settling/band", 0, "expected a number above 0"),
+        ("metrics/effort/percent", 101, "metrics.effort.percent: expected 0 to 100, found 101"),
+        ("metrics/other", {"node": "pid"}, "metrics.other.node: is reported by a node that"),
+        ("run/end", None, "run.end: missing"),
+        ("run/end/when", "position > 1", "run.end: expected either after or when"),
+        ("run/end/after", 6, "run.end.after: 6 s are more than the timeout, 5 s"),
+        ("run/end/after", None, "run.end: expected either after or when"),
+        ("run/timeout", 0, "run.timeout: expected a number above 0"),
+        ("run/abort_when", "positon > 1", "abort_when: there is no signal or function 'positon'"),
+        ("run/abort_when", "position >", "run.abort_when: not an expression, in 'position >'"),
+        ("run/abort_wen", "position > 1", "unknown key; did you mean 'abort_when'?"),
+        ("run/before", {"wait": 1}, "run.before: expected a list of steps, found a mapping"),
+        ("run/before/2/wait", -1, "run.before[2].wait: expected a number above 0"),
+        ("run/before/2/call", {"service": "/a"}, "run.before[2]: expected one of call, publish"),
+        ("run/before/0/call/service", "/a b", "before[0].call.service: expected a service name"),
+        ("run/before/0/cal", 1, "run.before[0].cal: unknown key; did you mean 'call'?"),
+        ("run/before/1/publish/message", [1], "run.before[1].publish.message: expected the fields"),
+        ("run/before/1/publish/message/data", {"x": "?", "y": {}}, None),
+        ("run/before/1/publish/type", "Float64", "expected a message type"),
+        ("run/start", [{"wait": 3}], "run.start: the steps take 3 s, but the run ends after 2 s"),
+    ],
+)  # fmt: skip
+def test_mistakes(path, value, complaint):
+    keys = [int(key) if key.isdigit() else key for key in path.split("/")]
+    if complaint is None:
+        study_from_mapping(put(value, *keys))
+    else:
+        assert complaint in refusal(put(value, *keys))
+
+
+def test_an_error_has_its_line():
+    with pytest.raises(StudyError) as caught:
+        parse_study(STUDY.replace("abs(position) > 3", "abs(postion) > 3"), "study.yaml")
+    assert str(caught.value).startswith("study.yaml:18: run.abort_when: there is no signal")
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"signals": {"x": {"topic": "x", "field": "data"}}}, "signals: signals are recorded in a"),
+        ({"metrics": {"error": {"of": "x", "measure": "iae"}}}, "metrics.error: signals are"),
+        ({"nodes": {"axis": {"node": "axis"}}}, "nodes.axis.result: missing; the trigger needs it"),
+        ({"trigger": None}, "trigger: missing; expected trigger, or run with signals"),
+    ],
+)  # fmt: skip
+def test_mistakes_of_a_study_with_a_trigger(make_study, changes, complaint):
+    with pytest.raises(StudyError) as caught:
+        make_study(**({"metrics": {"error": {"node": "axis"}}, "constraints": {}} | changes))
+    assert str(caught.value).startswith(complaint)

@@ -1,0 +1,354 @@
+"""Runs on a system that knows nothing of the tuner: its topics, services and mistakes."""
+
+import contextlib
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from bo_tuner.backends.ros import procedure, study_client
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import StudyError
+from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+
+pytestmark = pytest.mark.ros
+BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class System(Node):
+    """Follows /setpoint by `gain` at 100 Hz, from its start on."""
+
+    def __init__(self, context):
+        super().__init__("servo", context=context)
+        self.declare_parameter("gain", 0.5)
+        self.angle = self.setpoint = 0.0
+        self.names = ["other", "motor"]
+        self.silent = False
+        self.hang = 0.0
+        self.received = []
+        self.states = self.create_publisher(JointState, "joint_states", BEST_EFFORT)
+        self.plain = self.create_publisher(Float64MultiArray, "plain", 10)
+        self.text = self.create_publisher(String, "text", 10)
+        self.limit = self.create_publisher(Float64, "limit", LATCHED)
+        self.limit.publish(Float64(data=2.5))
+        self.create_subscription(Float64, "setpoint", self.follow, 10)
+        self.create_subscription(JointState, "wanted", self.received.append, 10)
+        self.create_service(Trigger, "~/reset", self.reset)
+        self.create_service(SetBool, "~/enable", self.enable)
+        self.create_timer(0.01, self.step)
+
+    def follow(self, message):
+        self.setpoint = message.data
+        hang, self.hang = self.hang, 0.0
+        time.sleep(hang)
+
+    def reset(self, request, response):
+        self.angle = self.setpoint = 0.0
+        response.success = True
+        return response
+
+    def enable(self, request, response):
+        response.success = request.data
+        response.message = "the brake is on"
+        return response
+
+    def step(self):
+        self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
+        if self.silent:
+            return
+        message = JointState(name=self.names, position=[7.0, self.angle])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.states.publish(message)
+        self.plain.publish(Float64MultiArray(data=[1.0, self.angle]))
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """The system, at work in a thread, and a node whose services nobody serves."""
+    context = Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    system, idle = System(context), Node("idle", context=context)
+    idle.create_service(Trigger, "hang", lambda request, response: response)
+    idle.create_publisher(Float64, "twice", 10)
+    system.create_publisher(Float64, "twice", 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(system)
+    stop = threading.Event()
+
+    def spin():
+        while not stop.is_set():
+            # An answer to a client that has gone is an error to rclpy.
+            with contextlib.suppress(RCLError):
+                executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield system
+    stop.set()
+    thread.join()
+    executor.shutdown()
+    for node in (system, idle):
+        node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def system(machine):
+    """The system as it is at first."""
+    machine.angle = machine.setpoint = 0.0
+    machine.names, machine.silent, machine.hang = ["other", "motor"], False, 0.0
+    machine.received.clear()
+    return machine
+
+
+def study(signals=None, run=None, metrics=None):
+    """A study of the system; None in place of a value takes a key out."""
+    sections = {
+        "signals": {
+            "setpoint": {"topic": "setpoint", "field": "data"},
+            "angle": {"topic": "/joint_states", "field": "position[motor]"},
+        },
+        "run": {
+            "before": [{"call": {"service": "servo/reset"}}],
+            "start": [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}],
+            "end": {"after": 0.3},
+        },
+        "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
+    }
+    for section, changes in (("signals", signals), ("run", run), ("metrics", metrics)):
+        sections[section] = sections[section] | (changes or {})
+    node = {"node": "servo"}
+    return study_from_mapping(
+        {
+            "name": "servo",
+            "nodes": {"servo": node},
+            "parameters": {"gain": node | {"type": "double", "bounds": [0, 1], "default": 0.5}},
+            "objective": {"metric": "error"},
+            "budget": {"trials": 1, "initial_trials": 1},
+        }
+        | sections
+    )
+
+
+@pytest.fixture
+def backend(system, tmp_path, monkeypatch):
+    """Function that opens a backend for a study."""
+    monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
+    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
+    opened = []
+
+    def make(**changes):
+        made = RosBackend(study(**changes), Path(tmp_path), attach=True)
+        opened.append(made)
+        made.open()
+        return made
+
+    yield make
+    for made in opened:
+        made.close()
+
+
+def run(backend, gain=0.5):
+    return backend.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": gain}, {}, 1))
+
+
+def test_a_run_and_its_metrics(backend, system):
+    made = backend(
+        signals={
+            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 0.3},
+            "limit": {"topic": "limit", "field": "data", "minimum_messages": 0},
+        },
+        run={
+            "end": {"after": 1.0},
+            "after": [{"publish": {"topic": "wanted", "message": {"name": ["a"]}}}],
+        },
+        metrics={
+            "last": {"of": "angle", "measure": "maximum"},
+            "same": {"of": "plain", "measure": "maximum"},
+            "margin": {"of": "limit - setpoint", "measure": "minimum"},
+            "time": {"of": "angle", "measure": "duration"},
+        },
+    )
+    slow, fast = (run(made, gain) for gain in (0.0, 0.5))
+    assert [slow.state, fast.state] == [EvaluationState.COMPLETE] * 2, (slow.reason, fast.reason)
+    assert slow.metrics["error"] > fast.metrics["error"] > 0.0
+    assert fast.metrics["last"] == pytest.approx(1.0, abs=0.01)
+    assert fast.metrics["same"] == pytest.approx(1.0, abs=0.01)
+    assert fast.metrics["margin"] == 1.5
+    assert fast.metrics["time"] == pytest.approx(1.0)
+    assert fast.details["signals.setpoint"] == "1 messages, 0 lost, 0 late"
+    # The steps after the run; the message has a stamp.
+    assert [m.name for m in system.received] == [["a"]] * 2
+    assert all(m.header.stamp.sec > 0 for m in system.received)
+    made.close()
+    assert system.get_parameter("gain").value == 0.5
+
+
+@pytest.mark.parametrize(
+    ("signals", "complaint"),
+    [
+        ({"topic": "/joint_staets"}, "topic: nothing publishes /joint_staets; did you mean '/j"),
+        ({"topic": "twice", "field": "data"}, "topic: /twice has 2 publishers (idle and servo)"),
+        ({"type": "std_msgs/msg/Float64"}, "type: /joint_states carries sensor_msgs/msg/Joint"),
+        ({"field": "positon[motor]"}, "no field 'positon'; did you mean 'position'?"),
+        ({"field": "position"}, "position is an array; name one item, such as position[0] or"),
+        ({"field": "name[0]"}, "field: name is text; expected a number"),
+        ({"field": "header.stamp"}, "header.stamp is a builtin_interfaces/msg/Time; name one"),
+        ({"field": "header.stamp[0]"}, "header.stamp is no array; leave out [0]"),
+        ({"field": "header.stamp.sec.x"}, "header.stamp.sec is a number and has no fields"),
+        ({"topic": "plain", "field": "data[x]"}, "data has no array of names beside it"),
+        ({"topic": "plain", "field": "data[0]", "time": "header"}, "time: std_msgs/msg/Float64"),
+    ],
+)  # fmt: skip
+def test_a_signal_that_cannot_be_had(backend, signals, complaint):
+    angle = {"topic": "joint_states", "field": "position[motor]"} | signals
+    with pytest.raises(StudyError) as caught:
+        backend(signals={"angle": angle})
+    assert str(caught.value).startswith("signals.angle.")
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("step", "complaint"),
+    [
+        ({"call": {"service": "servo/rest"}}, "call.service: there is no service /servo/rest; did"),
+        (
+            {"call": {"service": "servo/enable", "request": {"dat": True}}},
+            "call.request.dat: std_srvs/srv/SetBool_Request has no field 'dat'; did you",
+        ),
+        (
+            {"call": {"service": "servo/enable", "request": {"data": 1}}},
+            "call.request.data: expected true or false, found 1",
+        ),
+        (
+            {"publish": {"topic": "nobody", "message": {}}},
+            "publish.topic: nothing subscribes to /nobody",
+        ),
+        (
+            {"publish": {"topic": "setpoint", "type": "std_msgs/msg/Int32", "message": {}}},
+            "publish.type: /setpoint carries std_msgs/msg/Float64, expected std_msgs/msg/Int32",
+        ),
+        (
+            {"publish": {"topic": "setpoint", "message": {"data": "fast"}}},
+            "publish.message.data: expected a number, found text 'fast'",
+        ),
+        (
+            {"publish": {"topic": "wanted", "message": {"position": [1.0, "x"]}}},
+            "publish.message.position[1]: expected a number",
+        ),
+        (
+            {"publish": {"topic": "wanted", "message": {"header": {"stamp": {"nanosec": -1}}}}},
+            "publish.message.header.stamp.nanosec: expected an integer from 0 to 4294967295",
+        ),
+    ],
+)
+def test_a_step_that_cannot_be_done(backend, step, complaint):
+    with pytest.raises(StudyError) as caught:
+        backend(run={"before": [step]})
+    assert str(caught.value).startswith(f"run.before[0].{complaint}")
+
+
+def failure(outcome):
+    assert outcome.state is EvaluationState.FAILED, outcome
+    assert outcome.metrics == {}
+    return outcome.reason
+
+
+def test_a_signal_that_is_not_a_number(backend, system):
+    made = backend(run={"before": [{"wait": 0.05}]})
+    system.angle = float("nan")
+    assert failure(run(made)).startswith("signal angle (/joint_states) is nan at ")
+
+
+def test_a_run_without_a_message(backend, system):
+    made = backend()
+    system.silent = True
+    reason = failure(run(made))
+    assert reason.startswith(
+        "signal angle (/joint_states) has 0 messages in a run of 0.3 s, expected at least 1"
+    )
+    system.silent = False
+    assert run(made).state is EvaluationState.COMPLETE
+
+
+def test_a_joint_that_is_not_in_the_messages(backend, system):
+    made = backend()
+    system.names = ["other", "engine"]
+    expected = "a message on /joint_states has no 'motor' among its names other, engine"
+    assert failure(run(made)) == expected
+
+
+def test_a_condition_ends_a_run(backend):
+    made = backend(
+        run={"end": {"when": "angle > 0.9 and t > 0.05"}, "timeout": 5.0},
+        metrics={"time": {"of": "angle", "measure": "duration"}},
+    )
+    slow, fast = (run(made, gain).metrics["time"] for gain in (0.02, 0.5))
+    # 0.9 is passed after 114 and after 4 periods of 10 ms.
+    assert slow > fast > 0.05
+
+
+def test_a_condition_that_never_holds(backend):
+    made = backend(run={"end": {"when": "angle > 5"}, "timeout": 0.3})
+    assert failure(run(made)) == "the run does not end: 'angle > 5' does not hold within 0.3 s"
+
+
+def test_a_run_is_aborted_and_the_steps_after_it_are_done(backend, system):
+    made = backend(
+        run={
+            "end": {"after": 20.0},
+            "abort_when": "abs(angle) > 0.8",
+            "after": [{"publish": {"topic": "setpoint", "message": {"data": -0.25}}}],
+        }
+    )
+    assert failure(run(made)).startswith("aborted at 0.")
+    assert system.setpoint == -0.25
+
+
+def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monkeypatch):
+    """The signals alone would not tell: another node publishes them."""
+    made = backend(
+        run={"before": []},
+        signals={"angle": {"topic": "limit", "field": "data", "minimum_messages": 0}},
+    )
+    monkeypatch.setattr(study_client, "CALL_TIMEOUT", 1.0)
+    system.hang = 3.0
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.reason == ("servo does not answer servo/get_parameters within 1 s")
+
+
+def test_a_service_that_refuses(backend):
+    call = {"call": {"service": "servo/enable", "request": {"data": False}}}
+    made = backend(run={"before": [call]})
+    assert failure(run(made)) == "/servo/enable refused: the brake is on"
+
+
+def test_a_service_that_hangs(backend, monkeypatch):
+    made = backend(run={"before": [{"call": {"service": "hang"}}]})
+    monkeypatch.setattr(study_client.StudyClient.call, "__defaults__", (0.5,))
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.reason.startswith(
+        "the node that run.before[0] calls does not answer /hang within 0.5 s"
+    )
+
+
+def test_a_system_without_the_tuner_s_interfaces_has_no_form_in_process():
+    from bo_tuner.backends.inprocess import InProcessBackend
+
+    with pytest.raises(StudyError, match="run: needs ROS nodes; use --backend ros"):
+        InProcessBackend(study()).open()
