@@ -116,6 +116,14 @@ def positive(value: object, *path: str | int) -> float:
     return checked
 
 
+def timeout(value: object, *path: str | int) -> float:
+    """Return `value` as a float if it is a time [s] that an evaluation may take."""
+    checked = positive(value, *path)
+    if checked > maxima.TIMEOUT:
+        raise StudyError(f"expected at most {maxima.TIMEOUT:g} s, found {checked:g}", path)
+    return checked
+
+
 def fraction(value: object, *path: str | int) -> float:
     """Return `value` as a float if it lies strictly between 0 and 1."""
     checked = number(value, *path)

@@ -14,6 +14,9 @@ PARAMETERS = 500
 """Tuned, tied and fixed ones."""
 TUNED = 50
 CONTEXTS = 50
+SIGNALS = 100
+STEPS = 100
+"""In each part of a run: before, start and after."""
 METRICS = 200
 CONSTRAINTS = 50
 CONSTANTS = 1_000

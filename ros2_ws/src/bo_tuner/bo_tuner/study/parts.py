@@ -145,12 +145,7 @@ class Trigger:
         checks.matching(
             self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
         )
-        timeout = checks.positive(self.timeout, "timeout")
-        if timeout > maxima.TIMEOUT:
-            raise StudyError(
-                f"expected at most {maxima.TIMEOUT:g} s, found {timeout:g}", ("timeout",)
-            )
-        object.__setattr__(self, "timeout", timeout)
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
 class Metric(Protocol):

@@ -4,8 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
 from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE, expression
+
+PHASES = ("before", "start", "after")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +61,7 @@ class Step:
         if sum(item is not None for item in (self.call, self.publish, self.wait)) != 1:
             raise StudyError("expected one of call, publish and wait")
         if self.wait is not None:
-            object.__setattr__(self, "wait", checks.positive(self.wait, "wait"))
+            object.__setattr__(self, "wait", checks.timeout(self.wait, "wait"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +110,9 @@ class Run:
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        object.__setattr__(self, "timeout", checks.positive(self.timeout, "timeout"))
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+        for phase in PHASES:
+            checks.at_most(getattr(self, phase), maxima.STEPS, phase)
         checks.text(self.abort_when, "abort_when")
         starting = sum(step.wait or 0.0 for step in self.start)
         if self.end.after is not None:
@@ -131,7 +135,7 @@ class Run:
     @property
     def steps(self) -> Iterator[tuple[KeyPath, Step]]:
         """All steps, each with its key path in the study."""
-        for phase in ("before", "start", "after"):
+        for phase in PHASES:
             for index, step in enumerate(getattr(self, phase)):
                 yield ("run", phase, index), step
 

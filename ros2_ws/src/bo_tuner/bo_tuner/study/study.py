@@ -47,6 +47,7 @@ MOST = {
     "nodes": maxima.NODES,
     "parameters": maxima.PARAMETERS,
     "contexts": maxima.CONTEXTS,
+    "signals": maxima.SIGNALS,
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
     "order": maxima.PARAMETERS,

@@ -22,7 +22,7 @@ from bo_tuner.study.parts import (
     SeedParameter,
     Trigger,
 )
-from bo_tuner.study.run import Call, End, Publish, Run, Step
+from bo_tuner.study.run import PHASES, Call, End, Publish, Run, Step
 from bo_tuner.study.signals import Signal, SignalMetric
 from bo_tuner.study.study import Study
 
@@ -209,7 +209,7 @@ def _build_run(value: object) -> Run:
     fields = _arguments(Run, value)
     with _under("end"):
         fields["end"] = _build(End, fields["end"])
-    for phase in ("before", "start", "after"):
+    for phase in PHASES:
         steps = checks.sequence(fields.get(phase, ()), "a list of steps", phase)
         with _under(phase):
             fields[phase] = tuple(_build_step(index, step) for index, step in enumerate(steps))
