@@ -19,15 +19,14 @@ from small_run import make_run
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import (
-    CERTIFICATE,
     DEFAULT,
     TUNED,
     make_certificate,
     write_certificate,
 )
 from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.store import CERTIFICATES, certificate_problem
 from bo_tuner.cli import validate as validate_command
-from bo_tuner.deploy.apply import certificate_problem
 from bo_tuner.deploy.bundle import DEPLOY, ROLLBACK, read_rollback, result_of, write_bundle
 from bo_tuner.errors import BoTunerError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -40,13 +39,12 @@ from bo_tuner.report.sections.answer import answer
 from bo_tuner.storage.journal import COLUMNS, checksum
 from bo_tuner.storage.journal_reader import export_csv, salvage
 from bo_tuner.storage.record import read_run
-from bo_tuner.storage.run_folder import BEST, JOURNAL, SUMMARY
+from bo_tuner.storage.run_folder import BEST, JOURNAL, SUMMARY, RunFolder
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import recommend
-from bo_tuner.tuning.validation import validate
+from bo_tuner.tuning.summary import conclude, summarize, with_summary
 
 ALGORITHM = ALGORITHMS["IV"]
-FILES = (SUMMARY, CERTIFICATE, BEST, f"{DEPLOY}/{ROLLBACK}")
+FILES = (SUMMARY, f"{CERTIFICATES}/0001.json", BEST, f"{DEPLOY}/{ROLLBACK}")
 VALUES = (
     None, True, False, 0, -1, 1, 3, 2**63, -(2**70), 10**400, 0.5, -0.0, 1e-320, 1e99, 1e101, 1e308,
     -1e308, math.nan, math.inf, -math.inf, "", "x", "1", "0.5", "nan", "complete", "failed", "PASS",
@@ -70,37 +68,19 @@ def make_whole_run(folder):
     record = read_run(folder)
     study = record.study
     backend = backend_of(study)
-    best = recommend(study, backend, record.trials, ALGORITHM.models)
-    trial = best.candidate.trial
-    default, tuned = validate(study, backend, [study.search_space().defaults, trial.parameters])
-    # As cli.session writes it.
-    from dataclasses import asdict
-
-    from bo_tuner.storage.run_folder import RunFolder
-
-    writer = RunFolder(folder)
-    writer.write_parameters(study, trial.parameters)
-    writer.write_summary(
-        {
-            "feasible": True,
-            "trial": trial.number,
-            "checked_trials": best.checked,
-            "predicted_objective": best.candidate.objective,
-            "predicted_feasibility": best.candidate.feasibility,
-            "default": asdict(default) | {"feasible": default.feasible},
-            "tuned": asdict(tuned) | {"feasible": tuned.feasible},
-            "stop_advice": None,
-            "stopped_early": False,
-            "recording": {"policy": "none"},
-        }
-    )
-    writer.close()
+    found = conclude(study, backend, ALGORITHM, record.trials)
+    trial = found.recommendation.candidate.trial
+    counts = {"trials": len(record.trials), "evaluations": len(record.evaluations)}
+    summary = summarize(study, found, None, stop_early=False, **counts)
+    with closing(RunFolder(folder)) as writer:
+        writer.write_parameters(study, trial.parameters)
+        writer.write_json(SUMMARY, summary)
     record = read_run(folder)
     subjects = [Subject(DEFAULT, study.search_space().defaults), Subject(TUNED, trial.parameters)]
     found = Certification(study, backend).collect(subjects, 10)
     evidence = {s.name: item for s, item in zip(subjects, found, strict=True)}
     certificate = make_certificate(record, trial, evidence, 0.9, "inprocess", None)
-    write_certificate(folder, CERTIFICATE, certificate, evidence)
+    write_certificate(folder, certificate, evidence)
     write_bundle(record)
     return folder
 
@@ -201,7 +181,7 @@ def _read(folder):
 
 
 def _report(folder):
-    analysis = Analysis(read_run(folder))
+    analysis = Analysis(with_summary(read_run(folder), one_line))
     answer(analysis)
     sections(analysis)
 
@@ -214,11 +194,11 @@ def _replay(folder):
 
 
 def _validate(folder):
-    validate_command._trial(read_run(folder), None)
+    validate_command._trial(with_summary(read_run(folder), one_line), None)
 
 
 def _apply(folder):
-    record = read_run(folder)
+    record = with_summary(read_run(folder), one_line)
     trial = result_of(record)
     one_line(certificate_problem(record, trial) or "none")
     read_rollback(record)

@@ -6,6 +6,7 @@ from functions import FunctionBackend, make_study
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.parameter_file import node_values, to_yaml
+from bo_tuner.storage.provenance import STUDY_YAML
 from bo_tuner.storage.run_folder import BEST, JOURNAL, STUDY
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.journaling import JournalObserver
@@ -21,7 +22,7 @@ def make_run(folder, module="runs_axis", trials=3):
         study,
         lambda gain, load, seed: {"error": 25 * (gain - 0.3) ** 2 + load, "peak": 0.2},
     )
-    provenance = {"algorithm": "IV", "backend": "inprocess"}
+    provenance = {"algorithm": "IV", "backend": "inprocess", STUDY_YAML: study_to_yaml(study)}
     with Journal(folder / JOURNAL, provenance) as journal:
         observer = JournalObserver(journal)
         for trial in Tuning(study, backend, ALGORITHMS["IV"], observer=observer):

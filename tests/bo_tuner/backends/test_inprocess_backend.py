@@ -157,7 +157,7 @@ class TestEvaluation:
         ("behaviour", "reason"),
         [
             ("raise", "RuntimeError: motor on fire"),
-            ("nothing", "AttributeError"),
+            ("nothing", "axis: answered NoneType; expected a mapping"),
             ("{'status': 'failed', 'reason': 'stalled'}", "axis: stalled"),
             ("{'error': float('nan')}", "axis: metric error is nan"),
             ("{'error': None}", "axis: metric error is"),
@@ -187,7 +187,7 @@ class TestEvaluation:
         ("behaviour", "reason"),
         [
             ("raise", "RuntimeError: motor on fire"),
-            ("nothing", "AttributeError"),
+            ("nothing", "sensor: answered NoneType; expected a mapping"),
             ("{'status': 'failed', 'reason': 'blind'}", "sensor: blind"),
         ],
     )

@@ -87,8 +87,9 @@ class InProcessBackend(SequentialBackend):
         trigger = self._triggered
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
-            said = {trigger: self._objects[trigger].run_cut(*others.values())}
-            if said[trigger].get("status") == STATUS_OK:
+            answer = self._objects[trigger].run_cut(*others.values())
+            said = {trigger: answer}
+            if isinstance(answer, Mapping) and answer.get("status") == STATUS_OK:
                 said |= {key: other.cut_result() for key, other in others.items()}
             return self._collector.outcome(said, assignments)
         except Exception as error:

@@ -61,6 +61,9 @@ class Collector:
             `LARGEST_METRIC`.
         """
         for node, pairs in results.items():
+            if not isinstance(pairs, Mapping):
+                reason = f"{node}: answered {type(pairs).__name__}; expected a mapping"
+                return Outcome(EvaluationState.FAILED, {}, reason)
             if len(pairs) > maxima.ANSWER:
                 reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
                 return Outcome(EvaluationState.FAILED, {}, reason)

@@ -107,6 +107,8 @@ def read_run(path: Path) -> RunRecord:
 
 def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> Study:
     """Return the study of the last session after comparing its file with it."""
+    if not sessions:
+        raise RunRecordError(f"{path / JOURNAL}: no session can be read")
     try:
         texts = dict.fromkeys(session[STUDY_YAML] for session in sessions)
         studies = [parse_study(text, "study on record") for text in texts]
