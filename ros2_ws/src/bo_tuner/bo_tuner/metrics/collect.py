@@ -49,15 +49,15 @@ class Collector:
             Failed if a node says so, or more than `bo_tuner.study.maxima.ANSWER` values, or if a
             metric is missing or not finite: such a value never becomes a number.
         """
-        for node, pairs in results.items():
-            if len(pairs) > maxima.ANSWER:
-                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
-                return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
             f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
             for node, pairs in results.items()
             for key, value in pairs.items()
         }
+        for node, pairs in results.items():
+            if len(pairs) > maxima.ANSWER:
+                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
+                return Outcome(EvaluationState.FAILED, {}, reason)
         for node, pairs in results.items():
             if pairs.get("status") != STATUS_OK:
                 reason = one_line(str(pairs.get("reason") or "no reason given"))

@@ -14,6 +14,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.limits import WITHIN, Sample, verdict
@@ -181,21 +182,26 @@ def _validation(entry: object) -> Validation:
         raise TypeError(f"expected an object, found {entry!r}")
     return Validation(
         parameters=dict(entry["parameters"]),
-        draws=int(entry["draws"]),
-        failures=int(entry["failures"]),
+        draws=_count(entry["draws"]),
+        failures=_count(entry["failures"]),
         objective=_number(entry["objective"]),
         deviation=_number(entry["deviation"]),
         constraints={
             str(name): Sample(
                 name=str(sample["name"]),
                 worst=_number(sample["worst"]),
-                count=int(sample["count"]),
-                violations=int(sample["violations"]),
+                count=_count(sample["count"]),
+                violations=_count(sample["violations"]),
                 holds=bool(sample["holds"]),
             )
             for name, sample in entry["constraints"].items()
         },
     )
+
+
+def _count(value: object) -> int:
+    """Read a number of evaluations of the summary."""
+    return checks.integer(value, at_least=0)
 
 
 def _number(value: object) -> float:

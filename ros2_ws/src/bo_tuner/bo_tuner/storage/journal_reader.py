@@ -173,7 +173,7 @@ def export_csv(path: Path, directory: Path) -> None:
         header = list(dict.fromkeys(key for row in flat for key in row)) or names
         file = directory / f"{table}s.csv"
         try:
-            with file.open("w", newline="", encoding="utf-8") as stream:
+            with file.open("w", newline="", encoding="utf-8", errors="replace") as stream:
                 writer = csv.DictWriter(stream, header)
                 writer.writeheader()
                 writer.writerows(flat)
