@@ -9,6 +9,7 @@ import numpy as np
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
@@ -53,16 +54,16 @@ class Validation:
             raise TypeError(f"expected an object, found {entry!r}")
         return cls(
             parameters=dict(entry["parameters"]),
-            draws=int(entry["draws"]),
-            failures=int(entry["failures"]),
+            draws=checks.integer(entry["draws"], at_least=0),
+            failures=checks.integer(entry["failures"], at_least=0),
             objective=_number(entry["objective"]),
             deviation=_number(entry["deviation"]),
             constraints={
                 str(name): Sample(
                     name=str(sample["name"]),
                     worst=_number(sample["worst"]),
-                    count=int(sample["count"]),
-                    violations=int(sample["violations"]),
+                    count=checks.integer(sample["count"], at_least=0),
+                    violations=checks.integer(sample["violations"], at_least=0),
                     holds=bool(sample["holds"]),
                 )
                 for name, sample in entry["constraints"].items()
