@@ -1,6 +1,7 @@
 """Fixtures of all tests: settings by difference from the shipped ones, and repeatable examples."""
 
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Callable
@@ -19,6 +20,9 @@ for folder in ("references", "harness"):
 # Studies that tests run are trusted by the tests alone.
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
+
+# Under nohup a hang-up is ignored, by every command that a test starts as well.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 settings.register_profile(
     "repeatable",

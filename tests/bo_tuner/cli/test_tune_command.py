@@ -230,7 +230,7 @@ def refusal(tmp_path, study_file, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     handlers = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
 
-    def run(*arguments, code=2):
+    def run(*arguments, code=2, warnings=0):
         interruption = Interruption()
         try:
             found = tune_command.run(list(arguments), interruption)
@@ -239,7 +239,8 @@ def refusal(tmp_path, study_file, monkeypatch, capsys):
         out, err = capsys.readouterr()
         assert found == code, err
         assert out == ""
-        (line,) = err.splitlines()
+        *warned, line = err.splitlines()
+        assert len(warned) == warnings, err
         assert line.startswith("error: ")
         return line
 
@@ -300,7 +301,7 @@ class TestBadInput:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         (tmp_path / "axis_objects.py").rename(tmp_path / "elsewhere.py")
         sys.modules.pop("axis_objects", None)
-        line = refusal("--resume", str(folder), "--trials", "6")
+        line = refusal("--resume", str(folder), "--trials", "6", warnings=1)
         assert "No module named 'axis_objects'" in line
         for name in ("study.yaml", "summary.json", "best.yaml"):
             assert (folder / name).read_bytes() == before[name]

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import sys
 from dataclasses import replace
 
 import pytest
@@ -112,6 +113,8 @@ def record(tmp_path, make_study, function_backend):
 def objects(tmp_path, monkeypatch):
     """Function that writes the code of the study's object, which is there."""
     monkeypatch.syspath_prepend(tmp_path)
+    # Another test's module of this name would be found first.
+    monkeypatch.delitem(sys.modules, "axis_objects", raising=False)
 
     def write(text):
         (tmp_path / "axis_objects.py").write_text(text)

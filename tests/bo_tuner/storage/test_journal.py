@@ -91,7 +91,16 @@ class TestRoundTrip:
             record(journal, recorded)
         assert read_journal(path).trials == (recorded,)
 
-    @pytest.mark.parametrize("value", [2e90, -1e200, float("inf"), float("nan"), "0.5 m", None])
+    @pytest.mark.parametrize("value", [float("inf"), float("nan"), "0.5 m", None])
+    def test_a_metric_that_is_no_number_is_refused(self, tmp_path, value):
+        outcome = Outcome(EvaluationState.COMPLETE, {"error": value}, "", {})
+        path = tmp_path / "journal.sqlite"
+        with Journal(path, {}) as journal:
+            record(journal, trial(0, [evaluation(outcome=outcome)]))
+        with pytest.raises(JournalError, match="metrics: expected a number, found"):
+            read_journal(path)
+
+    @pytest.mark.parametrize("value", [2e90, -1e200])
     def test_a_metric_that_is_refused_today_makes_a_failed_trial(self, tmp_path, value):
         """An earlier version recorded whatever is a finite number."""
         outcome = Outcome(EvaluationState.COMPLETE, {"error": value}, "", {})

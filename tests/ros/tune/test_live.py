@@ -92,7 +92,7 @@ def test_a_late_joiner_gets_all_trials_also_of_a_resumed_run(run, watch):
     assert command.finish() == 143, command.err
     last = command.err.splitlines()[-1]
     assert last.startswith("interrupted by the service ~/abort; go on by: tune --resume ")
-    assert answer.message.partition("go on by: ")[2] == last.partition("go on by: ")[2]
+    assert answer.message.partition("tune --resume ")[2] == last.partition("tune --resume ")[2]
     done = command.trials()
 
     command.start("--resume", command.run_folder)

@@ -236,8 +236,11 @@ def test_an_unwritable_folder_ends_the_recording_only(tune):
     [
         (("--record", "all", "--backend", "inprocess"), "--record needs --backend ros"),
         (("--record", "some"), "--record: invalid"),
-        (("--record-limit", "-1"), "-1: expected a positive number of megabytes"),
-        (("--record-limit", "much"), "much: expected a positive number of megabytes"),
+        (("--record-limit", "-1"), "-1: expected a positive number of at most"),
+        (
+            ("--record-limit", "much"),
+            "much: expected a positive number of at most",
+        ),
     ],
 )
 def test_wrong_options(tune, arguments, complaint):
