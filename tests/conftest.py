@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,9 +21,6 @@ for folder in ("references", "harness"):
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
 
-# Under nohup a hang-up is ignored, by every command that a test starts as well.
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
 settings.register_profile(
     "repeatable",
     deadline=None,
@@ -33,6 +30,20 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(autouse=True)
+def signals_of_a_terminal() -> Iterator[None]:
+    """Have each test start with the handlers that a shell leaves to a command, and leave its own.
+
+    Under nohup a hang-up is ignored, and a command called in this process ignores what comes
+    after its end; every process that a test starts would inherit both.
+    """
+    before = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
 
 
 @pytest.fixture(scope="session")
