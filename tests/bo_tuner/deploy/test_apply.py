@@ -20,7 +20,6 @@ from bo_tuner.deploy.apply import (
 )
 from bo_tuner.deploy.bundle import differences
 from bo_tuner.interruption import Interrupted
-from bo_tuner.storage import provenance as provenance_module
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}
 NEW = {"drive": {"gain": 2.5, "taps": 4}, "axis": {"load": [0.25, 2.0]}}
@@ -118,11 +117,9 @@ def objects(tmp_path, monkeypatch):
 
     def write(text):
         (tmp_path / "axis_objects.py").write_text(text)
-        provenance_module._digest.cache_clear()
 
     write("VALUE = 1")
-    yield write
-    provenance_module._digest.cache_clear()
+    return write
 
 
 def apply(capsys, *arguments):

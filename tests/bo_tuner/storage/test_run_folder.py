@@ -13,7 +13,6 @@ import yaml
 
 import bo_tuner
 from bo_tuner.errors import OutputError
-from bo_tuner.storage import provenance as provenance_module
 from bo_tuner.storage import run_folder as run_folder
 from bo_tuner.storage.provenance import changed_sources, provenance, sources
 from bo_tuner.storage.run_folder import RunFolder
@@ -174,12 +173,7 @@ class TestSources:
                             "executable": "axis", "object": "their_axis.inner.deep:VALUE"}}
         )  # fmt: skip
 
-        def find(backend):
-            provenance_module._digest.cache_clear()
-            return sources(study, backend)
-
-        yield find
-        provenance_module._digest.cache_clear()
+        return lambda backend: sources(study, backend)
 
     @pytest.mark.parametrize("backend", ["ros", "inprocess"])
     def test_a_change_anywhere_in_a_package_of_the_study_shows(self, package, digests, backend):

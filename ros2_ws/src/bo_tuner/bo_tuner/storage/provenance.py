@@ -7,7 +7,6 @@ import platform
 import sys
 from collections.abc import Mapping
 from datetime import datetime
-from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, version
 from pathlib import Path
 
@@ -107,7 +106,6 @@ def commit() -> str:
     return named[0] if named else "unknown"
 
 
-@cache
 def _digest(package: str) -> str:
     """Return the digest of a package's or module's code; empty if there is none."""
     try:
