@@ -244,6 +244,6 @@ def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
 
 
 def _services(tuner: TunerNode) -> dict[str, list[str]]:
-    """Return the types of all services that have a server, by name; the graph tells clients' too."""
+    """Return the types of services by name; the graph also tells those that only clients name."""
     found = tuner.node.get_service_names_and_types()
     return {name: types for name, types in found if tuner.node.count_services(name)}
