@@ -8,6 +8,7 @@ from functools import partial
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.cli.common import opened
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
@@ -22,7 +23,7 @@ from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
+from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
 from bo_tuner.storage.provenance import STOP_EARLY, changed_sources, session_provenance
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
 from bo_tuner.study.parts import ROS
@@ -126,7 +127,10 @@ class Session:
             backend = self._recorded(earlier)
             try:
                 try:
-                    with self._opened(backend), Journal(folder.journal, provenance) as journal:
+                    with (
+                        opened(backend, self._interruption),
+                        Journal(folder.journal, provenance) as journal,
+                    ):
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
                         code = self._run(backend, journal, earlier)
@@ -180,17 +184,6 @@ class Session:
                 f"{self._folder.journal}: has evaluations of another study, with {error}"
             ) from error
 
-    @contextlib.contextmanager
-    def _opened(self, backend: RecordedEvaluations) -> Iterator[None]:
-        try:
-            self._interruption.check()
-            backend.open()
-            yield
-        finally:
-            # The nodes come down first, whatever happens to the files.
-            self._interruption.ignore()
-            backend.close()
-
     def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
         self._folder.link_latest()
         options = self._options
@@ -215,7 +208,7 @@ class Session:
         if found is None:
             self._display.warn("no feasible parameters: every trial failed")
             return EXIT_INFEASIBLE
-        return self._report(found, len(tuning.trials))
+        return self._report(found, len(tuning.trials), journal.count_evaluations())
 
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
@@ -264,7 +257,7 @@ class Session:
         ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
 
-    def _report(self, found: Conclusion, trials: int) -> int:
+    def _report(self, found: Conclusion, trials: int, evaluations: int) -> int:
         folder = self._folder
         path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
         summary = summarize(
@@ -273,7 +266,7 @@ class Session:
             self._advisor.advice,
             stop_early=self._options.stop_early,
             trials=trials,
-            evaluations=len(read_journal(folder.journal).evaluations),
+            evaluations=evaluations,
         )
         folder.write_json(SUMMARY, summary)
         problem = _problem(self._study, found)

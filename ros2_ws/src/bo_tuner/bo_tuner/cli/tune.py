@@ -83,14 +83,7 @@ def make_parser() -> Parser:
         metavar="DIR",
         help=f"where run folders are created (default: {RUNS})",
     )
-    parser.add_argument(
-        "--backend",
-        choices=BACKENDS,
-        help=f"run on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
-    )
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
+    parser.add_backend_arguments(BACKENDS[0])
     parser.add_argument(
         "--record",
         type=Policy,
@@ -142,12 +135,7 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="with --resume: start the programs and import the objects that the run's study names, "
-        "now and later; read the study first if the run is not yours",
-    )
+    parser.add_trust_argument("with --resume: ")
     return parser
 
 

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros.parameters import (
+    PARAMETER_EVENTS,
     Difference,
     ParameterWatch,
     differences,
@@ -39,7 +40,6 @@ CALL_TIMEOUT = 5.0
 ANSWER_TIMEOUT = 1.0
 SPIN_PERIOD = 0.1
 
-PARAMETER_EVENTS = "/parameter_events"
 
 NAME_TIMEOUT = 1.0
 """Time [s] that the graph has to tell which node a new publisher belongs to."""
