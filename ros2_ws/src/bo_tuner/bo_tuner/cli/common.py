@@ -18,7 +18,7 @@ from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
-from bo_tuner.storage.trust import check_trust, trust
+from bo_tuner.storage.trust import check_trust, python_functions, trust
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.tuning.summary import with_summary
 
@@ -175,7 +175,8 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
     trusted
         Whether the user trusts the study, now and later.
     attach
-        Whether the nodes run already, so that nothing is started.
+        Whether the nodes run already, so that nothing is started; functions are imported all the
+        same.
 
     Raises
     ------
@@ -186,7 +187,7 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
     """
     if trusted:
         trust(record.study)
-    elif not attach:
+    elif not attach or python_functions(record.study):
         check_trust(record.study, record.path)
 
 

@@ -174,7 +174,7 @@ def _run_both(
 ) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
     """Run the evaluation, then with the default parameters; return both with their messages."""
     inbox = Inbox()
-    listener = TopicListener(ros.context, ros.nodes, inbox)
+    listener = TopicListener(ros.context, ros.nodes, ros.topics, inbox)
     try:
         inbox.collect(listener.take)
         result = replay(record, recorded, ros)

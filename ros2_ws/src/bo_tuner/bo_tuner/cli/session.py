@@ -32,6 +32,7 @@ from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase
+from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, summarize
 
 NOTHING = JournalContent((), (), (), "")
@@ -218,7 +219,7 @@ class Session:
             self._folder.path,
             self._study,
             self._options.record,
-            None if ros is None else partial(TopicListener, ros.context, ros.nodes),
+            None if ros is None else partial(TopicListener, ros.context, ros.nodes, ros.topics),
             self._display.warn,
         )
         with contextlib.ExitStack() as stack:
@@ -227,6 +228,7 @@ class Session:
                 self._observers.add(observer)
             if ros is not None:
                 self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
+                self._observers.add(ParkInPause(ros.park, self._display.warn))
             self._observers.add(self._advisor)
             self._observers.add(self._gate)
             stack.enter_context(self._display)

@@ -108,6 +108,13 @@ def number(value: object, *path: str | int) -> float:
     return float(value)
 
 
+def boolean(value: object, *path: str | int) -> bool:
+    """Return `value` if it is true or false."""
+    if not isinstance(value, bool):
+        raise StudyError(f"expected true or false, found {show(value)}", path)
+    return value
+
+
 def positive(value: object, *path: str | int) -> float:
     """Return `value` as a float if it is a finite number above zero."""
     checked = number(value, *path)
