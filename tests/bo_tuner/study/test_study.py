@@ -416,7 +416,7 @@ class TestRefusedValues:
                 "worst-case",
                 "unknown 'worst-case'; did you mean 'worst_case'?",
             ),
-            ("constraints/current/probability", None, "expected a number, found nothing"),
+            ("constraints/current/probability", "96 %", "expected a number, found text '96 %'"),
             (
                 "constraints/current/probability",
                 96,
