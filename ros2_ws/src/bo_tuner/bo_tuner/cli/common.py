@@ -1,14 +1,16 @@
 """Shared by all commands: the argument parser, and errors as one line and an exit code."""
 
 import argparse
+import contextlib
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
@@ -61,6 +63,26 @@ class Parser(argparse.ArgumentParser):
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )
 
+    def add_backend_arguments(self, default: str) -> None:
+        """Add the options that say where evaluations run; `default` is told in the help."""
+        self.add_argument(
+            "--backend",
+            choices=BACKENDS,
+            help=f"run on ROS nodes, or on the same objects in this process (default: {default})",
+        )
+        self.add_argument(
+            "--attach", action="store_true", help="use running nodes instead of starting them"
+        )
+
+    def add_trust_argument(self, condition: str = "") -> None:
+        """Add the option to start what a study names; `condition` is put ahead of its help."""
+        self.add_argument(
+            "--trust",
+            action="store_true",
+            help=f"{condition}start the programs and import the objects that the run's study "
+            "names, now and later; read the study first if the run is not yours",
+        )
+
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""
         self.exit(EXIT_USAGE, f"error: {message} (see {self.prog} --help)\n")
@@ -108,6 +130,26 @@ def _fault(error: OSError, interruption: Interruption) -> int:
     where = f"{error.filename}: " if error.filename else "output: "
     say_error(f"error: {where}{error.strerror or error}")
     return EXIT_FAULT
+
+
+@contextlib.contextmanager
+def opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
+    """Open a backend for a ``with`` block, and close it whatever comes, signals included.
+
+    Parameters
+    ----------
+    backend
+        To open, unless the end was asked for already.
+    interruption
+        Takes no more signals afterwards: the nodes come down first.
+    """
+    try:
+        interruption.check()
+        backend.open()
+        yield
+    finally:
+        interruption.ignore()
+        backend.close()
 
 
 def recorded_backend(record: RunRecord) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.cli.common import opened
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
@@ -21,9 +22,10 @@ from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
-from bo_tuner.storage.provenance import STOP_EARLY, changed_sources, session_provenance
+from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
+from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -57,6 +59,10 @@ class RunOptions:
         What is shown of the run.
     stop_early
         Follow the advice to stop.
+    carried
+        Trials of an earlier run that a new run begins with.
+    carried_from
+        The folder of that run.
     """
 
     algorithm: str = "IV"
@@ -66,6 +72,8 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
+    carried: Sequence[Trial] = ()
+    carried_from: str = ""
 
 
 class Session:
@@ -123,11 +131,16 @@ class Session:
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
+            elif self._options.carried:
+                earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             try:
                 try:
-                    with self._opened(backend), Journal(folder.journal, provenance) as journal:
+                    with (
+                        opened(backend, self._interruption),
+                        Journal(folder.journal, provenance, earlier.trials) as journal,
+                    ):
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
                         code = self._run(backend, journal, earlier)
@@ -155,6 +168,8 @@ class Session:
         provenance = session_provenance(self._study, options.backend, options.algorithm)
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
+        if options.carried:
+            provenance[CARRIED] = options.carried_from
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage
@@ -181,25 +196,15 @@ class Session:
                 f"{self._folder.journal}: has evaluations of another study, with {error}"
             ) from error
 
-    @contextlib.contextmanager
-    def _opened(self, backend: RecordedEvaluations) -> Iterator[None]:
-        try:
-            self._interruption.check()
-            backend.open()
-            yield
-        finally:
-            # The nodes come down first, whatever happens to the files.
-            self._interruption.ignore()
-            backend.close()
-
     def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
         if earlier.evaluations:
+            on_record = f"of {options.carried_from}" if options.carried else "on record"
             self._display.tell(
                 f"continues after {len(earlier.trials)} trials and "
-                f"{len(earlier.evaluations)} evaluations on record"
+                f"{len(earlier.evaluations)} evaluations {on_record}"
             )
         study, observers = self._study, self._observers
         tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)
@@ -216,7 +221,7 @@ class Session:
         if found is None:
             self._display.warn("no feasible parameters: every trial failed")
             return EXIT_INFEASIBLE
-        return self._report(found, len(tuning.trials))
+        return self._report(found, len(tuning.trials), journal.count_evaluations())
 
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
@@ -266,7 +271,7 @@ class Session:
         ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
 
-    def _report(self, found: Conclusion, trials: int) -> int:
+    def _report(self, found: Conclusion, trials: int, evaluations: int) -> int:
         folder = self._folder
         path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
         summary = summarize(
@@ -275,7 +280,7 @@ class Session:
             self._advisor.advice,
             stop_early=self._options.stop_early,
             trials=trials,
-            evaluations=len(read_journal(folder.journal).evaluations),
+            evaluations=evaluations,
         )
         folder.write_json(SUMMARY, summary)
         problem = _problem(self._study, found)
