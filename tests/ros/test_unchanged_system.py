@@ -16,8 +16,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
+from waiting import wait_until
 
-from bo_tuner.backends.ros import procedure, study_client
+from bo_tuner.backends.ros import procedure, steps, tuner_node
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study_file import study_from_mapping
@@ -146,6 +147,7 @@ def study(signals=None, run=None, metrics=None):
 @pytest.fixture
 def backend(system, tmp_path, monkeypatch):
     """Function that opens a backend for a study."""
+    monkeypatch.setattr(steps, "CONNECT_TIMEOUT", 2.0)
     monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
     monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
     opened = []
@@ -168,7 +170,7 @@ def run(backend, gain=0.5):
 def test_a_run_and_its_metrics(backend, system):
     made = backend(
         signals={
-            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 0.3},
+            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 3.0},
             "limit": {"topic": "limit", "field": "data", "minimum_messages": 0},
         },
         run={
@@ -315,7 +317,7 @@ def test_a_run_is_aborted_and_the_steps_after_it_are_done(backend, system):
         }
     )
     assert failure(run(made)).startswith("aborted at 0.")
-    assert system.setpoint == -0.25
+    wait_until(lambda: system.setpoint == -0.25, "the steps after the run")
 
 
 def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monkeypatch):
@@ -324,7 +326,7 @@ def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monke
         run={"before": []},
         signals={"angle": {"topic": "limit", "field": "data", "minimum_messages": 0}},
     )
-    monkeypatch.setattr(study_client, "CALL_TIMEOUT", 1.0)
+    monkeypatch.setattr(tuner_node, "CALL_TIMEOUT", 1.0)
     system.hang = 3.0
     found = run(made)
     assert found.state is EvaluationState.LOST
@@ -337,9 +339,8 @@ def test_a_service_that_refuses(backend):
     assert failure(run(made)) == "/servo/enable refused: the brake is on"
 
 
-def test_a_service_that_hangs(backend, monkeypatch):
-    made = backend(run={"before": [{"call": {"service": "hang"}}]})
-    monkeypatch.setattr(study_client.StudyClient.call, "__defaults__", (0.5,))
+def test_a_service_that_hangs(backend):
+    made = backend(run={"before": [{"call": {"service": "hang", "timeout": 0.5}}]})
     found = run(made)
     assert found.state is EvaluationState.LOST
     assert found.reason.startswith(

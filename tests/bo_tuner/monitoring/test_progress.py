@@ -73,7 +73,7 @@ class TestLines:
 
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
-        assert "worst peak 1.25      >  1" in line.replace(JOIN, " ")
+        assert "worst peak 1.25      >  1  violates peak" in line.replace(JOIN, " ")
 
     def test_a_new_best_is_marked(self, make_study, make_trial):
         out = console()

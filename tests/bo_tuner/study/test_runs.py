@@ -4,8 +4,9 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
-from bo_tuner.study.run import Call, End, Publish, Step
+from bo_tuner.study.run import End
 from bo_tuner.study.signals import FieldPart, field_path
+from bo_tuner.study.steps import Call, Publish, Step
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 
 STUDY = """\
@@ -137,9 +138,9 @@ def test_no_path_of_a_field(text):
         ("metrics/effort/percent", 101, "metrics.effort.percent: expected 0 to 100, found 101"),
         ("metrics/other", {"node": "pid"}, "metrics.other.node: is reported by a node that"),
         ("run/end", None, "run.end: missing"),
-        ("run/end/when", "position > 1", "run.end: expected either after or when"),
+        ("run/end/when", "position > 1", "run.end: expected one of after, when and result"),
         ("run/end/after", 6, "run.end.after: 6 s are more than the timeout, 5 s"),
-        ("run/end/after", None, "run.end: expected either after or when"),
+        ("run/end/after", None, "run.end: expected one of after, when and result"),
         ("run/timeout", 0, "run.timeout: expected a number above 0"),
         ("run/abort_when", "positon > 1", "abort_when: there is no signal or function 'positon'"),
         ("run/timeout", 1e5, "run.timeout: expected at most 86400 s"),

@@ -28,6 +28,7 @@ from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     guarded,
+    opened,
     read_result,
     recorded_backend,
     split_ros_arguments,
@@ -43,7 +44,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
-from bo_tuner.study.parts import BACKENDS, ROS
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -113,20 +114,8 @@ def make_parser() -> Parser:
         metavar="N",
         help=f"the parameter set of this trial (default: that of the run's {BEST})",
     )
-    parser.add_argument(
-        "--backend",
-        choices=BACKENDS,
-        help="run on ROS nodes, or on the same objects in this process (default: as in the run)",
-    )
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="start the programs and import the objects that the run's study names, now and later; "
-        "read the study first if the run is not yours",
-    )
+    parser.add_backend_arguments("as in the run")
+    parser.add_trust_argument()
     return parser
 
 
@@ -211,17 +200,11 @@ def _collect(
         Subject(TUNED, trial.parameters, suspected),
     ]
 
-    try:
-        interruption.check()
-        backend.open()
-        bar, observers = _Bar(console), Observers()
-        observers.add(bar)
-        observers.add(Gate(interruption, observers))
-        with bar.progress:
-            found = Certification(study, backend, observer=observers).collect(subjects, draws)
-    finally:
-        interruption.ignore()
-        backend.close()
+    bar, observers = _Bar(console), Observers()
+    observers.add(bar)
+    observers.add(Gate(interruption, observers))
+    with opened(backend, interruption), bar.progress:
+        found = Certification(study, backend, observer=observers).collect(subjects, draws)
     return {subject.name: item for subject, item in zip(subjects, found, strict=True)}
 
 

@@ -16,9 +16,9 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
-from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import violated, worst_case_holds
+from bo_tuner.text import printable, shown
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+from bo_tuner.tuning.limits import violated
 
 JOIN = "\xa0"
 """Joins words that no line break may separate; shown as a space."""
@@ -198,9 +198,9 @@ def _wrapped(text: str, width: int) -> str:
     )
 
 
-def _pair(name: str, value: float) -> str:
+def _pair(name: str, value: Value) -> str:
     """Return a name with its number, in a width that aligns the numbers of all trials."""
-    return f"{name}{JOIN}{value:.4g}".ljust(len(name) + 1 + NUMBER_WIDTH, JOIN)
+    return f"{name}{JOIN}{shown(value)}".ljust(len(name) + 1 + NUMBER_WIDTH, JOIN)
 
 
 def describe(trial: Trial, study: Study) -> str:
@@ -218,10 +218,9 @@ def describe(trial: Trial, study: Study) -> str:
     text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        # What was estimated, beside the limit: whether it holds is for the models to say.
-        sign = "<=" if worst_case_holds(worst, trial.worst_case) else "> "
+        sign = "<=" if trial.worst_case.value <= worst.upper else "> "
         value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_case.value)
         text += f"  {value}{JOIN}{sign}{JOIN}{worst.upper:g}"
-    if others := [name for name in violated(study, trial) if worst is None or name != worst.name]:
-        text += f"  violates {', '.join(others)}"
+    if broken := violated(study, trial):
+        text += f"  violates {', '.join(broken)}"
     return f"{text}  [{len(trial.evaluations)}{JOIN}evaluations]"

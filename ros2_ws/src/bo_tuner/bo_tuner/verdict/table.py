@@ -8,6 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from bo_tuner import text
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from bo_tuner.verdict.differences import CONFIDENCE
@@ -54,8 +55,7 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
     defaults = study.search_space().defaults
     for name, item in study.parameters.items():
         now, new = defaults[name], tuned[name]
-        change = "" if now == new else f"{new - now:+.4g}"
-        table.add_row(_with_unit(name, item.unit), f"{now:.4g}", f"{new:.4g}", change, "")
+        table.add_row(_with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
     table.add_section()
     for quantity in verdict.quantities:
         table.add_row(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from bo_tuner.study.parts import EXPECTATION
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.limits import Sample
@@ -118,6 +119,8 @@ def _problems(study: Study, found: Validation) -> list[str]:
 
 def _broken(study: Study, sample: Sample) -> str:
     constraint = study.constraints[sample.name]
+    if constraint.statistic == EXPECTATION:
+        return f"{sample.name}: the mean over the draws is above {constraint.upper:g}"
     limit = f"{constraint.upper:g} {study.metrics[constraint.metric].unit}".rstrip()
     return f"{sample.name}: {sample.violations} of {sample.count} draws above {limit}"
 

@@ -51,7 +51,8 @@ def trade_off(analysis: Analysis) -> Section | None:
         name="trade-off",
         title=f"What a lower {limited.name} costs",
         lead=f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
-        "Pareto front of what was seen: no other trial has both a better objective and a lower worst case.",
+        "Pareto front of what was seen: no other trial has both a better "
+        "objective and a lower worst case.",
         figures=[
             Figure(
                 name="trade-off",
