@@ -7,7 +7,7 @@ from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.backends.ros.errors import LostError, SilentError
 from bo_tuner.backends.ros.node_parameters import NodeParameters
-from bo_tuner.backends.ros.parameters import EVENTS
+from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
 from bo_tuner.backends.ros.trigger import of_node
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode
 from bo_tuner.study.study import Study
@@ -158,4 +158,4 @@ class Presence:
     def _sign_of_life(self, key: str) -> str:
         """Topic on which a node has a publisher from its start on, and anew when it restarts."""
         spec = self._study.nodes[key]
-        return of_node(spec.node, spec.result) if spec.result else EVENTS
+        return of_node(spec.node, spec.result) if spec.result else PARAMETER_EVENTS
