@@ -22,9 +22,10 @@ from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
-from bo_tuner.storage.provenance import STOP_EARLY, changed_sources, session_provenance
+from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -58,6 +59,10 @@ class RunOptions:
         What is shown of the run.
     stop_early
         Follow the advice to stop.
+    carried
+        Trials of an earlier run that a new run begins with.
+    carried_from
+        The folder of that run.
     """
 
     algorithm: str = "IV"
@@ -67,6 +72,8 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
+    carried: Sequence[Trial] = ()
+    carried_from: str = ""
 
 
 class Session:
@@ -124,13 +131,15 @@ class Session:
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
+            elif self._options.carried:
+                earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             try:
                 try:
                     with (
                         opened(backend, self._interruption),
-                        Journal(folder.journal, provenance) as journal,
+                        Journal(folder.journal, provenance, earlier.trials) as journal,
                     ):
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
@@ -159,6 +168,8 @@ class Session:
         provenance = session_provenance(self._study, options.backend, options.algorithm)
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
+        if options.carried:
+            provenance[CARRIED] = options.carried_from
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage
@@ -190,9 +201,10 @@ class Session:
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
         if earlier.evaluations:
+            on_record = f"of {options.carried_from}" if options.carried else "on record"
             self._display.tell(
                 f"continues after {len(earlier.trials)} trials and "
-                f"{len(earlier.evaluations)} evaluations on record"
+                f"{len(earlier.evaluations)} evaluations {on_record}"
             )
         study, observers = self._study, self._observers
         tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)

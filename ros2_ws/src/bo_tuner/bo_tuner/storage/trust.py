@@ -17,7 +17,7 @@ from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.study.study import NodeSpec, PythonMetric, Study
 from bo_tuner.study.study_file import load_study, shipped_studies, study_to_mapping
 
-OF_A_RUN = ("name", "description", "seed", "budget")
+OF_A_RUN = ("name", "description", "seed", "budget", "start")
 """Sections of a study that do not matter: they say how much is run, not what."""
 
 

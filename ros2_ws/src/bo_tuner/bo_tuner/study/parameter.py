@@ -111,7 +111,9 @@ class Parameter:
         object.__setattr__(self, "bounds", (lower, upper))
         if self.scale == "log" and lower <= 0:
             raise StudyError(
-                f"the log scale needs bounds above 0, found lower bound {lower}", ("scale",)
+                f"the log scale needs bounds above 0, found lower bound {lower}; "
+                f"{_instead_of_log(lower, upper, self.default)}",
+                ("scale",),
             )
         if self.default is None:
             raise StudyError("missing; expected the hand-tuned value", ("default",))
@@ -136,3 +138,13 @@ class Parameter:
         if self.is_integer:
             return checks.integer(value, *path)
         return checks.number(value, *path)
+
+
+def _instead_of_log(lower: Number, upper: Number, default: object) -> str:
+    """Say what to write for bounds that have no logarithm."""
+    if lower < 0 or upper <= 0:
+        return "leave it out"
+    # Three decades below the default, which is where the search is worth while.
+    near = default if isinstance(default, (int, float)) and default > 0 else upper
+    proposed = 1 if isinstance(lower, int) else float(f"{min(near, upper) / 1000.0:.1g}")
+    return f"write bounds: [{proposed}, {upper}], or leave out the scale if 0 itself counts"

@@ -101,6 +101,22 @@ class ParameterSpace:
                 )
         return row
 
+    def check_order(self, row: Array) -> None:
+        """Refuse a row of tuned values, shape (d,), that violates the order.
+
+        Raises
+        ------
+        ParameterError
+            With the two parameters.
+        """
+        values = self.complete(row)
+        for smaller, larger in self.order:
+            if values[smaller] > values[larger]:
+                raise ParameterError(
+                    f"expected '{smaller}' <= '{larger}', found {values[smaller]} and "
+                    f"{values[larger]}"
+                )
+
     def complete(self, row: Array) -> dict[str, Number]:
         """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
         parameters = dict(self.defaults)

@@ -134,6 +134,18 @@ class SearchSpace:
         """
         return self._space.complete(self._space.row(parameters))
 
+    def permitted(self, parameters: Mapping[str, Number]) -> dict[str, Number]:
+        """Return all parameters, as `completed`, of a parameter set that satisfies the order.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`, or if the order is violated.
+        """
+        row = self._space.row(parameters)
+        self._space.check_order(row)
+        return self._space.complete(row)
+
     def repair(self, positions: ArrayLike) -> Array:
         """Move positions to points that represent a permitted parameter set.
 
@@ -180,7 +192,12 @@ class SearchSpace:
             for value, integer, digits in zip(row.tolist(), self.integer, places, strict=True)
         )
 
-    def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
+    def latin_hypercube(
+        self,
+        count: int,
+        rng: np.random.Generator,
+        taken: Iterable[Mapping[str, Number]] = (),
+    ) -> Array:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
         Each parameter's permitted range is divided into n equal strata with one point in each; all
@@ -193,6 +210,8 @@ class SearchSpace:
             Number of points, n, at least 1.
         rng : numpy.random.Generator
             Draws the order of the strata and the position within each.
+        taken : iterable of mapping
+            Parameter sets that the points shall differ from as well.
 
         Returns
         -------
@@ -206,7 +225,8 @@ class SearchSpace:
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
         values = np.where(self.integer, integers, values)
-        return self._distinct(self._to_unit(self._values_of(self._order.swap(values))))
+        points = self._to_unit(self._values_of(self._order.swap(values)))
+        return self._distinct(points, {self.key(parameters) for parameters in taken})
 
     def minimum_length_scales(self) -> Array:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
@@ -313,10 +333,9 @@ class SearchSpace:
         scaled[..., self._log] = np.log(values[..., self._log])
         return scaled
 
-    def _distinct(self, points: Array) -> Array:
+    def _distinct(self, points: Array, seen: set[tuple[Number, ...]]) -> Array:
         """Move repeated points to the nearest free parameter set in integer steps."""
         points = points.copy()
-        seen: set[tuple[Number, ...]] = set()
         for index, point in enumerate(points):
             layer = [self.to_parameters(point)]
             visited = {self.key(layer[0])}

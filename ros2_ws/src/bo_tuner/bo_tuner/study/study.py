@@ -1,7 +1,7 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
@@ -27,6 +27,7 @@ from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 
 __all__ = [
+    "DEFAULT_SET",
     "Budget",
     "CertificateRequirement",
     "Constraint",
@@ -45,6 +46,8 @@ __all__ = [
     "Trigger",
 ]
 
+DEFAULT_SET = "default"
+"""Stands for the study's default in the list of parameter sets that are tried first."""
 
 MOST = {
     "nodes": maxima.NODES,
@@ -54,6 +57,7 @@ MOST = {
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
     "order": maxima.PARAMETERS,
+    "start": maxima.TRIALS,
 }
 
 
@@ -92,6 +96,9 @@ class Study:
         What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
+    start : tuple of mapping or str
+        Parameter sets that are tried first: `DEFAULT_SET`, or values of parameters by name, where
+        those that are left out are the defaults. The default alone unless given.
     seed_parameter : SeedParameter, optional
         Where an evaluation's noise is seeded.
     seed : int
@@ -119,6 +126,7 @@ class Study:
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
+    start: tuple[Mapping[str, Number] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
     seed: int = 1
     description: str = ""
@@ -129,6 +137,7 @@ class Study:
         checks.text(self.description, "description")
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
+        object.__setattr__(self, "start", _start(self.start))
         for section, most in MOST.items():
             checks.at_most(getattr(self, section), most, section)
         tuned = [name for name, item in self.parameters.items() if item.is_tuned]
@@ -158,8 +167,8 @@ class Study:
                 ("constraints", worst[1], "kind"),
             )
         self._check_targets()
-        self.search_space()
         self._check_park()
+        self.starting_sets()
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
@@ -170,6 +179,36 @@ class Study:
         """All parameters, as they are while no run is performed."""
         space = self.search_space()
         return space.completed(space.defaults | dict(self.park.parameters))
+
+    def starting_sets(self) -> list[dict[str, Number]]:
+        """Return the different parameter sets of `start`, complete and in its order.
+
+        Raises
+        ------
+        StudyError
+            If one is not a parameter set of the study, or there are more than trials.
+        """
+        space = self.search_space()
+        sets: dict[object, dict[str, Number]] = {}
+        for index, given in enumerate(self.start):
+            chosen: Mapping[str, Number] = {} if isinstance(given, str) else given
+            try:
+                found = space.permitted({**space.defaults, **chosen})
+            except ParameterError as error:
+                raise StudyError(str(error), ("start", index)) from None
+            for name, value in chosen.items():
+                if found[name] != value:
+                    raise StudyError(
+                        f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
+                        ("start", index, name),
+                    )
+            sets.setdefault(space.key(found), found)
+        if len(sets) > self.budget.trials:
+            raise StudyError(
+                f"{len(sets)} parameter sets are more than the {self.budget.trials} trials",
+                ("start",),
+            )
+        return list(sets.values())
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
@@ -225,8 +264,11 @@ class Study:
         drawn_contexts: int | None = None,
         search_evaluations: int | None = None,
         validation_draws: int | None = None,
+        start: Sequence[Mapping[str, Number]] = (),
     ) -> "Study":
         """Return the study with another seed or budget, checked again; None keeps a value.
+
+        The parameter sets in `start` are tried after those that the study has.
 
         With `trials` alone, the initial design shrinks to that number if necessary.
 
@@ -249,7 +291,12 @@ class Study:
             budget = dataclasses.replace(self.budget, **changes)
         except StudyError as error:
             raise error.under("budget") from None
-        return dataclasses.replace(self, budget=budget, seed=self.seed if seed is None else seed)
+        return dataclasses.replace(
+            self,
+            budget=budget,
+            seed=self.seed if seed is None else seed,
+            start=(*self.start, *start),
+        )
 
     def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
         for section in ("parameters", "contexts", "metrics"):
@@ -341,3 +388,16 @@ def _order(order: object) -> tuple[tuple[str, str], ...]:
             (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
         )
     return tuple(pairs)
+
+
+def _start(start: object) -> tuple[Mapping[str, Number] | str, ...]:
+    expected = f"parameter sets, or {DEFAULT_SET}"
+    items: list[Mapping[str, Number] | str] = []
+    for index, item in enumerate(checks.sequence(start, f"a list of {expected}", "start")):
+        if isinstance(item, Mapping):
+            items.append(dict(item))
+        elif item == DEFAULT_SET:
+            items.append(DEFAULT_SET)
+        else:
+            raise StudyError(f"expected {expected}, found {checks.show(item)}", ("start", index))
+    return tuple(items)

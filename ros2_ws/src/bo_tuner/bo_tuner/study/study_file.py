@@ -82,8 +82,8 @@ def load_study(name_or_path: str | Path) -> Study:
                 "write a path with its suffix, such as ./mine.yaml"
             )
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
-        return parse_study(_read(path, path.name), path.name)
-    return parse_study(_read(Path(name_or_path), str(name_or_path)), str(name_or_path))
+        return parse_study(read_text(path, path.name), path.name)
+    return parse_study(read_text(Path(name_or_path), str(name_or_path)), str(name_or_path))
 
 
 def parse_study(text: str, source: str = "study") -> Study:
@@ -139,6 +139,9 @@ def study_to_mapping(study: Study) -> dict[str, object]:
         items = getattr(study, key)
         if items:
             mapping[key] = {name: _plain_part(item) for name, item in items.items()}
+    if not study.start:
+        # Unlike in other sections, an empty list is not what it is without the key.
+        mapping["start"] = []
     return mapping
 
 
@@ -151,7 +154,14 @@ def _is_path(text: str) -> bool:
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
-def _read(path: Path, source: str) -> str:
+def read_text(path: Path, source: str) -> str:
+    """Read a file of the user's, which errors call `source`.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be read, is too large, or is no UTF-8 text.
+    """
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -162,7 +172,7 @@ def _read(path: Path, source: str) -> str:
         # A path with a null character.
         raise StudyError(f"cannot be read: {error}", source=repr(source)) from None
     if len(content) > MAX_BYTES:
-        raise StudyError("expected a study file of at most 1 MB", source=source)
+        raise StudyError("expected a file of at most 1 MB", source=source)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, change, number, quantity
-from bo_tuner.study.parts import CHANCE, MINIMIZE, Constraint
+from bo_tuner.study.parts import CHANCE, EXPECTATION, MINIMIZE, Constraint
 from bo_tuner.tuning.limits import Sample
 from bo_tuner.tuning.validation import Validation
 
@@ -222,7 +222,10 @@ def _table(rows: Sequence[Sequence[str]], caption: str, tuned: str = "tuned") ->
 
 
 def _allowed(constraint: Constraint) -> str:
-    return f"≤ {100.0 * constraint.allowed:.3g} %" if constraint.kind == CHANCE else "0"
+    if constraint.statistic == EXPECTATION:
+        return "mean counts"
+    where = "" if constraint.kind == CHANCE else " in any context"
+    return f"≤ {100.0 * constraint.allowed:.3g} %{where}"
 
 
 def _paired(analysis: Analysis, unit: str) -> str:
