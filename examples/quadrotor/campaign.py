@@ -40,19 +40,28 @@ def command(name: str, *arguments: object) -> tuple[int, float]:
     return code, time.monotonic() - began
 
 
-def tune(seed: int, folder: Path, options: Iterable[str]) -> dict[str, Any]:
-    """Tune and certify; return what became of it."""
-    tuned, tuning = command("tune", "--study", STUDY, "--seed", seed, "--output", folder, *options)
-    run = (folder / "latest").resolve()
-    certified, certifying = command("validate", run)
+def tune(seed: int, folder: Path, options: Iterable[str]) -> dict[str, float]:
+    """Tune and certify; return how long it took."""
+    _, tuning = command("tune", "--study", STUDY, "--seed", seed, "--output", folder, *options)
+    _, certifying = command("validate", folder / "latest")
+    return {"tuning_s": round(tuning, 1), "certifying_s": round(certifying, 1)}
+
+
+def result(run: Path) -> dict[str, Any]:
+    """Read what became of a run."""
     (node,) = yaml.safe_load((run / "best.yaml").read_text(encoding="utf-8")).values()
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    certificates = [
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted((run / "certificates").glob("*.json"))
+    ]
     return {
-        "seed": seed,
+        "seed": yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))["seed"],
+        "trials": summary["trials"],
+        "evaluations": summary["evaluations"],
         "gains": node["ros__parameters"],
-        "feasible": tuned == 0,
-        "certificate": "PASS" if certified == 0 else "FAIL",
-        "tuning_s": round(tuning, 1),
-        "certifying_s": round(certifying, 1),
+        "feasible": summary["feasible"],
+        "certificate": certificates[-1]["verdict"] if certificates else "none",
     }
 
 
@@ -117,11 +126,18 @@ def main() -> None:
     """Run the campaign."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[1], metavar="N")
+    parser.add_argument("--runs", type=Path, nargs="+", metavar="RUN", help="judge these only")
     parser.add_argument("--output", type=Path, default=Path("runs"), metavar="DIR")
     parser.add_argument("--result", type=Path, metavar="FILE", help="JSON file of the comparison")
     arguments, options = parser.parse_known_args()
     found = provenance()
-    runs = [tune(seed, arguments.output, options) for seed in arguments.seeds]
+    if arguments.runs:
+        runs = [result(run) for run in arguments.runs]
+    else:
+        runs = []
+        for seed in arguments.seeds:
+            seconds = tune(seed, arguments.output, options)
+            runs.append(result(arguments.output / "latest") | seconds)
     sets = {"default": DEFAULT, "Ziegler-Nichols": ziegler_nichols()}
     sets |= {f"tuned, seed {run['seed']}": run["gains"] for run in runs}
     with ProcessPoolExecutor() as executor:

@@ -75,7 +75,7 @@ def test_the_defaults_are_those_of_rotorpy(module):
         "kp_xy": control.kp_pos[0], "kd_xy": control.kd_pos[0], "kp_z": control.kp_pos[2],
         "kd_z": control.kd_pos[2], "kp_att": control.kp_att, "kd_att": control.kd_att,
     }  # fmt: skip
-    assert judge.DEFAULT == gains
+    assert gains == judge.DEFAULT
     study = parse_study((EXAMPLE / "study.yaml").read_text(encoding="utf-8"))
     assert {p.name: p.default for p in study.parameters.values()} == judge.DEFAULT
 
