@@ -170,7 +170,7 @@ def run(backend, gain=0.5):
 def test_a_run_and_its_metrics(backend, system):
     made = backend(
         signals={
-            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 0.3},
+            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 3.0},
             "limit": {"topic": "limit", "field": "data", "minimum_messages": 0},
         },
         run={

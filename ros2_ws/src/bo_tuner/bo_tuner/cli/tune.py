@@ -54,9 +54,8 @@ examples:
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
-  tune --study my_axis.yaml --start known.yaml        try your own values early
-  tune --study my_axis.yaml --from runs/axis-1 --trials 60
-                                       begin with the trials of an earlier run
+  tune --start known.yaml              try parameter sets that you know first
+  tune --from latest --trials 60       begin with the trials of an earlier run
   tune --stop-early                    stop when further trials are not worth it
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace

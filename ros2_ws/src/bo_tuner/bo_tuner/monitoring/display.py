@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
+from bo_tuner.text import printable, shown
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.validation import Validation
 
@@ -135,7 +135,7 @@ def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
     table.add_column("tuned", justify="right")
     both = (default, tuned)
     for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[f"{v.parameters[name]:.4g}" for v in both])
+        table.add_row(name, item.unit, *[shown(v.parameters[name]) for v in both])
     table.add_section()
     metric = study.metrics[study.objective.metric]
     table.add_row(

@@ -15,7 +15,7 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
+from bo_tuner.text import printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import worst_case_holds
 
@@ -179,7 +179,7 @@ def duration(seconds: float) -> str:
 def describe(trial: Trial, study: Study) -> str:
     """Describe a trial in a line: tuned parameters, and its values or why it failed."""
     tuned = [name for name, item in study.parameters.items() if item.is_tuned]
-    where = "  ".join(f"{name} {trial.parameters[name]:.4g}" for name in tuned)
+    where = "  ".join(f"{name} {shown(trial.parameters[name])}" for name in tuned)
     if trial.state is TrialState.FAILED:
         evaluation = trial.evaluations[-1]
         context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())

@@ -49,7 +49,7 @@ def evaluation_of(row: Row) -> Evaluation:
         trial=_count(row, "trial"),
         index=_count(row, "position"),
         stage=Stage(_text(row, "stage")),
-        parameters=_numbers(row, "parameters"),
+        parameters=_values(row, "parameters"),
         context=_numbers(row, "context"),
         seed=_count(row, "seed"),
         outcome=Outcome(state, metrics, reason, _texts(row, "details")),
@@ -67,7 +67,7 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
         worst_case = _worst_case(row)
     return Trial(
         number=number_of(row),
-        parameters=_numbers(row, "parameters"),
+        parameters=_values(row, "parameters"),
         origin=_text(row, "origin"),
         state=state,
         reason=reason,
@@ -184,7 +184,7 @@ def _count(row: Row, column: str) -> int:
     return value
 
 
-def _number(value: object, column: str) -> Value:
+def _number(value: object, column: str) -> int | float:
     if isinstance(value, int) and not isinstance(value, bool):
         if abs(value) < checks.INTEGER_LIMIT:
             return value
@@ -217,14 +217,21 @@ def _sequence(value: object) -> Sequence[object]:
     return value
 
 
-def _numbers(row: Row, column: str) -> dict[str, Value]:
+def _numbers(row: Row, column: str) -> dict[str, int | float]:
     return _as_numbers(_object(row, column), column)
 
 
-def _as_numbers(value: object, column: str) -> dict[str, Value]:
+def _as_numbers(value: object, column: str) -> dict[str, int | float]:
     if not isinstance(value, dict):
         raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
     return {name: _number(item, column) for name, item in value.items()}
+
+
+def _values(row: Row, column: str) -> dict[str, Value]:
+    return {
+        name: item if isinstance(item, (bool, str)) else _number(item, column)
+        for name, item in _object(row, column).items()
+    }
 
 
 def _texts(row: Row, column: str) -> dict[str, str]:

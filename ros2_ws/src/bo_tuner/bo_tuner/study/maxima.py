@@ -13,6 +13,8 @@ NODES = 100
 PARAMETERS = 500
 """Tuned, tied and fixed ones."""
 TUNED = 50
+CHOICES = 50
+"""Of a tuned text."""
 CONTEXTS = 50
 SIGNALS = 100
 STEPS = 100

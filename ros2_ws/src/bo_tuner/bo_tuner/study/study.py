@@ -8,7 +8,7 @@ from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
-from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     CHANCE,
@@ -25,6 +25,7 @@ from bo_tuner.study.parts import (
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.trials import Value
 
 __all__ = [
     "DEFAULT_SET",
@@ -126,7 +127,7 @@ class Study:
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
-    start: tuple[Mapping[str, Number] | str, ...] = (DEFAULT_SET,)
+    start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
     seed: int = 1
     description: str = ""
@@ -175,12 +176,12 @@ class Study:
         return SearchSpace(self.parameters.values(), self.order)
 
     @property
-    def safe_parameters(self) -> dict[str, Number]:
+    def safe_parameters(self) -> dict[str, Value]:
         """All parameters, as they are while no run is performed."""
         space = self.search_space()
         return space.completed(space.defaults | dict(self.park.parameters))
 
-    def starting_sets(self) -> list[dict[str, Number]]:
+    def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
 
         Raises
@@ -189,9 +190,9 @@ class Study:
             If one is not a parameter set of the study, or there are more than trials.
         """
         space = self.search_space()
-        sets: dict[object, dict[str, Number]] = {}
+        sets: dict[object, dict[str, Value]] = {}
         for index, given in enumerate(self.start):
-            chosen: Mapping[str, Number] = {} if isinstance(given, str) else given
+            chosen: Mapping[str, Value] = {} if isinstance(given, str) else given
             try:
                 found = space.permitted({**space.defaults, **chosen})
             except ParameterError as error:
@@ -226,8 +227,8 @@ class Study:
         return worst[0] if worst else None
 
     def assignments(
-        self, parameters: Mapping[str, Number], context: Mapping[str, float], seed: int
-    ) -> dict[str, dict[str, Number]]:
+        self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return the parameters to set on each node before an evaluation.
 
         Parameters
@@ -244,15 +245,39 @@ class Study:
         dict from str to dict
             Values by the node's name in the study, then by the node's own parameter name.
         """
-        values: dict[str, dict[str, Number]] = {}
-        for name, value in parameters.items():
-            item = self.parameters[name]
-            values.setdefault(item.node, {})[item.parameter] = value
+        values = self.node_parameters(parameters)
         for name, value in context.items():
             variable = self.contexts[name]
             values.setdefault(variable.node, {})[variable.parameter] = value
         if self.seed_parameter is not None:
             values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
+        return values
+
+    def node_parameters(
+        self, parameters: Mapping[str, Value]
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
+        """Return a parameter set as the nodes take it: an item of an array as the whole array.
+
+        Parameters
+        ----------
+        parameters : mapping from str to value
+            Values of the study's parameters.
+
+        Returns
+        -------
+        dict from str to dict
+            Values by the node's name in the study, then by the node's own parameter name.
+        """
+        values: dict[str, dict[str, checks.ParameterValue]] = {}
+        for name, value in parameters.items():
+            item = self.parameters[name]
+            of_node = values.setdefault(item.node, {})
+            if not item.array:
+                of_node[item.parameter] = value
+                continue
+            items = of_node.get(item.array, self.nodes[item.node].parameters[item.array])
+            if isinstance(items, tuple):
+                of_node[item.array] = (*items[: item.item], value, *items[item.item + 1 :])
         return values
 
     def replace(
@@ -264,7 +289,7 @@ class Study:
         drawn_contexts: int | None = None,
         search_evaluations: int | None = None,
         validation_draws: int | None = None,
-        start: Sequence[Mapping[str, Number]] = (),
+        start: Sequence[Mapping[str, Value]] = (),
     ) -> "Study":
         """Return the study with another seed or budget, checked again; None keeps a value.
 
@@ -356,12 +381,34 @@ class Study:
         except ParameterError as error:
             raise StudyError(str(error), path) from None
 
+    def _check_item(self, name: str, item: Parameter) -> None:
+        """Refuse an item of an array that the study does not have, or not with such an item."""
+        path = ("nodes", item.node, "parameters", item.array)
+        if item.array not in self.nodes[item.node].parameters:
+            raise StudyError(f"missing; expected the array of which '{name}' is an item", path)
+        array = self.nodes[item.node].parameters[item.array]
+        if not isinstance(array, tuple):
+            raise StudyError(f"expected an array, found {checks.show(array)}", path)
+        if item.item >= len(array):
+            raise StudyError(
+                f"has {len(array)} items, so that there is no '{item.parameter}'", path
+            )
+        try:
+            item.checked(array[item.item])
+        except StudyError as error:
+            raise error.under(*path, item.item) from None
+
     def _check_targets(self) -> None:
         """Refuse two sources for one parameter of a node."""
         sources: dict[tuple[str, str], str] = {}
+        arrays = {(item.node, item.array) for item in self.parameters.values() if item.array}
+        for name, item in self.parameters.items():
+            if item.array:
+                self._check_item(name, item)
         for key, node in self.nodes.items():
             for name in (*node.parameters, *node.inprocess_parameters):
-                sources[key, name] = f"nodes.{key}"
+                if (key, name) not in arrays:
+                    sources[key, name] = f"nodes.{key}"
         targets: list[tuple[KeyPath, str, str]] = [
             ((section, name), item.node, item.parameter)
             for section, items in (("parameters", self.parameters), ("contexts", self.contexts))
@@ -390,9 +437,9 @@ def _order(order: object) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def _start(start: object) -> tuple[Mapping[str, Number] | str, ...]:
+def _start(start: object) -> tuple[Mapping[str, Value] | str, ...]:
     expected = f"parameter sets, or {DEFAULT_SET}"
-    items: list[Mapping[str, Number] | str] = []
+    items: list[Mapping[str, Value] | str] = []
     for index, item in enumerate(checks.sequence(start, f"a list of {expected}", "start")):
         if isinstance(item, Mapping):
             items.append(dict(item))

@@ -13,6 +13,8 @@ from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
 from bo_tuner.study.search_space import STEP
+from bo_tuner.text import shown
+from bo_tuner.trials import Value
 
 
 def sensitivity(analysis: Analysis) -> Section | None:
@@ -120,6 +122,11 @@ def _step(neighbour: Neighbour, optimum: Neighbour) -> str:
     if not neighbour.changed:
         return "tuned"
     return ", ".join(
-        f"{name} {value - optimum.parameters[name]:+.3g}"
-        for name, value in neighbour.changed.items()
+        _change(name, optimum.parameters[name], value) for name, value in neighbour.changed.items()
     )
+
+
+def _change(name: str, old: Value, new: Value) -> str:
+    if isinstance(old, (bool, str)) or isinstance(new, (bool, str)):
+        return f"{name} {shown(new)}"
+    return f"{name} {new - old:+.3g}"
