@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from axis import node, write_axis
-from commands import finish, start
+from commands import Fork, finish
 from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -46,7 +46,7 @@ class Runs:
         (folder / "axis.yaml").write_text(study_to_yaml(study))
 
     def start(self, *arguments, environment=None):
-        return start(*arguments, folder=self.folder, env=environment)
+        return Fork(*arguments, folder=self.folder, env=environment)
 
     def run(self, *arguments):
         return finish(self.start(*arguments))
