@@ -28,7 +28,12 @@ from common import RESULTS, provenance, table, write_result
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping, study_to_yaml
+from bo_tuner.study.study_file import (
+    load_study,
+    study_from_mapping,
+    study_to_mapping,
+    study_to_yaml,
+)
 from bo_tuner.trials import Evaluation
 
 SEED = 1
@@ -139,8 +144,13 @@ def short_study() -> Study:
     """Take the benchmark study with few and short cuts, without any measured time."""
     mapping = study_to_mapping(load_study("benchmark"))
     mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
-    mapping["nodes"]["plant"]["parameters"] = {"samples_per_level": 20}
-    # So little that a certificate takes seconds; that it would not do for `apply` is no matter.
+    mapping["nodes"]["plant"]["parameters"] = {
+        "reference_levels": [0.0, 0.5],
+        "samples_per_level": 10,
+    }
+    # A worst-case constraint would make a certificate take hundreds of cuts.
+    overshoot = {"kind": "chance", "metric": "overshoot", "upper": 0.09, "probability": 0.9}
+    mapping["constraints"]["overshoot"] = overshoot
     mapping["certificate"] = {"draws": 20, "confidence": 0.5}
     return study_from_mapping(mapping).replace(
         trials=4, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_draws=3
