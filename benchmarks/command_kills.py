@@ -6,8 +6,8 @@ bundle is deleted before, so that it is written anew). Each time the same comman
 tuner by ``--resume`` as soon as there is something on record. At its end each run is resumed,
 certified and reported without a kill, and the next one begins.
 
-A command that ends by itself with another code than that of a result has refused to go on. A row is wrong
-if it differs from that of a run which nobody has killed.
+A command that ends by itself with another code than that of a result has refused to go on. A row is
+wrong if it differs from that of a run which nobody has killed.
 """
 
 import argparse
@@ -20,7 +20,10 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +143,16 @@ class Run:
         return ["--study", "study.yaml"]
 
 
+@dataclass
+class Life:
+    """What became of a run."""
+
+    kills: Counter[str] = field(default_factory=Counter)
+    refused: list[str] = field(default_factory=list)
+    rows: list[Evaluation] = field(default_factory=list)
+    left_over: int = 0
+
+
 def short_study() -> Study:
     """Take the benchmark study with few and short cuts, without any measured time."""
     mapping = study_to_mapping(load_study("benchmark"))
@@ -157,63 +170,76 @@ def short_study() -> Study:
     )
 
 
-def kills(count: int, folder: Path) -> dict[str, object]:
-    """Kill so often, in one run after the other."""
-    rng = np.random.default_rng(SEED)
+def life(folder: Path, study: Study, seconds: Mapping[str, float], number: int) -> Life:
+    """Kill a run as often as `LIFE` tells, and bring it to its end."""
+    rng = np.random.default_rng([SEED, number])
+    run, found = Run(folder / str(number), study), Life()
+    for command, moment in LIFE:
+        delay = rng.uniform(0.0, seconds[command] if moment == ANY else LONGEST_DELAY)
+        if run.kill(command, moment, delay):
+            found.kills[f"{command} {moment}"] += 1
+    for command in ("tune", "validate", "report"):
+        run.finish(command)
+    found.refused, found.rows, found.left_over = run.refused, run.rows(), run.left_over()
+    return found
+
+
+def soak(count: int, jobs: int, folder: Path) -> Iterator[dict[str, object]]:
+    """Kill at least so often, in so many runs side by side; gives the figures after each run."""
     study = short_study()
     whole = Run(folder / "whole", study)
     seconds = {command: whole.finish(command) for command in ("tune", "validate")}
     if whole.refused:
         raise SystemExit(f"error: without any kill: {whole.refused}")
     expected = whole.rows()
-    killed: Counter[str] = Counter()
-    ended = wrong = compared = left = runs = 0
-    refused: list[str] = []
-    while sum(killed.values()) < count:
-        run = Run(folder / str(runs), study)
-        runs += 1
-        for command, moment in LIFE:
-            delay = rng.uniform(0.0, seconds[command] if moment == ANY else LONGEST_DELAY)
-            if run.kill(command, moment, delay):
-                killed[f"{command} {moment}"] += 1
-            else:
-                ended += 1
-        for command in ("tune", "validate", "report"):
-            run.finish(command)
-        refused += run.refused
-        rows = run.rows()
-        compared += len(expected)
-        wrong += sum(a != b for a, b in zip(rows, expected, strict=False))
-        wrong += abs(len(rows) - len(expected))
-        left += run.left_over()
-        print(f"{runs} runs, {sum(killed.values())} kills, {run.refused}", flush=True)
-    return {
-        "seed": SEED,
-        "seconds_without_kills": seconds,
-        "kills": dict(killed),
-        "ended_before_the_kill": ended,
-        "runs": runs,
-        "refused": refused,
-        "rows_compared": compared,
-        "wrong_rows": wrong,
-        "files_left_over": left,
-        "load_average": os.getloadavg(),
-    }
+    lives: list[Life] = []
+    numbers = iter(range(sys.maxsize))
+    with ThreadPoolExecutor(jobs) as pool:
+
+        def begin() -> Future[Life]:
+            return pool.submit(life, folder, study, seconds, next(numbers))
+
+        pending = {begin() for _ in range(jobs)}
+        while pending:
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            lives += [future.result() for future in done]
+            kills = sum((each.kills for each in lives), Counter())
+            if kills.total() + len(pending) * len(LIFE) < count:
+                pending |= {begin() for _ in done}
+            yield {
+                "seed": SEED,
+                "jobs": jobs,
+                "seconds_without_kills": seconds,
+                "kills": dict(kills),
+                "ended_before_the_kill": len(lives) * len(LIFE) - kills.total(),
+                "runs": len(lives),
+                "refused": [line for each in lives for line in each.refused],
+                "rows_compared": sum(len(each.rows) for each in lives),
+                "wrong_rows": sum(differing(each.rows, expected) for each in lives),
+                "files_left_over": sum(each.left_over for each in lives),
+                "load_average": os.getloadavg(),
+            }
+
+
+def differing(rows: list[Evaluation], expected: list[Evaluation]) -> int:
+    """Count the rows that are not as expected, missing ones included."""
+    return sum(a != b for a, b in zip_longest(rows, expected))
 
 
 def main() -> None:
     """Kill and report; exit code 1 if a command refused to go on or a row is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--kills", type=int, default=100, help="(default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="runs at once (default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "command_kills.json")
     arguments = parser.parse_args()
     origin = provenance()
     with tempfile.TemporaryDirectory() as name:
         os.environ["XDG_STATE_HOME"] = name
-        result = kills(arguments.kills, Path(name))
-    write_result(arguments.result, {"provenance": origin} | result)
-    print(table(["killed", "times"], result["kills"].items()))
-    print(f"refused: {len(result['refused'])}, wrong rows: {result['wrong_rows']}")
+        for result in soak(arguments.kills, arguments.jobs, Path(name)):
+            write_result(arguments.result, {"provenance": origin} | result)
+            print(table(["killed", "times"], result["kills"].items()))
+            print(f"refused: {result['refused']}, wrong rows: {result['wrong_rows']}", flush=True)
     if result["refused"] or result["wrong_rows"]:
         sys.exit(1)
 

@@ -17,9 +17,11 @@ def benchmark(tmp_path, experiment_file):
     """Function that starts the command on the valley, into a folder of its own."""
     started = []
 
-    def begin(output, *arguments, experiment=experiment_file, environment=None):
+    def begin(output, *arguments, experiment=experiment_file, environment=None, **streams):
         arguments = ("--experiment", experiment, "--output", tmp_path / output, *arguments)
-        process = start(*arguments, folder=tmp_path, package="tuning_benchmark", env=environment)
+        process = start(
+            *arguments, folder=tmp_path, package="tuning_benchmark", env=environment, **streams
+        )
         started.append(process)
         return process
 
@@ -65,6 +67,25 @@ def wait_for_records(file, count, process):
     wait_until(
         lambda: file.exists() and file.read_bytes().count(b"\n") >= count, "records", process
     )
+
+
+@pytest.mark.parametrize(("gone", "code"), [("full", 1), ("pipe", 141)])
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_tasks_are_on_record_though_the_output_goes(benchmark, tmp_path, gone, code, stream):
+    if gone == "full":
+        output = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reading, output = os.pipe()
+        os.close(reading)
+    process = benchmark("out", **{stream: output})
+    os.close(output)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == code
+    assert "Traceback" not in (err or "")
+    code, tables, err = finish(benchmark("out"))
+    assert code == 0, err
+    assert "A valley" in tables
+    assert "tasks are on record" in err
 
 
 def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, tmp_path):

@@ -33,6 +33,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
@@ -251,7 +252,7 @@ class RosBackend(SequentialBackend):
         """
         file = self._log_directory / HELD
         try:
-            earlier = json.loads(file.read_text(encoding="utf-8"))
+            earlier = json.loads(read_text(file))
             known = {key: dict(earlier[key]) for key in values}
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             known = {}
