@@ -49,6 +49,10 @@ LIFE = (
     ("tune", ANY),
     ("tune", SUMMARY),
     ("tune", BUNDLE),
+    ("tune", SUMMARY),
+    ("tune", BUNDLE),
+    ("validate", ANY),
+    ("validate", CERTIFICATE),
     ("validate", ANY),
     ("validate", CERTIFICATE),
 )
@@ -116,8 +120,9 @@ class Run:
         return True
 
     def rows(self) -> list[Evaluation]:
-        """Read all evaluations, without what depends on the machine's speed."""
-        return [replace(row, seconds=0.0) for row in read_run(self.path).evaluations]
+        """Read all evaluations, without what is of the moment: times, and numbers of cuts."""
+        rows = read_run(self.path).evaluations
+        return [replace(row, seconds=0.0, outcome=replace(row.outcome, details={})) for row in rows]
 
     def left_over(self) -> int:
         """Count the files that a write left half done."""

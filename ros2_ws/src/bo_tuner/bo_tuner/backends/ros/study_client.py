@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.parameters import (
     Difference,
     ParameterWatch,
@@ -347,6 +348,7 @@ class StudyClient:
                 name = self._study.nodes[anew[0]].node
                 raise LostError(f"{name} was started anew in the evaluation")
             self._check(wanted, {})
+            self._refuse_unreadable()
             if self.results.contradicted:
                 raise DisturbedError(
                     f"{self.results.contradicted[0]}: two different results of one evaluation"
@@ -374,6 +376,8 @@ class StudyClient:
         found = self._read(wanted)
         self._known |= found
         seen = self._parameters.take_seen()
+        if self._parameters.problem:
+            raise DisturbedError(self._parameters.problem)
         for key, values in wanted.items():
             for difference in differences(key, found[key], values):
                 if difference.name in told.get(key, ()):
@@ -381,6 +385,10 @@ class StudyClient:
                 raise _disturbed(difference)
         if seen:
             raise _disturbed(seen[0])
+
+    def _refuse_unreadable(self) -> None:
+        if self.results.problem:
+            raise DisturbedError(self.results.problem)
 
     def _refuse_twins(self) -> None:
         if twins := self.twins(LONGEST_LEASE):
@@ -430,6 +438,7 @@ class StudyClient:
         metrics = self._study.metrics.values()
         awaited = {trigger.node} | {m.node for m in metrics if isinstance(m, ReportedMetric)}
         while True:
+            self._refuse_unreadable()
             said = self.results.said
             if any(pairs["status"] != STATUS_OK for pairs in said.values()):
                 # A node may have failed the evaluation for want of another one.
@@ -475,7 +484,7 @@ class StudyClient:
             if spec.result:
                 topic = _of_node(spec.node, spec.result)
                 self._node.create_subscription(
-                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS
+                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS, raw=True
                 )
         trigger = self._study.trigger
         self._triggered = None if trigger is None else trigger.node
@@ -533,7 +542,12 @@ class StudyClient:
         spec = self._study.nodes[key]
         return _of_node(spec.node, spec.result) if spec.result else PARAMETER_EVENTS
 
-    def _on_result(self, key: str, message: DiagnosticArray) -> None:
+    def _on_result(self, key: str, data: bytes) -> None:
+        try:
+            message = decode(data, DiagnosticArray)
+        except UnreadableError as error:
+            self.results.add_unreadable(f"{self._study.nodes[key].node}: a result {error}")
+            return
         for status in message.status:
             pairs: dict[str, object] = {item.key: item.value for item in status.values}
             failed = status.level == DiagnosticStatus.ERROR
