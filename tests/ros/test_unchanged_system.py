@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import threading
 import time
 from pathlib import Path
@@ -20,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from bo_tuner.backends.ros import procedure, study_client
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
+from bo_tuner.study import maxima
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
@@ -289,6 +291,16 @@ def test_a_joint_that_is_not_in_the_messages(backend, system):
     system.names = ["other", "engine"]
     expected = "a message on /joint_states has no 'motor' among its names other, engine"
     assert failure(run(made)) == expected
+
+
+def test_a_message_that_is_too_large(backend, monkeypatch):
+    made = backend()
+    with monkeypatch.context() as patch:
+        patch.setattr(maxima, "MESSAGE_BYTES", 10)
+        assert re.fullmatch(
+            "a message on /joint_states has [0-9]+ bytes, expected at most 10", failure(run(made))
+        )
+    assert run(made).state is EvaluationState.COMPLETE
 
 
 def test_a_condition_ends_a_run(backend):

@@ -68,6 +68,8 @@ class RosBackend(SequentialBackend):
         Use nodes that run already instead of starting them. They are looked for in the domain
         and with the discovery settings of the environment, and have in the end the parameters
         that they had before.
+    run_log
+        Log directory of the run that this repeats a part of, if it is not this one's own.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
         for the nodes that it starts.
@@ -90,6 +92,7 @@ class RosBackend(SequentialBackend):
         log_directory: Path,
         *,
         attach: bool = False,
+        run_log: Path | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
         sources: Mapping[str, MetricSource] | None = None,
@@ -99,6 +102,7 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study, {**signals, **(sources or {})})
         self._log_directory = log_directory
         self._attach = attach
+        self._run_log = run_log
         self._ros_arguments = ros_arguments or []
         self._namespace = _namespace(self._ros_arguments)
         self._interrupted = interrupted
@@ -250,13 +254,15 @@ class RosBackend(SequentialBackend):
 
         A validation, or the rest of a run, on attached nodes would else measure something else.
         """
-        file = self._log_directory / HELD
+        file = (self._run_log or self._log_directory) / HELD
         try:
             earlier = json.loads(read_text(file))
             known = {key: dict(earlier[key]) for key in values}
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             known = {}
         if not known:
+            if self._run_log is not None:
+                return
             with contextlib.suppress(OutputError):
                 write_atomically(file, json.dumps(values, indent=1, default=str))
             return
