@@ -138,10 +138,11 @@ def command_kill_section(result: Result) -> str:
             "## Commands killed, and begun again",
             origin(result),
             f"{sum(result['kills'].values())} times `kill -9` of a command over ROS in "
-            f"{result['runs']} runs, seed {result['seed']}: {len(result['refused'])} times `tune --resume`, `validate` or "
-            f"`report` refused to go on, and {result['wrong_rows']} of {result['rows_compared']} "
-            "evaluations differ from those of a run without a kill. After summary, bundle and "
-            "certificate means in the second after they have begun to be there.",
+            f"{result['runs']} runs, seed {result['seed']}: {len(result['refused'])} times "
+            f"`tune --resume`, `validate` or `report` refused to go on, and {result['wrong_rows']} "
+            f"of {result['rows_compared']} evaluations differ from those of a run without a kill. "
+            "After summary, bundle and certificate means in the second after they have begun to "
+            "be there.",
             table(["killed", "times"], result["kills"].items()),
         ]
     )
