@@ -13,6 +13,7 @@ from bo_tuner.certificate.context_tolerance import (
 )
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
 from bo_tuner.certificate.risk import Mean
+from bo_tuner.text import shown
 
 
 def certificate_table(certificate: Certificate) -> Table:
@@ -28,7 +29,7 @@ def certificate_table(certificate: Certificate) -> Table:
     table.add_column("default", justify="right")
     table.add_column("tuned", justify="right")
     for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[f"{f.parameters[name]:.4g}" for f in both])
+        table.add_row(name, item.unit, *[shown(f.parameters[name]) for f in both])
     table.add_section()
     metric = study.metrics[study.objective.metric]
     table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])

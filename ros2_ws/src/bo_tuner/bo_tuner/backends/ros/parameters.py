@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.study.checks import same_value
 
-EVENTS = "/parameter_events"
+PARAMETER_EVENTS = "/parameter_events"
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,11 @@ class ParameterWatch:
         self.problem = ""
         """What came since `expect` and cannot be read: it may tell of any parameter."""
         self._subscription = node.create_subscription(
-            ParameterEvent, EVENTS, self._on_event, qos_profile_parameter_events, raw=True
+            ParameterEvent,
+            PARAMETER_EVENTS,
+            self._on_event,
+            qos_profile_parameter_events,
+            raw=True,
         )
 
     def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:
@@ -117,7 +121,7 @@ class ParameterWatch:
         try:
             event = decode(data, ParameterEvent)
         except UnreadableError as error:
-            self.problem = f"a message on {EVENTS} {error}"
+            self.problem = f"a message on {PARAMETER_EVENTS} {error}"
             return
         for key in self._keys.get(event.node, ()):
             expected = self._expected.get(key, {})
