@@ -31,6 +31,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -66,6 +67,8 @@ class RosBackend(SequentialBackend):
         Use nodes that run already instead of starting them. They are looked for in the domain
         and with the discovery settings of the environment, and have in the end the parameters
         that they had before.
+    run_log
+        Log directory of the run that this repeats a part of, if it is not this one's own.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
         for the nodes that it starts.
@@ -83,6 +86,7 @@ class RosBackend(SequentialBackend):
         log_directory: Path,
         *,
         attach: bool = False,
+        run_log: Path | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
         sources: Mapping[str, MetricSource] | None = None,
@@ -92,6 +96,7 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study, self._sources)
         self._log_directory = log_directory
         self._attach = attach
+        self._run_log = run_log
         self._ros_arguments = ros_arguments or []
         self._namespace = _namespace(self._ros_arguments)
         self._interrupted = interrupted
@@ -344,13 +349,15 @@ class RosBackend(SequentialBackend):
 
         A validation, or the rest of a run, on attached nodes would else measure something else.
         """
-        file = self._log_directory / HELD
+        file = (self._run_log or self._log_directory) / HELD
         try:
-            earlier = json.loads(file.read_text(encoding="utf-8"))
+            earlier = json.loads(read_text(file))
             known = {key: dict(earlier[key]) for key in values}
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             known = {}
         if not known:
+            if self._run_log is not None:
+                return
             with contextlib.suppress(OutputError):
                 write_atomically(file, json.dumps(values, indent=1, default=str))
             return
