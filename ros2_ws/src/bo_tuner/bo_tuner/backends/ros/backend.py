@@ -379,7 +379,10 @@ class RosBackend(SequentialBackend):
         self._started.stop_one(key)
         self._suspension.skip()
         tuner.wait_until(lambda: key in client.presence.absent(), LEASE)
-        self._started.start_one(key)
+        try:
+            self._started.start_one(key)
+        except (BackendError, StudyError) as error:
+            raise LostError(f"{key} is not started anew: {error}") from error
         client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
         client.tell_again(key)
 
