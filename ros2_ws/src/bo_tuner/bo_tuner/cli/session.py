@@ -242,6 +242,7 @@ class Session:
             self._options.record,
             None if ros is None else partial(TopicListener, ros.context, ros.nodes),
             self._display.warn,
+            *(() if ros is None else (lambda: ros.recording,)),
         )
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)

@@ -94,7 +94,7 @@ class RosBackend(SequentialBackend):
         sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
-        signals = signal_sources(study, lambda: self._recording)
+        signals = signal_sources(study, lambda: self.recording)
         self._collector = Collector(study, {**signals, **(sources or {})})
         self._log_directory = log_directory
         self._attach = attach
@@ -193,7 +193,7 @@ class RosBackend(SequentialBackend):
             run = None if self._procedure is None else partial(self._run, self._procedure, client)
             result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
-            counts = self._recording.counts()
+            counts = self.recording.counts()
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
         except DisturbedError as error:
             reason = one_line(str(error))
@@ -203,7 +203,7 @@ class RosBackend(SequentialBackend):
             return Outcome(EvaluationState.LOST, {}, reason)
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(
-            result, details={**result.details, **ignored, **self._recording.counts()}
+            result, details={**result.details, **ignored, **self.recording.counts()}
         )
 
     def _run(self, procedure: Procedure, client: StudyClient) -> None:
@@ -216,7 +216,7 @@ class RosBackend(SequentialBackend):
             raise
 
     @property
-    def _recording(self) -> Recording:
+    def recording(self) -> Recording:
         """What was recorded of the last run."""
         return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
 
