@@ -38,6 +38,14 @@ class Judge:
         )
 
 
+class NoisyJudge(Judge):
+    """With runs in the worst context that are uniform around the mean, give or take 0.1."""
+
+    def worst_runs(self, values):
+        judged = self.judge(values)
+        return np.vstack([judged.worst + np.linspace(-0.1, 0.1, 1001), np.full(1001, -1.0)])
+
+
 class Draws:
     """Random draws; recommends the best that it saw keep all limits."""
 

@@ -48,7 +48,7 @@ def test_models_predict_their_responses(study, make_trial):
 
 @pytest.mark.parametrize(
     ("given", "probability"),
-    [({}, 0.85), ({"probability": 0.5}, 0.5), ({"probability": 0.99}, 0.99)],
+    [({}, 0.5), ({"probability": 0.5}, 0.5), ({"probability": 0.99}, 0.99)],
 )
 def test_the_noise_of_an_evaluation_keeps_a_distance_from_the_worst_case(
     make_study, make_trial, given, probability

@@ -109,13 +109,21 @@ class TestFeasibility:
         study = make_study(parameters={"x": DOUBLE}, constraints={})
         assert all(c.believed_feasible for c in rank(study, along(make_trial, GRID, bowl)))
 
-    def test_noise_of_an_evaluation_counts_against_the_limit(self, study, make_trial):
+    @pytest.mark.parametrize("probability", [None, 0.85])
+    def test_noise_of_an_evaluation_counts_if_the_limit_is_on_single_runs(
+        self, make_study, make_trial, probability
+    ):
         """The expected worst case meets its limit by a hair, half of the evaluations would not."""
+        limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+        if probability:
+            limit["probability"] = probability
+        study = make_study(parameters={"x": DOUBLE}, constraints={"peak": limit})
         trials = [
             make_trial(k, {"x": float(x)}, noisy(bowl(x), k), worst=0.99, noise=0.2)
             for k, x in enumerate(GRID)
         ]
-        assert not any(candidate.believed_feasible for candidate in rank(study, trials))
+        believed = [candidate.believed_feasible for candidate in rank(study, trials)]
+        assert any(believed) is (probability is None)
 
     def test_a_chance_constraint(self, make_study, make_trial):
         """The errors themselves stay below the limit by 0.96 where the cost is below 1.1."""

@@ -7,11 +7,17 @@ import pytest
 from functions import planned
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import norm
+from scipy.stats import binom, norm, ttest_1samp
 
-from bo_tuner.trials import EvaluationState, Outcome, Stage
+from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning import recommendation
-from bo_tuner.tuning.limits import judge_sample, most_violations, refuted, violated
+from bo_tuner.tuning.limits import (
+    judge_sample,
+    most_violations,
+    refuted,
+    violated,
+    worst_case_holds,
+)
 from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.tuning.validation import validate
 
@@ -21,6 +27,39 @@ CHANCE = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}
 def chance(make_study, probability):
     study = make_study(constraints={"peak": CHANCE | {"probability": probability}})
     return study.constraints["peak"]
+
+
+def worst_case(make_study, probability=None):
+    limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+    given = {} if probability is None else {"probability": probability}
+    return make_study(constraints={"peak": limit | given}).constraints["peak"]
+
+
+@pytest.mark.parametrize(("count", "probability"), [(10, 0.85), (25, 0.85), (25, 0.5), (300, 0.99)])
+def test_draws_refute_a_worst_case_by_more_violations_than_chance_explains(
+    make_study, count, probability
+):
+    most = most_violations(worst_case(make_study, probability), count)
+    violations = binom(count, 1.0 - probability)
+    assert violations.sf(most - 1) >= 0.05 > violations.sf(most)
+
+
+def test_draws_refute_a_limit_on_the_mean_by_their_mean(make_study):
+    """As a one-sided test of Student's, of level 5 %."""
+    constraint = worst_case(make_study)
+    shape = np.linspace(-1.0, 1.0, 20)
+    for mean in np.linspace(0.8, 1.5, 15):
+        values = mean + shape
+        refuted_by = ttest_1samp(values, 1.0, alternative="greater").pvalue < 0.05
+        assert judge_sample(constraint, values).holds is not refuted_by
+    assert judge_sample(constraint, [5.0]).holds
+
+
+@pytest.mark.parametrize(("probability", "holds"), [(None, True), (0.5, True), (0.85, False)])
+def test_a_worst_case_is_judged_by_what_its_limit_is_on(make_study, probability, holds):
+    """Mean 0.98, deviation 0.03: one run in four exceeds 1."""
+    estimate = WorstCase(0.98, {"load": 2.0}, 1.01, 0.03)
+    assert worst_case_holds(worst_case(make_study, probability), estimate) is holds
 
 
 @given(percent=st.integers(50, 99), hundreds=st.integers(1, 50))
@@ -62,7 +101,7 @@ def test_without_values_nothing_holds(make_study):
 
 def test_refuted_is_what_exceeds_by_more_than_the_error_of_the_estimate(make_study):
     """Samples with mean m and deviation s; s ** 2 (1 + z ** 2 / 2) / n is the error's square."""
-    constraint = make_study().constraints["peak"]
+    constraint = worst_case(make_study, 0.85)
     z, n = norm.ppf(constraint.probability), 10
     shape = np.linspace(-1.0, 1.0, n)
     shape /= shape.std(ddof=1)

@@ -115,12 +115,23 @@ class TestChance:
 
 
 class TestWorstCase:
-    @pytest.mark.parametrize("above", [0, 1])
-    def test_one_draw_is_enough(self, make_study, function_backend, above):
-        peak = figures(peak=lambda k: 1.0 + 1e-12 if k < above else 1.0)
-        found = judge(make_study, function_backend, peak)
-        assert found.feasible is (above == 0)
+    @pytest.mark.parametrize(("above", "holds"), [(3, True), (4, False)])
+    def test_as_many_as_a_coincidence_allows(self, make_study, function_backend, above, holds):
+        """Of ten draws, P(X >= 4) = 0.050 if each violates by 0.15, and P(X >= 3) = 0.18."""
+        peak = figures(peak=lambda k: 1.1 if k < above else 0.5)
+        limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.851}
+        study = make_study(constraints={"peak": limit}).replace(validation_draws=10)
+        (found,) = validate(study, function_backend(study, peak), [{"gain": 0.5}])
         assert found.constraints["peak"].violations == above
+        assert found.feasible is holds
+
+    @pytest.mark.parametrize(("level", "holds"), [(0.99, True), (1.5, False)])
+    def test_a_limit_on_the_mean_is_refuted_by_the_mean(
+        self, make_study, function_backend, level, holds
+    ):
+        """Half of the draws violate it either way."""
+        found = judge(make_study, function_backend, figures(peak=lambda k: level + 0.4 * (-1) ** k))
+        assert found.feasible is holds
 
     def test_no_constraints(self, make_study, function_backend):
         found = judge(make_study, function_backend, figures(), constraints={})

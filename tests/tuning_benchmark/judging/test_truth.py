@@ -28,6 +28,19 @@ def test_a_verdict_is_the_closed_form(truth, gains):
     assert verdict.feasible == (true_worst(gains) <= 0.75)
 
 
+@pytest.mark.parametrize(("gain", "kept"), [(0.5625, 0.875), (0.575, 0.8)])
+def test_a_limit_on_single_runs_is_judged_by_the_share_that_keeps_it(study, gain, kept):
+    """The worst mean is 1.2 times the gain: (0.75 - mean + 0.1) / 0.2 of the runs are within."""
+    constraint = dataclasses.replace(study.constraints["peak"], probability=0.85)
+    single = dataclasses.replace(study, constraints=study.constraints | {"peak": constraint})
+    verdict = Truth(single, "valley:NoisyJudge").verdict({"g0": gain, "g1": gain})
+    assert verdict.worst_kept == pytest.approx(kept, abs=2e-3)
+    assert verdict.feasible == (kept >= 0.85)
+    on_mean = Truth(study, "valley:NoisyJudge").verdict({"g0": gain, "g1": gain})
+    assert on_mean.feasible
+    assert np.isnan(on_mean.worst_kept)
+
+
 def test_single_violations_are_a_share_of_the_drawn_contexts(truth):
     # 0.65 times a load from 0.8 to 1.2 exceeds 0.75 above a load of 1.154.
     verdict = truth.verdict({"g0": 0.65, "g1": 0.65})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from bo_tuner.cli.common import Parser, guarded, run_folder
+from bo_tuner.cli.common import Parser, allow_programs, guarded, run_folder
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
@@ -51,6 +51,12 @@ def make_parser() -> Parser:
         metavar="FILE",
         help="study with the signals and metrics to compute (default: the run's)",
     )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="import the functions that the run's study names, now and later; read the study first "
+        "if the run is not yours",
+    )
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the table to this file")
     return parser
 
@@ -68,7 +74,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """
     arguments = make_parser().parse_args(argv)
     record = read_run(run_folder(arguments.run))
-    study = record.study if arguments.study is None else load_study(arguments.study)
+    if arguments.study is None:
+        # A metric may be a function of the study.
+        allow_programs(record, trusted=arguments.trust, attach=True)
+        study = record.study
+    else:
+        study = load_study(arguments.study)
     table = Table()
     header = ("bag", "trial", "run", "stage", *study.metrics, "")
     for column in header:

@@ -58,8 +58,8 @@ examples:
   tune --check my_axis.yaml            is the study right? on nodes that are running
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
-  tune --start known.yaml              try your own values early
-  tune --from runs/axis-1 --trials 60  begin with the trials of an earlier run
+  tune --start known.yaml              try parameter sets that you know first
+  tune --from latest --trials 60       begin with the trials of an earlier run
   tune --stop-early                    stop when further trials are not worth it
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
@@ -92,14 +92,7 @@ def make_parser() -> Parser:
         metavar="DIR",
         help=f"where run folders are created (default: {RUNS})",
     )
-    parser.add_argument(
-        "--backend",
-        choices=BACKENDS,
-        help=f"run on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
-    )
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
+    parser.add_backend_arguments(BACKENDS[0])
     parser.add_argument(
         "--record",
         type=Policy,
@@ -175,12 +168,7 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="with --resume or --from: start the programs and import the objects that the run's "
-        "study names, now and later; read the study first if the run is not yours",
-    )
+    parser.add_trust_argument("with --resume or --from: ")
     return parser
 
 

@@ -192,7 +192,7 @@ class _Fitting:
             x, y, _ = self._observations(trials, chance.metric)
             model = self._fit(chance.name, x, y, self._minimum)
             found[chance.name] = SurrogateConstraint.on_observation(
-                model, chance.upper, chance.probability
+                model, chance.upper, chance.level
             )
         worst = self._study.worst_case_constraint
         if worst is not None:

@@ -89,7 +89,7 @@ class Algorithm:
             return JointSearch(
                 contexts,
                 constraint.upper,
-                constraint.probability,
+                constraint.level,
                 study.budget.search_evaluations,
                 point,
                 coding.encode(x.reshape(-1, space.dimension + contexts.dimension)),

@@ -157,6 +157,11 @@ class Journal:
         )
         self._insert("trial", row)
 
+    def count_evaluations(self) -> int:
+        """Return the number of evaluations on record, those of earlier sessions included."""
+        (count,) = self._db.execute("SELECT count(*) FROM evaluation").fetchone()
+        return int(count)
+
     def close(self) -> None:
         """Close the file, and leave it alone in the folder unless somebody reads it just now."""
         with contextlib.suppress(sqlite3.Error):

@@ -73,7 +73,7 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
         reason=reason,
         evaluations=evaluations,
         worst_case=worst_case,
-        warnings=tuple(_text({"warnings": text}, "warnings") for text in _list(row, "warnings")),
+        warnings=tuple(_as_text(item, "warnings") for item in _list(row, "warnings")),
         hyperparameters={
             name: tuple(float(_number(phi, "hyperparameters")) for phi in _sequence(values))
             for name, values in _object(row, "hyperparameters").items()
@@ -168,7 +168,10 @@ def _worst_case(row: Row) -> WorstCase | None:
 
 
 def _text(row: Row, column: str) -> str:
-    value = row[column]
+    return _as_text(row[column], column)
+
+
+def _as_text(value: object, column: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{column}: expected text, found {checks.show(value)}")
     return value
@@ -232,7 +235,7 @@ def _values(row: Row, column: str) -> dict[str, Value]:
 
 
 def _texts(row: Row, column: str) -> dict[str, str]:
-    return {name: _text({column: item}, column) for name, item in _object(row, column).items()}
+    return {name: _as_text(item, column) for name, item in _object(row, column).items()}
 
 
 def _check_size(values: Iterable[float], what: str) -> None:

@@ -109,6 +109,13 @@ def number(value: object, *path: str | int) -> float:
     return float(value)
 
 
+def boolean(value: object, *path: str | int) -> bool:
+    """Return `value` if it is true or false."""
+    if not isinstance(value, bool):
+        raise StudyError(f"expected true or false, found {show(value)}", path)
+    return value
+
+
 def positive(value: object, *path: str | int) -> float:
     """Return `value` as a float if it is a finite number above zero."""
     checked = number(value, *path)
@@ -156,13 +163,6 @@ def parameter_or_item(value: object, *path: str | int) -> str:
     """Return `value` if it can name a ROS parameter, or an item of one that is an array."""
     expected = "a ROS parameter name such as gains.kp or covariance[7]"
     return matching(value, PARAMETER_OR_ITEM, expected, *path)
-
-
-def boolean(value: object, *path: str | int) -> bool:
-    """Return `value` if it is true or false."""
-    if not isinstance(value, bool):
-        raise StudyError(f"expected true or false, found {show(value)}", path)
-    return value
 
 
 def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:

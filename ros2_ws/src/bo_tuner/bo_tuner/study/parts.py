@@ -4,9 +4,7 @@ A violated rule raises a `StudyError` with the key path from the object to the v
 """
 
 import dataclasses
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -26,62 +24,6 @@ this process."""
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 CHANCE, WORST_CASE = "chance", "worst_case"
-
-
-@dataclass(frozen=True, kw_only=True)
-class NodeSpec:
-    """A node that takes parameters or reports metrics.
-
-    Attributes
-    ----------
-    name : str
-        Name in the study.
-    node : str
-        Name of the ROS node, relative to the namespace.
-    result : str, optional
-        Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
-        a node that is triggered or reports metrics.
-    package, executable : str, optional
-        Executable to start; required unless the node is already running.
-    object : str, optional
-        `module:name` of the same system without ROS; required for the in-process backend.
-    parameters : mapping from str to value
-        Set once, before the first trial.
-    inprocess_parameters : mapping from str to value
-        Override `parameters` on the in-process backend.
-    """
-
-    name: str
-    node: str
-    result: str = ""
-    package: str | None = None
-    executable: str | None = None
-    object: str | None = None
-    parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-    inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
-        checks.matching(
-            self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
-        )
-        if self.result != "":
-            checks.matching(
-                self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
-            )
-        for key, pattern, expected in (
-            ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
-            ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
-            ("object", checks.OBJECT_PATH, "module:name such as axis.simulation:Axis"),
-        ):
-            if getattr(self, key) is not None:
-                checks.matching(getattr(self, key), pattern, expected, key)
-        for key, other in (("package", "executable"), ("executable", "package")):
-            if getattr(self, key) is None and getattr(self, other) is not None:
-                raise StudyError(f"missing; {other} alone does not start a node", (key,))
-        for key in ("parameters", "inprocess_parameters"):
-            object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,11 +125,7 @@ class ReportedMetric:
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
-        if not isinstance(self.reproducible, bool):
-            raise StudyError(
-                f"expected true or false, found {checks.show(self.reproducible)}",
-                ("reproducible",),
-            )
+        checks.boolean(self.reproducible, "reproducible")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
 
@@ -237,12 +175,8 @@ class Objective:
         return np.exp(values) if self.scale == LOG else values
 
 
-SINGLE_EVALUATION_PROBABILITY = 0.85
-"""Probability with which a single evaluation in the worst context must keep the limit (Eq. 3f).
-
-The worst case is an expectation over noise, but on the machine a single run does the damage, so
-its noise counts as well. The paper's maximum of observations already contains the noise.
-"""
+EXPECTATION, SINGLE_RUN = "expectation", "single_run"
+"""What a limit is on: the mean over noise, or single runs, of which a share must keep it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,23 +188,23 @@ class Constraint:
     name : str
         Name in the study.
     kind : str
-        `chance`: the metric stays below the limit with at least `probability` (Eq. 3d);
-        `worst_case`: it stays below in every context (Eq. 3e), in expectation over noise, and a
-        single evaluation in the worst context with at least `probability` as well.
+        `chance`: over contexts and noise, a run keeps the limit with at least `probability`
+        (Eq. 3d); `worst_case`: the limit is kept in every context, the worst one included.
     metric : str
         Metric in the study.
     upper : float
         The limit, in the metric's unit.
-    probability : float
-        Between 0 and 1. Required for a `chance` constraint. For a `worst_case` one at least 0.5,
-        which leaves the expectation alone; default `SINGLE_EVALUATION_PROBABILITY`.
+    probability : float, optional
+        Between 0 and 1. Required for a `chance` constraint. With it, in every context a run keeps
+        the limit of a `worst_case` constraint with at least this probability, 0.5 or more; without
+        it, in every context the mean over noise keeps the limit (Eq. 3e).
     """
 
     name: str
     kind: str
     metric: str
     upper: float
-    probability: float = math.nan
+    probability: float | None = None
 
     def __post_init__(self) -> None:
         """Check the fields."""
@@ -278,13 +212,13 @@ class Constraint:
         checks.choice(self.kind, (CHANCE, WORST_CASE), "kind")
         checks.text(self.metric, "metric")
         object.__setattr__(self, "upper", checks.number(self.upper, "upper"))
-        left_out = isinstance(self.probability, float) and math.isnan(self.probability)
-        if left_out and self.kind == CHANCE:
-            raise StudyError(
-                "missing; a chance constraint needs one, such as 0.96", ("probability",)
-            )
-        given = SINGLE_EVALUATION_PROBABILITY if left_out else self.probability
-        probability = checks.fraction(given, "probability")
+        if self.probability is None:
+            if self.kind == CHANCE:
+                raise StudyError(
+                    "missing; a chance constraint needs one, such as 0.96", ("probability",)
+                )
+            return
+        probability = checks.fraction(self.probability, "probability")
         if self.kind == WORST_CASE and probability < 0.5:
             raise StudyError(
                 f"expected at least 0.5 of a worst_case constraint, found {probability:g}",
@@ -293,14 +227,31 @@ class Constraint:
         object.__setattr__(self, "probability", probability)
 
     @property
+    def statistic(self) -> str:
+        """What the limit is on: ``expectation`` or ``single_run``."""
+        return EXPECTATION if self.probability is None else SINGLE_RUN
+
+    @property
+    def level(self) -> float:
+        """Probability with which a run must keep the limit; one half for an expectation.
+
+        A run keeps a limit at the mean of symmetric noise just as often.
+        """
+        return 0.5 if self.probability is None else self.probability
+
+    @property
     def allowed(self) -> float:
-        """Largest permitted probability of a violation; 0 for a worst case."""
-        return 0.0 if self.kind == WORST_CASE else 1.0 - self.probability
+        """Largest permitted probability that a run violates the limit.
+
+        Over contexts and noise for a `chance` constraint, in any one context for a `worst_case`
+        one; 1 for an expectation, which permits any.
+        """
+        return 1.0 if self.probability is None else 1.0 - self.probability
 
     @property
     def deviations(self) -> float:
         """Standard deviations between the mean of a normal metric and a limit kept so often."""
-        return float(ndtri(self.probability))
+        return float(ndtri(self.level))
 
 
 MOST = {

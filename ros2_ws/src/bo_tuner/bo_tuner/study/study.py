@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     CHANCE,
     WORST_CASE,
@@ -15,7 +17,6 @@ from bo_tuner.study.parts import (
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    NodeSpec,
     Objective,
     ReportedMetric,
     SeedParameter,
@@ -23,7 +24,7 @@ from bo_tuner.study.parts import (
 )
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
-from bo_tuner.study.signals import Signal, SignalMetric
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.trials import Value
 
 __all__ = [
@@ -35,6 +36,8 @@ __all__ = [
     "NodeSpec",
     "Objective",
     "Parameter",
+    "Park",
+    "PythonMetric",
     "ReportedMetric",
     "Run",
     "SeedParameter",
@@ -71,7 +74,7 @@ class Study:
         Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
         Tuned, tied and fixed parameters.
-    metrics : mapping from str to ReportedMetric or SignalMetric
+    metrics : mapping from str to ReportedMetric, SignalMetric or PythonMetric
         Results of an evaluation.
     objective : Objective
         What is optimized.
@@ -84,6 +87,8 @@ class Study:
         The procedure that is an evaluation of nodes which know nothing of the tuner.
     signals : mapping from str to Signal
         What is recorded of such a run.
+    park : Park
+        What the nodes are set to while no run is performed.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
@@ -111,12 +116,13 @@ class Study:
     name: str
     nodes: Mapping[str, NodeSpec]
     parameters: Mapping[str, Parameter]
-    metrics: Mapping[str, ReportedMetric | SignalMetric]
+    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric]
     objective: Objective
     budget: Budget
     trigger: Trigger | None = None
     run: Run | None = None
     signals: Mapping[str, Signal] = field(default_factory=dict)
+    park: Park = field(default_factory=Park)
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
@@ -162,11 +168,18 @@ class Study:
                 ("constraints", worst[1], "kind"),
             )
         self._check_targets()
+        self._check_park()
         self.starting_sets()
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
         return SearchSpace(self.parameters.values(), self.order)
+
+    @property
+    def safe_parameters(self) -> dict[str, Value]:
+        """All parameters, as they are while no run is performed."""
+        space = self.search_space()
+        return space.completed(space.defaults | dict(self.park.parameters))
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
@@ -313,7 +326,7 @@ class Study:
     def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
         for section in ("parameters", "contexts", "metrics"):
             for name, item in getattr(self, section).items():
-                if not isinstance(item, SignalMetric):
+                if isinstance(item, (Parameter, ContextVariable, ReportedMetric)):
                     yield (section, name), item.node
         if self.trigger is not None:
             yield ("trigger",), self.trigger.node
@@ -329,9 +342,11 @@ class Study:
         reporting = {}
         for name, metric in self.metrics.items():
             here = ("metrics", name)
-            if isinstance(metric, SignalMetric):
+            if not isinstance(metric, ReportedMetric):
                 if self.run is None:
                     raise StudyError("signals are recorded in a run; add run", here)
+                if isinstance(metric, PythonMetric):
+                    continue
                 try:
                     metric.check_signals(self.signals)
                 except StudyError as error:
@@ -352,10 +367,19 @@ class Study:
             if self.signals:
                 raise StudyError("signals are recorded in a run; add run", ("signals",))
             return
+        self.run.check_references(self.signals, self.nodes)
+
+    def _check_park(self) -> None:
+        """Refuse safe parameters that the study cannot set."""
+        path = ("park", "parameters")
+        for name in self.park.parameters:
+            checks.reference(name, "parameter", self.parameters, *path)
+            if not self.parameters[name].is_tuned:
+                raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
         try:
-            self.run.check_signals(self.signals)
-        except StudyError as error:
-            raise error.under("run") from None
+            _ = self.safe_parameters
+        except ParameterError as error:
+            raise StudyError(str(error), path) from None
 
     def _check_item(self, name: str, item: Parameter) -> None:
         """Refuse an item of an array that the study does not have, or not with such an item."""

@@ -1,36 +1,35 @@
 """Study files: from YAML to a checked `Study`, and back."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.building import arguments, build, under
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     Budget,
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    NodeSpec,
     Objective,
     ReportedMetric,
     SeedParameter,
     Trigger,
 )
-from bo_tuner.study.run import PHASES, Call, End, Publish, Run, Step
-from bo_tuner.study.signals import Signal, SignalMetric
+from bo_tuner.study.run import Run, build_run
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.study.study import Study
 
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
-
-T = TypeVar("T")
 
 # Sections that hold one object, and sections of objects by name.
 _SINGLE: dict[str, type[Any]] = {
@@ -39,6 +38,7 @@ _SINGLE: dict[str, type[Any]] = {
     "objective": Objective,
     "budget": Budget,
     "run": Run,
+    "park": Park,
     "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
@@ -133,14 +133,14 @@ def study_from_mapping(mapping: object) -> Study:
     StudyError
         If they violate a rule; carries the key path to the value.
     """
-    values = _arguments(Study, mapping)
+    values = arguments(Study, mapping)
     for key, cls in _SINGLE.items():
         if key in values:
-            with _under(key):
-                values[key] = _build_run(values[key]) if cls is Run else _build(cls, values[key])
+            with under(key):
+                values[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
     for key, cls in _NAMED.items():
         if key in values:
-            with _under(key):
+            with under(key):
                 values[key] = _build_named(cls, values[key])
     return Study(**values)
 
@@ -208,20 +208,6 @@ def read_text(path: Path, source: str) -> str:
         raise StudyError("expected UTF-8 text", source=source, line=line) from None
 
 
-@contextmanager
-def _under(*keys: str | int) -> Iterator[None]:
-    """Prefix the key path of an error raised inside with `keys`."""
-    try:
-        yield
-    except StudyError as error:
-        raise error.under(*keys) from None
-
-
-def _build(cls: type[T], value: object, **given: object) -> T:
-    """Build an object from the fields in `value`; those in `given` are not keys of the file."""
-    return cls(**_arguments(cls, value, skip=tuple(given)), **given)
-
-
 def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping of names, {{}} for none, found {checks.show(value)}")
@@ -229,7 +215,7 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
     for name, fields in value.items():
         if not isinstance(name, str):
             raise StudyError(f"expected a name, found {checks.show(name)}")
-        with _under(name):
+        with under(name):
             if cls is ContextVariable:
                 items[name] = _build_context(name, fields)
             elif (
@@ -237,31 +223,12 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
                 and isinstance(fields, dict)
                 and {"of", "measure"} & fields.keys()
             ):
-                items[name] = _build(SignalMetric, fields, name=name)
+                items[name] = build(SignalMetric, fields, name=name)
+            elif cls is ReportedMetric and isinstance(fields, dict) and "python" in fields:
+                items[name] = build(PythonMetric, fields, name=name)
             else:
-                items[name] = _build(cls, fields, name=name)
+                items[name] = build(cls, fields, name=name)
     return items
-
-
-def _build_run(value: object) -> Run:
-    fields = _arguments(Run, value)
-    with _under("end"):
-        fields["end"] = _build(End, fields["end"])
-    for phase in PHASES:
-        steps = checks.sequence(fields.get(phase, ()), "a list of steps", phase)
-        with _under(phase):
-            fields[phase] = tuple(_build_step(index, step) for index, step in enumerate(steps))
-    return Run(**fields)
-
-
-def _build_step(index: int, value: object) -> Step:
-    with _under(index):
-        fields = _arguments(Step, value)
-        for key, cls in (("call", Call), ("publish", Publish)):
-            if key in fields:
-                with _under(key):
-                    fields[key] = _build(cls, fields[key])
-        return Step(**fields)
 
 
 def _build_context(name: str, value: object) -> ContextVariable:
@@ -274,32 +241,9 @@ def _build_context(name: str, value: object) -> ContextVariable:
     own = [field.name for field in dataclasses.fields(ContextVariable) if field.name != "name"]
     cls = DISTRIBUTIONS[kind]
     shape = {key: item for key, item in value.items() if key not in own}
-    distribution = cls(**_arguments(cls, shape, also=own))
+    distribution = cls(**arguments(cls, shape, also=own))
     variable = {key: item for key, item in value.items() if key in own and key != "distribution"}
-    return _build(ContextVariable, variable, name=name, distribution=distribution)
-
-
-def _arguments(
-    cls: type[Any], value: object, skip: Sequence[str] = (), also: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Return the mapping `value` if its keys are fields of `cls` and none is missing.
-
-    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one.
-    """
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(value)}")
-    fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
-    names = [field.name for field in fields]
-    for key in value:
-        if not isinstance(key, str):
-            raise StudyError(f"expected text as a key, found {checks.show(key)}")
-        if key not in names:
-            raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
-    for field in fields:
-        needed = field.default is field.default_factory is dataclasses.MISSING
-        if needed and field.name not in value:
-            raise StudyError("missing", (field.name,))
-    return dict(value)
+    return build(ContextVariable, variable, name=name, distribution=distribution)
 
 
 def _plain_part(part: Any) -> dict[str, object]:

@@ -1,7 +1,20 @@
 """Whether the limits of a study hold in evaluations and trials.
 
-`recommend`, `validate`, the record, the report and the displays take the answer from here; the
-certificate judges by confidence bounds instead.
+`recommend`, `validate`, the record, the report and the displays take the answer from here. A limit
+is one of three:
+
+chance
+    Over contexts and noise, a run keeps it with at least the constraint's `probability`.
+worst case, with a `probability`
+    In every context a run keeps it with at least that probability (`SINGLE_RUN`).
+worst case, without
+    In every context the mean over noise keeps it (`EXPECTATION`).
+
+The certificate and the judge of the benchmark ask for the same; they differ in the evidence. What
+is observed in the worst context estimates whether a worst-case limit holds there. Draws from the
+distribution of the contexts cannot show it, only refute it: what holds in every context holds in
+those that were drawn. They do where so many violations, or so large a mean, would be a coincidence
+of less than `COINCIDENCE`.
 """
 
 import math
@@ -10,12 +23,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import bdtrc, stdtrit
 
-from bo_tuner.study.parts import Constraint
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, WorstCase
 
 FAILED, WITHIN = "failed", "within limits"
+
+COINCIDENCE = 0.05
+"""Probability below which draws refute a worst-case limit."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +49,7 @@ class Sample:
     count, violations
         Number of values, and of those above the limit.
     holds
-        Whether at most `most_violations` values exceed the limit; False if there are no values.
+        Whether the values agree with the constraint; False if there are no values.
     """
 
     name: str
@@ -44,9 +62,16 @@ class Sample:
 def most_violations(constraint: Constraint, count: int) -> int:
     """Return how many of `count` draws may exceed the limit.
 
-    The result is floor((1 - probability) count) for a chance constraint, and 0 for a worst-case
-    one; the tolerance of 1e-9 compensates for the rounding of 1 - probability.
+    The result is floor((1 - probability) count) for a chance constraint; the tolerance of 1e-9
+    compensates for the rounding of 1 - probability. For a worst-case one on single runs it is the
+    largest k with P(X >= k) >= `COINCIDENCE` for X ~ Binomial(count, 1 - probability). One on the
+    mean over noise permits any number.
     """
+    if constraint.statistic == EXPECTATION:
+        return count
+    if constraint.kind == WORST_CASE:
+        above = np.arange(1, count + 1)
+        return int(np.sum(bdtrc(above - 1, count, constraint.allowed) >= COINCIDENCE))
     return math.floor(constraint.allowed * count + 1e-9)
 
 
@@ -54,12 +79,15 @@ def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
     """Judge a constraint on values (n,) of its metric in draws of context and noise."""
     found = np.asarray(values, dtype=np.float64)
     violations = int(np.sum(found > constraint.upper))
+    holds = len(found) > 0 and violations <= most_violations(constraint, len(found))
+    if holds and constraint.statistic == EXPECTATION:
+        holds = _lowest_mean(found) <= constraint.upper
     return Sample(
         name=constraint.name,
         worst=float(found.max()) if len(found) else math.nan,
         count=len(found),
         violations=violations,
-        holds=len(found) > 0 and violations <= most_violations(constraint, len(found)),
+        holds=holds,
     )
 
 
@@ -75,16 +103,20 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
 
 
 def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:
-    """Return whether the estimated worst case, an expectation over noise, is within the limit."""
-    return worst_case.value <= constraint.upper
+    """Return whether an estimated worst case keeps the limit.
+
+    On single runs, the quantile of a normal metric with the estimated mean and noise must keep it.
+    """
+    return worst_case.value + constraint.deviations * worst_case.noise <= constraint.upper
 
 
 def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     """Return whether repeated evaluations of one context refute a worst-case constraint.
 
     A single evaluation stays below mean + z s with the constraint's probability, where s is the
-    standard deviation and z = Φ⁻¹(probability). The constraint is refuted if this quantile exceeds
-    the limit by more than its standard error, s √((1 + z² / 2) / n).
+    standard deviation and z = Φ⁻¹(probability); z = 0 if the limit is on the mean. The constraint
+    is refuted if this quantile exceeds the limit by more than its standard error,
+    s √((1 + z² / 2) / n).
 
     Parameters
     ----------
@@ -122,6 +154,15 @@ def verdict(study: Study, trial: Trial) -> str:
         return FAILED
     broken = violated(study, trial)
     return f"violates {', '.join(broken)}" if broken else WITHIN
+
+
+def _lowest_mean(values: Array) -> float:
+    """Return the mean (Student's t) below which that of values (n,) is by `COINCIDENCE` only."""
+    count = len(values)
+    if count < 2:
+        return -math.inf
+    error = float(values.std(ddof=1)) / math.sqrt(count)
+    return float(values.mean()) - float(stdtrit(count - 1, 1.0 - COINCIDENCE)) * error
 
 
 def all_hold(samples: Mapping[str, Sample]) -> bool:

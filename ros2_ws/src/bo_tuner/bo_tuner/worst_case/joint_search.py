@@ -39,7 +39,8 @@ class JointSearch:
     limit
         Upper limit of the metric, in its unit, without the margin for the noise of an evaluation.
     probability
-        Probability with which a single evaluation in the worst context must keep the limit.
+        Probability with which a single evaluation in the worst context must keep the limit; 0.5 if
+        the limit is on the mean over noise.
     evaluations
         Largest number of contexts that `ask` returns.
     point

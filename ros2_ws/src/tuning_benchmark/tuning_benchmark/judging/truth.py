@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import EXPECTATION
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 from bo_tuner.trials import Value
@@ -98,6 +99,14 @@ class Judge(Protocol):
         """Judge the values of a parameter set, by node."""
         ...
 
+    def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
+        """Return the constrained metric (c, m) of m runs in each of the c worst contexts.
+
+        Asked for only where the limit is on single runs. The contexts are those of the grid in
+        which a run most likely exceeds it; NaN for a run that failed.
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -109,18 +118,23 @@ class Verdict:
         Expectation of the objective's metric, and its standard error.
     worst, worst_context
         Worst case of the constrained metric, the largest mean over noise, and where.
+    worst_kept
+        Share of runs within the limit in the context where it is smallest; NaN if the limit is on
+        the mean over noise.
     single_violation
         Share of single evaluations in drawn contexts beyond the limit.
     within_limits
         For each chance constraint, share of evaluations within its limit.
     feasible
-        Whether the worst case is within its limit and the chance constraints hold.
+        Whether the chance constraints hold, and the limit of the worst case as the study means it:
+        for the mean over noise, or for the probability of a run.
     """
 
     objective: float
     standard_error: float
     worst: float
     worst_context: Mapping[str, float]
+    worst_kept: float
     single_violation: float
     within_limits: Mapping[str, float]
     feasible: bool
@@ -151,6 +165,7 @@ class Truth:
         self.study = study
         self.effort = effort
         self.limit = constraint.upper
+        self.constraint = constraint
         space = study.context_space()
         rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(0,)))
         self.drawn_contexts = space.draw_stratified(effort.drawn, rng)
@@ -187,8 +202,14 @@ class Truth:
         real_evaluations
             Evaluations for the chance constraints, if not those of the effort.
         """
-        judged: Judgement = self.judge.judge(self.study.assignments(parameters, {}, 0))
+        values = self.study.assignments(parameters, {}, 0)
+        judged: Judgement = self.judge.judge(values)
         within, holds = self.meets_chances(parameters, real_evaluations)
+        if self.constraint.statistic == EXPECTATION or np.isnan(judged.worst):
+            kept, holds_worst = float("nan"), judged.worst <= self.limit
+        else:
+            kept = float(np.mean(self.judge.worst_runs(values) <= self.limit, axis=1).min())
+            holds_worst = kept >= self.constraint.level
         return Verdict(
             objective=judged.objective,
             standard_error=judged.standard_error,
@@ -196,9 +217,10 @@ class Truth:
             worst_context=self.study.context_space().to_dict(
                 self.grid_contexts[judged.worst_index]
             ),
+            worst_kept=kept,
             single_violation=float(np.mean(~(judged.single <= self.limit))),
             within_limits=within,
-            feasible=bool(judged.worst <= self.limit and holds),
+            feasible=bool(holds_worst and holds),
         )
 
     def meets_chances(

@@ -126,16 +126,30 @@ class Judge:
         """Worst overshoot [m/s] as in a judgement, but of the few worst contexts by more draws."""
         means = self.grid_overshoot(values)
         order = np.argsort(-np.where(np.isnan(means), np.inf, means), kind="stable")
-        return max(self._precise_overshoot(values, int(index)) for index in order[:CANDIDATES])
+        settings = self._settings(values)
+        return max(
+            float(self._precise_runs(settings, int(index)).mean()) for index in order[:CANDIDATES]
+        )
+
+    def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
+        """Overshoots [m/s] (`CANDIDATES`, `MORE_NOISE`) of single cuts in the worst contexts.
+
+        The contexts are those of the grid with the largest mean and standard deviation together.
+        """
+        settings = self._settings(values)
+        runs = self._grid_batch.run(settings).overshoot.reshape(-1, NOISE)
+        reached = runs.mean(axis=1) + runs.std(axis=1, ddof=1)
+        order = np.argsort(-np.where(np.isnan(reached), np.inf, reached), kind="stable")
+        return np.array([self._precise_runs(settings, int(index)) for index in order[:CANDIDATES]])
 
     def _settings(self, values: Mapping[str, Mapping[str, Any]]) -> ControllerSettings:
         return build(ControllerSettings, self._constants | dict(values[CONTROLLER]))
 
-    def _precise_overshoot(self, values: Mapping[str, Mapping[str, Any]], index: int) -> float:
+    def _precise_runs(self, settings: ControllerSettings, index: int) -> Array:
         if index not in self._precise_batches:
             rows = {k: np.full(MORE_NOISE, column[index]) for k, column in self._grid.items()}
             self._precise_batches[index] = CutBatch(self._plant, rows, self._more_noise)
-        return float(self._precise_batches[index].run(self._settings(values)).overshoot.mean())
+        return self._precise_batches[index].run(settings).overshoot
 
     @cached_property
     def _drawn_batch(self) -> CutBatch:

@@ -105,7 +105,7 @@ def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observat
     constraints = {}
     for chance in study.chance_constraints:
         values = trial.observations(chance.metric)
-        value = float(np.quantile(values, chance.probability, method="inverted_cdf"))
+        value = float(np.quantile(values, chance.level, method="inverted_cdf"))
         constraints[chance.name] = value - chance.upper
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:

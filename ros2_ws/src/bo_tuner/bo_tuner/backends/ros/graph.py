@@ -13,6 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import BackendError, StudyError
@@ -107,7 +108,7 @@ class Graph:
         for name, spec in signals.items():
             recorder = SignalRecorder(self._context, {name: spec})
             try:
-                recorder.connect(self.wait)
+                recorder.connect(WallClock(), self.wait)
             except StudyError as error:
                 yield error
             finally:
