@@ -142,8 +142,13 @@ class TestVerdict:
         assert all(
             (folder / name).read_bytes() == content
             for name, content in before.items()
-            if name not in (".lock", "report.html")
+            if name not in (".lock", "report.html", "summary.json")
         )
+        # The summary has the verdict by this certificate.
+        earlier = json.loads(before["summary.json"])
+        assert summary["verdict"]["state"] == "certified"
+        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert summary | {"verdict": None} == earlier | {"verdict": None}
 
     def test_the_numbers(self, here, folder):
         """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
