@@ -10,7 +10,7 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import opened
 from bo_tuner.cli.deliverables import write_deliverables
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import Output, Result
@@ -24,7 +24,7 @@ from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import JournalContent, export_csv, salvage
+from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
 from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
 from bo_tuner.study.parts import ROS
@@ -35,6 +35,8 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, summarize
+from bo_tuner.verdict.validated import open_verdict, validated
+from bo_tuner.verdict.verdict import Verdict
 
 NOTHING = JournalContent((), (), (), "")
 
@@ -216,12 +218,15 @@ class Session:
                 observers.trial(trial, self._best(tuning))
             observers.end(Phase.TUNING)
             found = conclude(study, backend, self._algorithm, tuning.trials, observers)
+            verdict = self._verdict(found, tuning.trials)
+            self._status.conclude(verdict)
         if recording.summary["policy"] != Policy.NONE:
             self._folder.write_json(RECORDING, recording.summary)
         if found is None:
-            self._display.warn("no feasible parameters: every trial failed")
-            return EXIT_INFEASIBLE
-        return self._report(found, len(tuning.trials), journal.count_evaluations())
+            self._display.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+            return exit_code(verdict)
+        self._report(found, verdict, len(tuning.trials), journal.count_evaluations())
+        return exit_code(verdict)
 
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
@@ -271,7 +276,19 @@ class Session:
         ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
 
-    def _report(self, found: Conclusion, trials: int, evaluations: int) -> int:
+    def _verdict(self, found: Conclusion | None, trials: Sequence[Trial]) -> Verdict:
+        if found is None:
+            return open_verdict(self._study, trials)
+        return validated(
+            self._study,
+            found.recommendation.candidate.trial.number,
+            found.default,
+            found.tuned,
+            read_journal(self._folder.journal).evaluations,
+            passed_check=found.recommendation.feasible,
+        )
+
+    def _report(self, found: Conclusion, verdict: Verdict, trials: int, evaluations: int) -> None:
         folder = self._folder
         path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
         summary = summarize(
@@ -282,27 +299,10 @@ class Session:
             trials=trials,
             evaluations=evaluations,
         )
+        summary["verdict"] = verdict.to_mapping()
         folder.write_json(SUMMARY, summary)
-        problem = _problem(self._study, found)
-        self._display.result(
-            Result(self._study, found.default, found.tuned, path, problem, summary)
-        )
-        return EXIT_OK if found.feasible else EXIT_INFEASIBLE
+        parameters = found.recommendation.candidate.trial.parameters
+        self._display.result(Result(self._study, verdict, parameters, path, summary))
 
     def _how_to_resume(self) -> str:
         return f"go on by: tune --resume {self._folder.path}"
-
-
-def _problem(study: Study, found: Conclusion) -> str:
-    """Return why the recommended parameter set is not feasible; empty if it is."""
-    if found.feasible:
-        return ""
-    text = "the recommended parameters passed the checks but not the validation"
-    if not found.recommendation.feasible:
-        text = "no feasible parameter set was found; the file contains the one closest to feasible"
-    broken = [study.constraints[name] for name, s in found.tuned.constraints.items() if not s.holds]
-    metrics = [study.metrics[constraint.metric] for constraint in broken]
-    if metrics and not any(metric.reproducible for metric in metrics):
-        names = ", ".join(metric.name for metric in metrics)
-        text += f"; only {names} exceeded a limit, which other load on this machine can also cause"
-    return text

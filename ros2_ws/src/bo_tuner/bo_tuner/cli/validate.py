@@ -20,9 +20,10 @@ from bo_tuner.certificate.certificate import (
 )
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.store import required_draws, shortfall
 from bo_tuner.certificate.table import certificate_lines, certificate_table
-from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
+from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
@@ -33,7 +34,7 @@ from bo_tuner.cli.common import (
     split_ros_arguments,
 )
 from bo_tuner.cli.deliverables import write_deliverables
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.exit_codes import EXIT_FAULT, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
@@ -47,6 +48,8 @@ from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
+from bo_tuner.verdict.table import print_next_steps, print_verdict
+from bo_tuner.verdict.verdict import Verdict
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it and the default in the same fresh draws
@@ -168,7 +171,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         except (RunError, OutputError) as error:
             console.print(f"error: {error}", soft_wrap=True)
             return EXIT_FAULT
-    _report(certificate, path)
+    verdict = certified(record, trial, path)
+    _report(certificate, verdict, path)
     missing = shortfall(record.study, draws, confidence)
     if missing and certificate.passed:
         console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
@@ -178,7 +182,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             console.print(text, soft_wrap=True)
 
         write_deliverables(folder.path, tell, tell)
-    return EXIT_OK if certificate.passed else EXIT_INFEASIBLE
+    return exit_code(verdict)
 
 
 def _collect(
@@ -266,13 +270,16 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def _report(certificate: Certificate, path: Path) -> None:
+def _report(certificate: Certificate, verdict: Verdict, path: Path) -> None:
     out = plain_console()
+    print_verdict(out, certificate.study, verdict, certificate.tuned.parameters)
+    out.print()
     out.print(certificate_table(certificate))
     for line in certificate_lines(certificate):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)
-    out.print(PASS if certificate.passed else FAIL)
+    out.print("next:")
+    print_next_steps(out, verdict, path.parent.parent)
 
 
 def _fraction(text: str) -> float:

@@ -71,7 +71,15 @@ def progress(study: Study, now: Snapshot) -> Status:
         message += "; no feasible point yet"
     if now.paused:
         message += "; paused"
-    return Status(PROGRESS, Level.OK, message, _text(values))
+    if now.verdict is None:
+        return Status(PROGRESS, Level.OK, message, _text(values))
+    values |= {
+        "verdict": str(now.verdict.state),
+        "feasible": now.verdict.feasible,
+        "result": now.verdict.trial,
+    }
+    level = Level.OK if now.verdict.feasible else Level.WARN
+    return Status(PROGRESS, level, now.verdict.headline, _text(values))
 
 
 def surrogate(study: Study, now: Snapshot) -> Status:

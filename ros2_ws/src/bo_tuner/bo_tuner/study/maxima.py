@@ -18,7 +18,7 @@ CHOICES = 50
 CONTEXTS = 50
 SIGNALS = 100
 STEPS = 100
-"""In each part of a run: before, start and after."""
+"""In each part of a run: before, start, after and recover."""
 METRICS = 200
 CONSTRAINTS = 50
 CONSTANTS = 1_000

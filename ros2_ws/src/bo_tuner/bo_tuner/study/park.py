@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.parameter import Number
+from bo_tuner.trials import Value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,14 +14,14 @@ class Park:
 
     Attributes
     ----------
-    parameters : mapping from str to number
+    parameters : mapping from str to value
         Values of tuned parameters of the study; the others have their default.
     between_runs : bool
         Whether also between two runs, and while a run is prepared; else in a pause, after a run
         that failed, and at the end.
     """
 
-    parameters: Mapping[str, Number] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
     between_runs: bool = False
 
     def __post_init__(self) -> None:

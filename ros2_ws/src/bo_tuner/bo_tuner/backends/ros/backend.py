@@ -376,7 +376,7 @@ class RosBackend(SequentialBackend):
         client.parameters.forget_all()
         chosen = [self._study.parameters[name] for name in self._study.park.parameters]
         for key, values in found.items():
-            names = {item.parameter for item in chosen if item.node == key}
+            names = {item.array or item.parameter for item in chosen if item.node == key}
             kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
             try:
                 client.parameters.assign_and_read_back(key, {**values, **kept}, PARK_TIMEOUT)

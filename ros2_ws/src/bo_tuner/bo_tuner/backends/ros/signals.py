@@ -79,6 +79,8 @@ class SignalRecorder:
                 self._connect(name, spec, wait)
             except StudyError as error:
                 raise error.under("signals", name) from None
+        # What is published before a subscription is known to the publisher is lost.
+        wait(lambda: all(heard.is_connected for heard in self._heard.values()))
         # So that also what is published only now and then has a value when a run starts.
         latched = [heard for heard in self._heard.values() if heard.is_latched]
         wait(lambda: all(heard.has_message() for heard in latched))
@@ -250,6 +252,11 @@ class _Topic:
         self.problem = ""
         for track in self.tracks.values():
             track.begin(now, in_run)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the publisher is known here."""
+        return self.subscription.handle.get_publisher_count() > 0
 
     def has_message(self) -> bool:
         """Whether anything ever came."""

@@ -197,12 +197,11 @@ class LifecycleChange:
             return all(client.service_is_ready() for client in clients)
 
         if not tuner.wait_until(ready, CONNECT_TIMEOUT):
-            names = [name for name, _ in tuner.node.get_service_names_and_types()]
             ends = "/change_state"
-            others = sorted(n.removesuffix(ends) for n in names if n.endswith(ends))
+            others = [n.removesuffix(ends) for n in _services(tuner) if n.endswith(ends)]
+            near = checks.suggestion(spec.node, sorted(others))
             raise StudyError(
-                f"there is no lifecycle node {spec.node}; {checks.suggestion(spec.node, others)}",
-                ("lifecycle", "node"),
+                f"there is no lifecycle node {spec.node}; {near}", ("lifecycle", "node")
             )
         return cls(tuner, spec, *clients)
 
@@ -234,17 +233,17 @@ class LifecycleChange:
 def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
     node = tuner.node
     name = node.resolve_service_name(service)
-
-    def known() -> dict[str, list[str]]:
-        return dict(node.get_service_names_and_types())
-
-    if not tuner.wait_until(lambda: name in known(), CONNECT_TIMEOUT):
-        raise StudyError(
-            f"there is no service {name}; {checks.suggestion(name, sorted(known()))}",
-            ("call", "service"),
-        )
+    if not tuner.wait_until(lambda: name in _services(tuner), CONNECT_TIMEOUT):
+        near = checks.suggestion(name, sorted(_services(tuner)))
+        raise StudyError(f"there is no service {name}; {near}", ("call", "service"))
     try:
-        cls = interface_class(known()[name][0])
+        cls = interface_class(_services(tuner)[name][0])
     except StudyError as error:
         raise error.under("call", "service") from None
     return cls, node.create_client(cls, name)
+
+
+def _services(tuner: TunerNode) -> dict[str, list[str]]:
+    """Return the types of services by name; the graph also tells those that only clients name."""
+    found = tuner.node.get_service_names_and_types()
+    return {name: types for name, types in found if tuner.node.count_services(name)}

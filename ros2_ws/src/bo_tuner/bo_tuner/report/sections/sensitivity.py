@@ -33,7 +33,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
             number(neighbour.objective),
             change(neighbour.objective, optimum.objective) if neighbour is not optimum else "",
             f"{100.0 * neighbour.feasibility:.0f} %",
-            "yes" if neighbour.tolerable else "no",
+            "yes" if neighbour.tolerable and neighbour.feasibility >= BELIEVED_FEASIBLE else "no",
         ]
         for neighbour in (optimum, *found.neighbours)
     ]
@@ -69,9 +69,11 @@ def sensitivity(analysis: Analysis) -> Section | None:
             )
         ],
         notes=[
+            "A step is tolerable if the parameter set there is believed feasible, and neither loss "
+            f"nor excess is above {100.0 * TOLERABLE:.0f} %. "
             f"A step is 1 for an integer and {100.0 * STEP:g} % of the range for a double. The "
             f"sensitivity score, the mean loss beyond {100.0 * TOLERABLE:.0f} %, is "
-            f"{found.score:.3g}; it is 0 if every step is tolerable."
+            f"{found.score:.3g}."
         ],
     )
 
