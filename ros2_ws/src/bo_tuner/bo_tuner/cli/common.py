@@ -18,6 +18,7 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, trust
 from bo_tuner.study.parts import BACKENDS
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
 
 RUNS = Path("runs")
@@ -172,6 +173,21 @@ def read_result(given: Path) -> RunRecord:
         As in `read_run`.
     """
     return with_summary(read_run(run_folder(given)), lambda text: print(text, file=sys.stderr))
+
+
+def trial_of(record: RunRecord, number: object) -> Trial:
+    """Return the trial of a run with a number.
+
+    Raises
+    ------
+    RunRecordError
+        If there is none.
+    """
+    trials = {trial.number: trial for trial in record.trials}
+    if number not in trials:
+        known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"
+        raise RunRecordError(f"{record.path}: no trial {number}; {known}")
+    return trials[number]
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
