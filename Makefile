@@ -28,12 +28,13 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 EXPERIMENTS ?= paper peers choices
 
-.PHONY: help setup tune benchmark test lint types format check colcon clean
+.PHONY: help setup tune quadrotor benchmark test lint types format check colcon clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make setup      install ROS 2 and the packages into $(VENV) (PYTHON=python3.12 picks one)'
 	@echo 'make tune       tune the feed axis (ARGS="--trials 20" and so on)'
+	@echo 'make quadrotor  tune a quadrotor in wind: RotorPy and its controller (docs/examples.md)'
 	@echo 'make test       run the test suite (ARGS="-k kalman" and so on)'
 	@echo 'make benchmark  make docs/results.md: tables and figures of the paper, other optimizers'
 	@echo 'make check      lint, types and tests'
@@ -47,6 +48,10 @@ setup: $(VENV)/.packages
 
 tune: setup
 	$(BIN)/tune $(ARGS)
+
+# Tune, certify, and compare with the default and a classical rule on a dense grid of conditions.
+quadrotor: setup $(VENV)/.examples
+	$(BIN)/python examples/quadrotor/campaign.py $(ARGS)
 
 benchmark: setup $(VENV)/.benchmarks
 	$(BIN)/benchmark $(EXPERIMENTS:%=--experiment %) \
@@ -108,7 +113,7 @@ $(VENV)/.packages: $(SOURCES) $(VENV)/.runtime
 	@$(PIP) check
 	@touch $@
 
-$(VENV)/.dev $(VENV)/.colcon $(VENV)/.benchmarks: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
+$(VENV)/.dev $(VENV)/.colcon $(VENV)/.benchmarks $(VENV)/.examples: $(VENV)/.%: requirements/%.txt requirements/constraints.txt $(VENV)/.runtime
 	$(INSTALL) --requirement $<
 	@$(PIP) check
 	@touch $@

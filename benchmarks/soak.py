@@ -78,7 +78,7 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
     begin = time.perf_counter()
 
     def listen(recorder: Recorder) -> TopicListener:
-        return TopicListener(backend.context, backend.nodes, recorder)
+        return TopicListener(backend.context, backend.nodes, backend.topics, recorder)
 
     def look_around() -> None:
         counts.append(done)

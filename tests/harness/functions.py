@@ -39,6 +39,8 @@ def make_study(**sections):
             "search_evaluations": 2,
             "validation_draws": 5,
         },
+        # The initial design alone; what comes before it is tested on its own.
+        "start": [],
     } | sections
     return study_from_mapping({key: value for key, value in mapping.items() if value is not None})
 

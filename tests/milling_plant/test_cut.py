@@ -1,5 +1,6 @@
 """A cut: metrics by their definitions, noise, ends, and other plants than the shipped one."""
 
+import itertools
 import math
 
 import numpy as np
@@ -8,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feed_axis_common.errors import SettingsError
-from milling_plant.cut import Cut, MillingPlant, overshoot, reference_velocity, tracking_error
+from milling_plant.cut import (
+    Cut,
+    MillingPlant,
+    effort,
+    overshoot,
+    reference_velocity,
+    tracking_error,
+)
 from mpc_controller.controller import MpcController
 
 velocities = st.floats(-2.0, 2.0, allow_subnormal=False)
@@ -59,6 +67,19 @@ def test_tracking_error_is_the_sum_of_squares(pairs):
     reference, velocity = np.array(pairs).T
     expected = math.fsum((r - v) ** 2 for r, v in pairs)
     assert tracking_error(reference, velocity) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+def test_effort_is_the_total_variation_of_the_command():
+    # Up by 0.3, down by 0.5, and no move.
+    assert effort(np.array([0.2, 0.5, 0.0, 0.0])) == pytest.approx(0.8, rel=1e-12)
+
+
+def test_the_effort_is_that_of_the_commands_of_the_cut():
+    plant = MillingPlant()
+    result = plant.run_cut(MpcController())
+    (_, commands) = plant.trace()["command"]
+    assert result["effort"] == math.fsum(abs(b - a) for a, b in itertools.pairwise(commands))
+    assert plant.run_cut(Constant(0.5))["effort"] == 0.0
 
 
 def test_reference_holds_each_level(plant_settings):

@@ -32,7 +32,7 @@ TUNER = """
 import sys, time
 from pathlib import Path
 from bo_tuner.backends.ros.processes import NodeProcess
-NodeProcess("axis", "axis", [sys.argv[1]], {}, Path("log"))
+NodeProcess("axis", ["lib/axis/axis", sys.argv[1]], {}, Path("log"))
 time.sleep(600)
 """
 
@@ -81,7 +81,7 @@ class TestEnd:
     def test_stopped_by_the_tuner(self, folder, monkeypatch, how, before):
         if how == "deaf":
             monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
-        process = NodeProcess("axis", "axis", [how], {}, folder / "log")
+        process = NodeProcess("axis", ["lib/axis/axis", how], {}, folder / "log")
         wait_until(lambda: pids(folder), "the node")
         before(pids(folder)[0])
         before(process.pid)
@@ -103,7 +103,7 @@ class TestEnd:
 def test_the_guard_of_a_program_that_cannot_run_ends(folder):
     (folder / "lib/axis/axis").write_text("#!/no/such/interpreter\n")
     with pytest.raises(processes.BackendError, match="cannot be started"):
-        NodeProcess("axis", "axis", [], {}, folder / "log")
+        NodeProcess("axis", ["lib/axis/axis"], {}, folder / "log")
     for task in Path("/proc/self/task").iterdir():
         assert processes.GUARD not in [command_of(pid) for pid in children_of(task)]
 

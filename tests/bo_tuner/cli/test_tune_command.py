@@ -73,7 +73,7 @@ class TestRun:
         lines = err.splitlines()
         assert sum(line.startswith("trial ") for line in lines) == 5
         assert "\x1b" not in out + err
-        assert "default against tuned, the same 5 fresh draws" in out
+        assert "against the default, in the same 5 fresh draws" in out
         assert str(Path("runs") / folder.readlink() / "best.yaml") in out
 
     def test_not_feasible(self, tune, tmp_path):
@@ -81,8 +81,8 @@ class TestRun:
         assert code == 3, err
         assert (latest(tmp_path) / "best.yaml").exists()
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
-        assert "no feasible parameter set was found" in out
-        assert "the file contains the one closest to feasible" in out
+        assert out.startswith("No feasible parameter set was found\n")
+        assert "best.yaml holds the least violating parameter set; do not use it." in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1000"}))

@@ -129,6 +129,15 @@ def test_a_signal_that_is_not_whole_fails_the_run(time, value, limits, reason):
     assert reason in str(caught.value)
 
 
+def test_too_many_messages_that_are_lost_or_late_fail_the_run():
+    seen = RecordedSignal(np.array([1.0, 2.0]), np.array([0.0, 0.0]), lost=2, late=1)
+    run = Recording({"x": seen}, 5.0)
+    run.check({"x": Signal(name="x", topic="/a", field="data", most_lost=3)})
+    with pytest.raises(FailedRunError) as caught:
+        run.check({"x": Signal(name="x", topic="/a", field="data", most_lost=2)})
+    assert str(caught.value) == ("signal x (/a) has 2 lost and 1 late messages, expected at most 2")
+
+
 def test_a_whole_signal_passes():
     spec = Signal(name="x", topic="/a", field="data", minimum_messages=2, largest_gap=3)
     RECORDING.check({"x": spec})

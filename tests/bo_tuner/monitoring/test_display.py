@@ -5,10 +5,11 @@ import io
 import pytest
 from rich.console import Console
 
-from bo_tuner.monitoring.display import comparison
 from bo_tuner.study.study_file import load_study
-from bo_tuner.tuning.limits import Sample
-from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.observed import Observed
+from bo_tuner.verdict.quantities import quantities
+from bo_tuner.verdict.table import print_verdict, verdict_table
+from bo_tuner.verdict.verdict import State, Verdict
 
 
 def console(width=80):
@@ -19,18 +20,26 @@ def text(of):
     return of.file.getvalue()
 
 
-def validation(study, objective=0.1695, failures=0):
-    samples = {
-        name: Sample(name, worst=0.1226, count=25, violations=2, holds=False)
-        for name in study.constraints
-    }
-    return Validation(
-        parameters=study.search_space().defaults,
-        draws=25,
-        failures=failures,
-        objective=objective,
-        deviation=0.05,
-        constraints=samples,
+def verdict(study, draws=25):
+    """A verdict on draws in which the tuned parameter set is better by 0.25, +- 0.1 in turn."""
+
+    def drawn(shift):
+        return {
+            k: dict.fromkeys(study.metrics, 1.1226 + shift * (1.0 + 0.4 * (-1) ** k))
+            for k in range(draws)
+        }
+
+    return Verdict(
+        state=State.VALIDATED,
+        trial=7,
+        evidence="the same fresh draws",
+        quantities=quantities(
+            study,
+            Observed(drawn(0.0), draws),
+            Observed(drawn(-0.25), draws),
+            dict.fromkeys(study.constraints, True),
+            {},
+        ),
     )
 
 
@@ -39,28 +48,41 @@ class TestTable:
     def test_fits_80_columns(self, name):
         study = load_study(name)
         out = console()
-        out.print(comparison(study, validation(study), validation(study)))
-        lines = text(out).splitlines()
-        assert max(map(len, lines)) <= 80
+        out.print(verdict_table(study, verdict(study), study.search_space().defaults))
         shown = text(out)
-        for word in ("control_horizon", "tracking_error", "overshoot", "draws above 0.09", "m/s"):
+        lines = shown.splitlines()
+        assert max(map(len, lines)) <= 80
+        for word in (
+            "control_horizon",
+            "mean tracking_error",
+            "largest overshoot",
+            "0.09",
+            "[m/s]",
+        ):
             assert word in shown
         # No line was wrapped or truncated.
         assert "…" not in shown
-        assert all("│" in line for line in lines[4:-1] if "─" not in line)
-        first_cells = [line.split("│")[1].strip() for line in lines if line.startswith("│")]
-        assert all(first_cells)
+        rows = [line for line in lines[2:] if line.strip() and set(line) != {"─"}]
+        assert len(rows) == len(study.parameters) + len(verdict(study).quantities) + 1
 
     def test_narrow_terminals_still_get_all_numbers(self):
         study = load_study("benchmark")
         out = console(width=40)
-        out.print(comparison(study, validation(study), validation(study)))
+        out.print(verdict_table(study, verdict(study), study.search_space().defaults))
         assert max(map(len, text(out).splitlines())) <= 40
 
-    def test_the_mean_has_its_standard_error(self):
+    def test_a_difference_has_half_of_its_interval(self):
         study = load_study("benchmark")
         out = console()
-        out.print(comparison(study, validation(study), validation(study)))
-        # 0.05 / sqrt(25) = 0.01
-        assert "0.1695 ± 0.01" in text(out)
-        assert text(out).count("NO") == 2
+        print_verdict(out, study, verdict(study, draws=2), study.search_space().defaults)
+        # Of two pairs -0.35 and -0.15: t(0.975, 1) * 0.1414 / sqrt(2) = 1.27.
+        assert "-0.25 ± 1.3" in text(out)
+        assert "± is half the width of its 95 % confidence interval" in text(out)
+
+    def test_a_single_draw_has_no_interval(self):
+        study = load_study("benchmark")
+        out = console()
+        print_verdict(out, study, verdict(study, draws=1), study.search_space().defaults)
+        assert "-0.35" in text(out)
+        assert "nan" not in text(out)
+        assert "inf" not in text(out)

@@ -2,12 +2,13 @@
 
 import dataclasses
 import io
+import itertools
 import re
 
 import pytest
 from rich.console import Console
 
-from bo_tuner.monitoring.progress import RunProgress, advice_in_words, describe, duration
+from bo_tuner.monitoring.progress import JOIN, RunProgress, advice_in_words, describe, duration
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
@@ -58,17 +59,30 @@ class TestLines:
         lines = text(out).splitlines()
         assert len(lines) == 3
         assert lines[2] == (
-            "trial   2  gain 0.5  error 1.5  worst peak 0.5 (within 1)  [2 evaluations]"
+            "trial   2       gain 0.5        error 1.5        worst peak 0.5       <= 1"
+            "  [2 evaluations]"
         )
         assert not ESCAPE.search(text(out))
 
     def test_a_failure_has_all_that_repeats_it(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}), make_study())
-        assert line == "gain 0.5  FAILED: axis: stalled (context load 1.500; seed 0)"
+        assert (
+            line.replace(JOIN, " ")
+            == "gain 0.5        FAILED: axis: stalled (context load 1.500; seed 0)"
+        )
 
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
-        assert "worst peak 1.25 (above 1)" in line
+        assert "worst peak 1.25      >  1  violates peak" in line.replace(JOIN, " ")
+
+    def test_a_new_best_is_marked(self, make_study, make_trial):
+        out = console()
+        trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(2)]
+        follow(out, make_study(), trials, candidate(trials[1]))
+        assert [line[10:14] for line in text(out).splitlines()] == ["    ", "best"]
+        out = console()
+        follow(out, make_study(), trials[1:], candidate(trials[1], feasibility=0.01))
+        assert "best" not in text(out)
 
     def test_brackets_of_a_reason_are_no_markup(self, make_study, make_trial):
         reason = "[/tmp/axis] says [bold]no[/] :warning:"
@@ -86,6 +100,20 @@ class TestLines:
 
 
 class TestTerminal:
+    @pytest.mark.parametrize("width", [60, 80, 120])
+    def test_no_line_breaks_in_a_word_or_before_a_number(self, make_study, make_trial, width):
+        out = console(True, width)
+        follow(out, make_study(), [make_trial(0, {"gain": -0.00123456}, [1.5])], None)
+        shown = [line.rstrip() for line in ESCAPE.sub("", text(out)).splitlines()]
+        start = next(k for k, line in enumerate(shown) if line.startswith("trial   0"))
+        lines = list(itertools.takewhile(lambda line: "evaluations]" not in line, shown[start:]))
+        lines.append(shown[start + len(lines)])
+        assert max(map(len, lines)) <= width
+        whole = " ".join(" ".join(lines).split())
+        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 <= 1 [1 evaluations]")
+        ends = ("gain", "error", "worst", "peak", "<=")
+        assert not any(line.endswith(ends) for line in lines)
+
     @pytest.mark.parametrize("width", [40, 80, 200])
     def test_shows_count_and_incumbent(self, make_study, make_trial, width):
         out = console(True, width)

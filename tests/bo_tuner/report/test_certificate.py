@@ -6,8 +6,6 @@ import pytest
 
 from bo_tuner.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.errors import RunRecordError
-from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.sections.answer import Status, answer
 from bo_tuner.report.sections.certificate import certificate
 
 
@@ -103,26 +101,6 @@ def test_without_the_default_there_is_one_column(certified):
     limits = found.section.tables[0]
     assert limits.header == ["", "tuned", "unit"]
     assert ["mean error", "1.5 ± 0.02", "s"] in limits.rows
-
-
-@pytest.mark.parametrize(("verdict", "status"), [("PASS", Status.GOOD), ("FAIL", Status.BAD)])
-def test_the_answer_begins_with_it(certified, tuned, verdict, status):
-    ours = content(verdict) | {"trial": tuned.summary["trial"]}
-    found = answer(Analysis(certified(json.dumps(ours))))
-    assert (found.tiles[0].label, found.tiles[0].value) == ("certificate", verdict)
-    assert found.tiles[0].status is status
-    refused = [s for s in found.sentences if s.startswith("The certificate failed")]
-    assert len(refused) == (verdict == "FAIL")
-    if verdict == "FAIL":
-        assert found.status is Status.BAD
-
-
-def test_one_of_another_trial_does_not_count(certified, tuned):
-    other = content("FAIL") | {"trial": tuned.summary["trial"] + 1}
-    found = answer(Analysis(certified(json.dumps(other))))
-    assert found.tiles[0].status is Status.WARNING
-    assert "not the result" in found.tiles[0].remark
-    assert found.status is not Status.BAD
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])

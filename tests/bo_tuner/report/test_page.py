@@ -86,13 +86,8 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
         ]
         errors = [metrics["error"] for metrics in evaluations]
         mean = math.fsum(errors) / len(errors)
-        spread = math.sqrt(math.fsum((e - mean) ** 2 for e in errors) / (len(errors) - 1))
         assert rows["mean error"][column] == f"{mean:.4g}"
-        shown = rows["standard error of the mean error"][column]
-        assert shown == f"{spread / math.sqrt(len(errors)):.4g}"
         assert rows["largest peak"][column] == f"{max(m['peak'] for m in evaluations):.4g}"
-        above = sum(metrics["peak"] > 1.0 for metrics in evaluations)
-        assert rows["draws above 1"][column] == f"{above} of {len(evaluations)}"
     best = tuned.trials[tuned.summary["trial"]].parameters["gain"]
     assert rows["gain"][:2] == ["0.5", f"{best:.4g}"]
 
@@ -131,7 +126,9 @@ def test_the_page_needs_nothing_else(page):
     for tag, attributes in page.elements:
         for name in ("src", "href", "srcset", "data", "action"):
             if name in attributes:
-                assert attributes[name].startswith(("#", "data:")), (tag, attributes)
+                # Files of the run may be opened from it, but nothing is loaded.
+                allowed = ("#", "data:", "./", "../") if tag == "a" else ("#", "data:")
+                assert attributes[name].startswith(allowed), (tag, attributes)
     assert {tag for tag, _ in page.elements}.isdisjoint({"iframe", "object", "embed", "base"})
 
 
@@ -193,7 +190,7 @@ def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
     run = axis_run(**with_ends(-1.0))
     page = page_of(run, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "No result: no trial is complete" in text
+    assert "All 7 trials failed." in text
     assert len(page.tables["Failed evaluations, in the order in which they ran"]) == 1 + 7
 
 
@@ -201,7 +198,7 @@ def test_a_run_without_a_feasible_point_says_so(axis_run, tmp_path):
     limit = {"peak": {"kind": "worst_case", "metric": "peak", "upper": -1.0}}
     page_of(axis_run(constraints=limit), tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "do not use it as it is" in text
+    assert "do not use it." in text
 
 
 def test_a_study_without_contexts_and_limits_has_a_report(axis_run, tmp_path):

@@ -20,7 +20,6 @@ from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.study.study_file import study_from_mapping
-from bo_tuner.trials import Stage
 
 
 def named(panel, name, kind):
@@ -197,15 +196,3 @@ def test_a_record_without_times_is_told():
     record = Record()
     record.trials = (Trial(0, {"gain": 0.5}, "", TrialState.COMPLETE),)
     assert timing(Untimed(record)).lead == "The record holds no times."
-
-
-def test_paired_differences_are_of_equal_draws(analysis):
-    seen = {0: {}, 1: {}}
-    for recorded in analysis.record.evaluations:
-        evaluation = recorded
-        if evaluation.stage is Stage.VALIDATION:
-            seen[evaluation.trial][evaluation.index] = evaluation.outcome.metrics["error"]
-    differences = np.array([seen[1][k] - seen[0][k] for k in sorted(seen[0])])
-    mean, error = analysis.paired_difference()
-    assert mean == pytest.approx(differences.mean())
-    assert error == pytest.approx(differences.std(ddof=1) / math.sqrt(len(differences)))

@@ -19,8 +19,8 @@ from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import LOCK, RunFolder
-from bo_tuner.storage.trust import foreign_programs, is_trusted, trust
-from bo_tuner.study.study_file import load_study, shipped_studies
+from bo_tuner.storage.trust import foreign_programs, is_trusted, python_functions, trust
+from bo_tuner.study.study_file import load_study, shipped_studies, study_from_mapping
 
 
 class Quiet(Interruption):
@@ -122,6 +122,44 @@ class TestPrograms:
     @pytest.mark.parametrize("name", shipped_studies())
     def test_shipped_studies_are_trusted(self, name):
         assert foreign_programs(load_study(name)) == []
+
+
+@pytest.mark.parametrize(
+    ("node", "programs"),
+    [
+        ({"command": "python pid.py -x"}, ["python pid.py -x"]),
+        ({"launch": "robot up.launch.py"}, ["ros2 launch robot up.launch.py"]),
+        (
+            {"package": "milling_plant", "executable": "milling_plant"},
+            [],
+        ),
+        # A variable can make another program of one that is known.
+        (
+            {
+                "package": "milling_plant",
+                "executable": "milling_plant",
+                "env": {"LD_PRELOAD": "/tmp/x.so"},
+            },
+            ["LD_PRELOAD=/tmp/x.so milling_plant/milling_plant"],
+        ),
+    ],
+)
+def test_what_a_study_of_unchanged_nodes_would_start(node, programs):
+    mapping = {
+        "name": "others",
+        "nodes": {"pid": {"node": "pid", **node}},
+        "parameters": {
+            "kp": {"node": "pid", "type": "double", "bounds": [0, 1], "default": 0.5},
+        },
+        "signals": {"x": {"topic": "x", "field": "data"}},
+        "run": {"end": {"after": 1.0}},
+        "metrics": {"own": {"python": "users_metrics:energy"}},
+        "objective": {"metric": "own"},
+        "budget": {"trials": 1, "initial_trials": 1},
+    }
+    study = study_from_mapping(mapping)
+    assert foreign_programs(study) == [*programs, "users_metrics:energy"]
+    assert python_functions(study) == ["users_metrics:energy"]
 
 
 PLACES = [

@@ -4,8 +4,9 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
-from bo_tuner.study.run import Call, End, Publish, Step
+from bo_tuner.study.run import End
 from bo_tuner.study.signals import FieldPart, field_path
+from bo_tuner.study.steps import Call, Publish, Step
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 
 STUDY = """\
@@ -34,6 +35,15 @@ metrics:
 objective: {metric: error}
 budget: {trials: 12, initial_trials: 4}
 """
+ALL_STEPS = [
+    {"call": {"service": "/a", "timeout": 2.0}},
+    {"publish": {"topic": "/a", "message": {"data": 1}}},
+    {"send_goal": {"action": "/a", "goal": {"order": 1}, "timeout": 2.0}},
+    {"lifecycle": {"node": "/a", "transition": "activate"}},
+    {"restart": "pid"},
+    {"wait_until": {"condition": "abs(position) < 0.1", "hold": 0.5, "timeout": 5.0}},
+    {"wait": 1.0},
+]
 
 
 def put(value, *path):
@@ -78,6 +88,19 @@ def test_what_is_written_reads_back_equal():
     lists = {"topic": "a", "message": {"points": [{"x": [1.0, 2.0], "name": "b"}], "on": True}}
     nested = study_from_mapping(put([{"publish": lists}], "run", "after"))
     assert parse_study(study_to_yaml(nested)) == nested
+
+
+def test_all_steps_and_sections_are_written_and_read_back():
+    changed = put(ALL_STEPS, "run", "recover")
+    changed["run"] |= {"start": [{"send_goal": {"action": "/go"}}], "end": "result", "clock": "sim"}
+    changed["park"] = {"parameters": {"kp": 2.0}, "between_runs": True}
+    changed["nodes"]["pid"] |= {"command": "python pid.py", "env": {"A": "b"}}
+    changed["signals"]["position"]["most_lost"] = 3
+    changed["metrics"]["own"] = {"python": "my_metrics:jerk"}
+    study = study_from_mapping(changed)
+    assert study.run.end == End(result=True)
+    assert study.safe_parameters == {"kp": 2.0}
+    assert parse_study(study_to_yaml(study)) == study
 
 
 @pytest.mark.parametrize(
@@ -137,9 +160,9 @@ def test_no_path_of_a_field(text):
         ("metrics/effort/percent", 101, "metrics.effort.percent: expected 0 to 100, found 101"),
         ("metrics/other", {"node": "pid"}, "metrics.other.node: is reported by a node that"),
         ("run/end", None, "run.end: missing"),
-        ("run/end/when", "position > 1", "run.end: expected either after or when"),
+        ("run/end/when", "position > 1", "run.end: expected one of after, when and result"),
         ("run/end/after", 6, "run.end.after: 6 s are more than the timeout, 5 s"),
-        ("run/end/after", None, "run.end: expected either after or when"),
+        ("run/end/after", None, "run.end: expected one of after, when and result"),
         ("run/timeout", 0, "run.timeout: expected a number above 0"),
         ("run/abort_when", "positon > 1", "abort_when: there is no signal or function 'positon'"),
         ("run/timeout", 1e5, "run.timeout: expected at most 86400 s"),
@@ -155,6 +178,39 @@ def test_no_path_of_a_field(text):
         ("run/before/1/publish/message", [1], "run.before[1].publish.message: expected the fields"),
         ("run/before/1/publish/message/data", {"x": "?", "y": {}}, None),
         ("run/before/1/publish/type", "Float64", "expected a message type"),
+        ("run/before/2/wait_until", {"condition": "position < 1"}, "expected one of call, publish"),
+        ("run/recover", [{"wait_until": {"condition": "positon < 1"}}],
+         "run.recover[0].wait_until.condition: there is no signal or function 'positon'"),
+        ("run/recover", [{"wait_until": {"condition": "t > 1", "hold": 3, "timeout": 2}}],
+         "run.recover[0].wait_until.hold: 3 s are more than the timeout, 2 s"),
+        ("run/recover", [{"wait_until": {"timeout": 2}}], "wait_until.condition: missing"),
+        ("run/after", [{"lifecycle": {"node": "pid", "transition": "actvate"}}],
+         "run.after[0].lifecycle.transition: unknown 'actvate'; did you mean 'activate'?"),
+        ("run/after", [{"restart": "pdi"}], "run.after[0].restart: there is no node 'pdi'"),
+        ("run/after", [{"restart": "pid"}], None),
+        ("run/start", [{"restart": "pid"}], "run.start[0].restart: a node that restarts in a run"),
+        ("run/start", [{"send_goal": {"action": "a b"}}], "send_goal.action: expected an action"),
+        ("run/end", "result", "run.end.result: start has no send_goal"),
+        ("run/end", {"result": 1}, "run.end.result: expected true or false, found 1"),
+        ("run/clock", "simulated", "run.clock: unknown 'simulated'; expected one of wall, sim"),
+        ("park", {"parameters": {"kd": 1}}, "park.parameters: there is no parameter 'kd'"),
+        ("park", {"parameters": {"kp": 60}}, "park.parameters: kp: 60 lies outside the bounds"),
+        ("park", {"parameters": {"kp": "soft"}}, "park.parameters: kp: expected a number, found"),
+        ("park", {"parameters": [1]}, "park.parameters: expected values by parameter, found a"),
+        ("park", {"between_runs": "yes"}, "park.between_runs: expected true or false, found"),
+        ("park", {"betwen_runs": True}, "unknown key; did you mean 'between_runs'?"),
+        ("signals/position/most_lost", -1, "most_lost: expected an integer of at least 0"),
+        ("metrics/own", {"python": "my_metrics"}, "metrics.own.python: expected module:function"),
+        ("metrics/own", {"python": "a:b", "of": "x"}, "unknown key"),
+        ("nodes/pid/command", "a 'b", "nodes.pid.command: expected words as in a shell: No clos"),
+        ("nodes/pid/command", "", "nodes.pid.command: expected a program"),
+        ("nodes/pid/env", {"A": "b"}, "nodes.pid.env: belongs to a node that is started"),
+        ("nodes/pid", {"node": "pid", "command": "a", "launch": "b c"},
+         "nodes.pid.launch: command starts the node already; leave one out"),
+        ("nodes/pid", {"node": "pid", "command": "a", "env": {"A": 1}},
+         "nodes.pid.env.A: expected text, found 1"),
+        ("nodes/pid", {"node": "pid", "command": "a", "env": {"A=B": "1"}},
+         "nodes.pid.env: expected the name of a variable"),
         ("run/start", [{"wait": 3}], "run.start: the steps take 3 s, but the run ends after 2 s"),
     ],
 )  # fmt: skip

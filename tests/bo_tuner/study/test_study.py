@@ -677,7 +677,7 @@ class TestFiles:
             (b"\xff\xfe\x00n", "mine.yaml:1: expected UTF-8 text"),
             (b"a: 1\nb: \xe9", "mine.yaml:2: expected UTF-8 text"),
             (b"\x7fELF\x00\x01", "mine.yaml:1: not a text file"),
-            (b"#" * 1_000_001, "mine.yaml: expected a study file of at most 1 MB"),
+            (b"#" * 1_000_001, "mine.yaml: expected a file of at most 1 MB"),
         ],
     )
     def test_content_that_is_no_study(self, tmp_path, monkeypatch, content, problem):

@@ -4,7 +4,7 @@ import itertools
 import math
 
 import pytest
-from functions import Watcher
+from functions import NODE, Watcher
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import RunError
@@ -240,6 +240,20 @@ class TestRepetition:
             run(study, function_backend(study, smooth), ALGORITHMS[algorithm]) for _ in range(2)
         )
         assert first == second
+
+    def test_a_recorded_metric_changes_nothing(self, make_study, function_backend):
+        def trials(**metrics):
+            study = make_study(metrics={"error": NODE, "peak": NODE} | metrics)
+            found = {"error": 1.0, "peak": 0.5, "effort": 0.0}
+
+            def run(gain, load, seed):
+                moved = (gain - 0.3) ** 2 + 0.01 * load
+                return found | {"error": moved, "peak": gain, "effort": 7.0 * gain + load}
+
+            made = list(Tuning(study, function_backend(study, run), ALGORITHMS["IV"]))
+            return [(t.parameters, [(e.context, e.seed) for e in t.evaluations]) for t in made]
+
+        assert trials(effort=NODE) == trials()
 
     def test_another_seed_another_run(self, make_study, function_backend):
         first, second = (

@@ -30,3 +30,10 @@ def csv_cell(value: object) -> object:
     except ValueError:
         return f"'{value}"
     return value
+
+
+def shown(value: bool | int | float | str) -> str:
+    """Format a parameter's value: a number with four digits, a truth value as in a study file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return value if isinstance(value, str) else f"{value:.4g}"

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-Value = int | float
+Value = bool | int | float | str
+"""What a parameter of a study can be; a choice is text."""
 
 
 class Stage(StrEnum):

@@ -37,6 +37,15 @@ def overshoot(reference: Array, velocity: Array, window: int) -> float:
     return max(float(np.max(velocity - ceiling)), 0.0)
 
 
+def effort(commands: Array) -> float:
+    """Total variation of the command of a cut, the sum of |u_k - u_(k-1)| [m/s].
+
+    It measures how much a controller moves the drive (Skogestad 2003, Simple analytic rules for
+    model reduction and PID controller tuning, J. Process Control 13).
+    """
+    return float(np.sum(np.abs(np.diff(commands))))
+
+
 class Cut:
     """A cut in progress.
 
@@ -66,6 +75,7 @@ class Cut:
         self._axis = FeedAxis(settings, float(self.reference[0]))
         self._velocity = np.full(n, np.nan)
         self._velocity[0] = self._axis.velocity
+        self._commands = np.full(n, np.nan)
 
     @property
     def done(self) -> bool:
@@ -91,6 +101,7 @@ class Cut:
         if not isfinite(command):
             self.fail(f"command of sample {self.sample} is {command}")
             return
+        self._commands[self.sample] = command
         self._axis.step(command)
         v = self._axis.velocity
         if not abs(v) <= self._settings.velocity_limit:
@@ -112,7 +123,7 @@ class Cut:
         dict
             ``status`` (``ok`` or ``failed``), ``reason``, context, seed and number of samples,
             and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
-            true velocity.
+            true velocity, and ``effort`` [m/s].
         """
         s = self._settings
         summary: dict[str, float | str] = {
@@ -126,6 +137,7 @@ class Cut:
         if self.done and not self.failure:
             summary["tracking_error"] = tracking_error(self.reference, self._velocity)
             summary["overshoot"] = overshoot(self.reference, self._velocity, s.overshoot_window)
+            summary["effort"] = effort(self._commands)
         return summary
 
 

@@ -24,7 +24,7 @@ def make_backend(
     Parameters
     ----------
     name
-        One of `bo_tuner.backends.protocol.BACKENDS`.
+        One of `bo_tuner.study.parts.BACKENDS`.
     study
         The study.
     log_directory, attach, ros_arguments, interrupted

@@ -6,7 +6,6 @@ objects of the remaining nodes in the study's order, and returns what its node w
 others give theirs by ``cut_result()``.
 """
 
-import importlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +13,7 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study import named_code
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
@@ -56,7 +56,7 @@ class InProcessBackend(SequentialBackend):
                 )
             # Foreign code, which may raise anything.
             try:
-                self._objects[key] = _load(node.object)
+                self._objects[key] = named_code.load(node.object)()
             except Exception as error:
                 raise StudyError(
                     f"cannot load {node.object}: {type(error).__name__}: {error}",
@@ -111,12 +111,3 @@ def triggered(study: Study) -> str:
     if study.trigger is None:
         raise StudyError("needs ROS nodes; use --backend ros", ("run",))
     return study.trigger.node
-
-
-def _load(path: str) -> Any:
-    """Make the object that ``module:Class`` names."""
-    module, _, name = path.partition(":")
-    target: Any = importlib.import_module(module)
-    for part in name.split("."):
-        target = getattr(target, part)
-    return target()

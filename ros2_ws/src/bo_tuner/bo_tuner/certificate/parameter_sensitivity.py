@@ -19,6 +19,7 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess
 from bo_tuner.study.study import Study
+from bo_tuner.text import shown
 from bo_tuner.trials import Value
 
 
@@ -85,7 +86,7 @@ class ParameterSensitivity:
         if not self.narrow:
             return ""
         steps = "; ".join(
-            ", ".join(f"{name} {value:.4g}" for name, value in n.changed.items())
+            ", ".join(f"{name} {shown(value)}" for name, value in n.changed.items())
             + f" (objective {100.0 * n.loss:+.0f} %"
             + (f", {100.0 * n.excess:.0f} % over a limit)" if n.excess > 0.0 else ")")
             for n in self.narrow

@@ -17,6 +17,7 @@ from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
+from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
@@ -73,7 +74,7 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise RunRecordError(
-            f"{path}: not a readable certificate: {' '.join(str(error).split())}; run validate"
+            f"{path}: not a readable certificate: {one_line(str(error))}; run validate"
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise RunRecordError(f"{path}: not a certificate of this version of bo_tuner; run validate")

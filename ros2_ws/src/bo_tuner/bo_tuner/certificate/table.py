@@ -15,6 +15,7 @@ from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, Wor
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.study.parts import CHANCE, SINGLE_RUN
+from bo_tuner.text import shown
 
 
 def certificate_table(certificate: Certificate) -> Table:
@@ -32,7 +33,7 @@ def certificate_table(certificate: Certificate) -> Table:
     for name in ("tuned",) if default is None else ("default", "tuned"):
         table.add_column(name, justify="right")
     for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[f"{f.parameters[name]:.4g}" for f in both])
+        table.add_row(name, item.unit, *[shown(f.parameters[name]) for f in both])
     table.add_section()
     metric = study.metrics[study.objective.metric]
     table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])

@@ -1,14 +1,16 @@
 """Shared by all commands: the argument parser, and errors as one line and an exit code."""
 
 import argparse
+import contextlib
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, EXIT_USAGE
 from bo_tuner.cli.streams import discard_output, say_error
 from bo_tuner.errors import BackendError, JournalError, OutputError, RunRecordError, StudyError
@@ -16,7 +18,7 @@ from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
-from bo_tuner.storage.trust import check_trust, trust
+from bo_tuner.storage.trust import check_trust, python_functions, trust
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
@@ -60,6 +62,26 @@ class Parser(argparse.ArgumentParser):
             type=Path,
             metavar="RUN",
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
+        )
+
+    def add_backend_arguments(self, default: str) -> None:
+        """Add the options that say where evaluations run; `default` is told in the help."""
+        self.add_argument(
+            "--backend",
+            choices=BACKENDS,
+            help=f"run on ROS nodes, or on the same objects in this process (default: {default})",
+        )
+        self.add_argument(
+            "--attach", action="store_true", help="use running nodes instead of starting them"
+        )
+
+    def add_trust_argument(self, condition: str = "") -> None:
+        """Add the option to start what a study names; `condition` is put ahead of its help."""
+        self.add_argument(
+            "--trust",
+            action="store_true",
+            help=f"{condition}start the programs and import the objects that the run's study "
+            "names, now and later; read the study first if the run is not yours",
         )
 
     def error(self, message: str) -> NoReturn:
@@ -111,6 +133,31 @@ def _fault(error: OSError, interruption: Interruption) -> int:
     return EXIT_FAULT
 
 
+@contextlib.contextmanager
+def opened(backend: Backend, interruption: Interruption, *, again: bool = False) -> Iterator[None]:
+    """Open a backend for a ``with`` block, and close it whatever comes, signals included.
+
+    Parameters
+    ----------
+    backend
+        To open, unless the end was asked for already.
+    interruption
+        Takes no more signals afterwards: the nodes come down first.
+    again
+        Whether more evaluations follow, so that signals are still taken if all goes well.
+    """
+    keep = False
+    try:
+        interruption.check()
+        backend.open()
+        yield
+        keep = again
+    finally:
+        if not keep:
+            interruption.ignore()
+        backend.close()
+
+
 def recorded_backend(record: RunRecord) -> str:
     """Return the name of a run's backend.
 
@@ -134,7 +181,8 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
     trusted
         Whether the user trusts the study, now and later.
     attach
-        Whether the nodes run already, so that nothing is started.
+        Whether the nodes run already, so that nothing is started; functions are imported all the
+        same.
 
     Raises
     ------
@@ -145,7 +193,7 @@ def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
     """
     if trusted:
         trust(record.study)
-    elif not attach:
+    elif not attach or python_functions(record.study):
         check_trust(record.study, record.path)
 
 

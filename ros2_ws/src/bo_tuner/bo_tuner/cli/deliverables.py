@@ -1,13 +1,17 @@
 """The files derived from a run's record: the report and the bundle."""
 
+import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
-from bo_tuner.storage.record import read_run
-from bo_tuner.storage.run_folder import REPORT
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.record import RunRecord, read_run
+from bo_tuner.storage.run_folder import REPORT, SUMMARY, without_nan
 from bo_tuner.tuning.summary import with_summary
 
 Tell = Callable[[str], None]
@@ -27,8 +31,23 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
     """
     try:
         record = with_summary(read_run(folder), warn)
+        record = _with_verdict(record)
         tell(f"report: {write_report(record, folder / REPORT)}")
         if record.summary is not None:
             tell(f"bundle: {write_bundle(record)}")
     except (OutputError, RunRecordError) as error:
         warn(f"warning: {error}; the result is on record")
+
+
+def _with_verdict(record: RunRecord) -> RunRecord:
+    """Bring the verdict in the summary's file up to date with the latest certificate."""
+    if record.summary is None:
+        return record
+    verdict = run_verdict(record)
+    current = {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
+    if all(record.summary.get(key) == value for key, value in current.items()):
+        return record
+    summary = {**record.summary, **current}
+    text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
+    write_atomically(record.path / SUMMARY, text + "\n")
+    return replace(record, summary=summary)

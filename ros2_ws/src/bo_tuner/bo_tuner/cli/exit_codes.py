@@ -1,8 +1,15 @@
 """What the commands return to the shell."""
 
+from bo_tuner.verdict.verdict import Verdict
+
 EXIT_OK = 0
 EXIT_FAULT = 1
 EXIT_USAGE = 2
 EXIT_INFEASIBLE = 3
 EXIT_SIGNAL = 128
 """Plus the number of the signal."""
+
+
+def exit_code(verdict: Verdict) -> int:
+    """Return what a command that has come to a verdict returns."""
+    return EXIT_OK if verdict.feasible else EXIT_INFEASIBLE

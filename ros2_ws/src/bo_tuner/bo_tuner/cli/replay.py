@@ -1,19 +1,18 @@
 """``replay``: repeat a recorded evaluation, compare its metrics, record default and tuned."""
 
-import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     guarded,
+    opened,
     read_result,
     recorded_backend,
     split_ros_arguments,
@@ -37,7 +36,7 @@ from bo_tuner.replay.replay import (
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.parts import BACKENDS, IN_PROCESS
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
@@ -88,19 +87,11 @@ def make_parser() -> Parser:
         metavar="K",
         help="number of the evaluation within the trial (default: the worst)",
     )
-    parser.add_argument("--backend", choices=BACKENDS, help="where to run it (default: the run's)")
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
+    parser.add_backend_arguments("as in the run")
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the bag (default: RUN/replay)"
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="start the programs and import the objects that the run's study names, now and later; "
-        "read the study first if the run is not yours",
-    )
+    parser.add_trust_argument()
     return parser
 
 
@@ -143,7 +134,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     )
     if isinstance(backend, RosBackend):
         _make_folder(output / "log")
-        with _opened(backend, interruption):
+        with opened(backend, interruption):
             result, default, inbox, sides = _run_both(record, recorded, backend)
         _show(record, result, name)
         for warning in inbox.warnings:
@@ -155,7 +146,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             console.print("no bag: no message was received", soft_wrap=True)
     else:
-        with _opened(backend, interruption):
+        with opened(backend, interruption):
             result = replay(record, recorded, backend)
         _show(record, result, name)
         console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
@@ -178,24 +169,12 @@ def _make_folder(path: Path) -> None:
         raise OutputError(f"{path}: cannot be made: {error.strerror}") from error
 
 
-@contextlib.contextmanager
-def _opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
-    try:
-        interruption.check()
-        backend.open()
-        yield
-    finally:
-        # The nodes are stopped before anything else can interrupt.
-        interruption.ignore()
-        backend.close()
-
-
 def _run_both(
     record: RunRecord, recorded: Evaluation, ros: RosBackend
 ) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
     """Run the evaluation, then with the default parameters; return both with their messages."""
     inbox = Inbox()
-    listener = TopicListener(ros.context, ros.nodes, inbox)
+    listener = TopicListener(ros.context, ros.nodes, ros.topics, inbox)
     try:
         inbox.collect(listener.take)
         result = replay(record, recorded, ros)

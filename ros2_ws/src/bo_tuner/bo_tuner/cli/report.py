@@ -53,12 +53,7 @@ def make_parser() -> Parser:
         metavar=",".join(FORMATS),
         help="formats of the figures (default: all)",
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="start the programs and import the objects that the run's study names, now and later; "
-        "read the study first if the run is not yours",
-    )
+    parser.add_trust_argument()
     return parser
 
 

@@ -8,8 +8,9 @@ from functools import partial
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.cli.common import opened
 from bo_tuner.cli.deliverables import write_deliverables
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_SIGNAL
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import Output, Result
@@ -21,9 +22,10 @@ from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
-from bo_tuner.storage.provenance import STOP_EARLY, changed_sources, session_provenance
+from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -31,7 +33,10 @@ from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase
+from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, summarize
+from bo_tuner.verdict.validated import open_verdict, validated
+from bo_tuner.verdict.verdict import Verdict
 
 NOTHING = JournalContent((), (), (), "")
 
@@ -56,6 +61,10 @@ class RunOptions:
         What is shown of the run.
     stop_early
         Follow the advice to stop.
+    carried
+        Trials of an earlier run that a new run begins with.
+    carried_from
+        The folder of that run.
     """
 
     algorithm: str = "IV"
@@ -65,6 +74,8 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
+    carried: Sequence[Trial] = ()
+    carried_from: str = ""
 
 
 class Session:
@@ -122,11 +133,16 @@ class Session:
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
+            elif self._options.carried:
+                earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             try:
                 try:
-                    with self._opened(backend), Journal(folder.journal, provenance) as journal:
+                    with (
+                        opened(backend, self._interruption),
+                        Journal(folder.journal, provenance, earlier.trials) as journal,
+                    ):
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
                         code = self._run(backend, journal, earlier)
@@ -154,6 +170,8 @@ class Session:
         provenance = session_provenance(self._study, options.backend, options.algorithm)
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
+        if options.carried:
+            provenance[CARRIED] = options.carried_from
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage
@@ -180,25 +198,15 @@ class Session:
                 f"{self._folder.journal}: has evaluations of another study, with {error}"
             ) from error
 
-    @contextlib.contextmanager
-    def _opened(self, backend: RecordedEvaluations) -> Iterator[None]:
-        try:
-            self._interruption.check()
-            backend.open()
-            yield
-        finally:
-            # The nodes come down first, whatever happens to the files.
-            self._interruption.ignore()
-            backend.close()
-
     def _run(self, backend: RecordedEvaluations, journal: Journal, earlier: JournalContent) -> int:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
         if earlier.evaluations:
+            on_record = f"of {options.carried_from}" if options.carried else "on record"
             self._display.tell(
                 f"continues after {len(earlier.trials)} trials and "
-                f"{len(earlier.evaluations)} evaluations on record"
+                f"{len(earlier.evaluations)} evaluations {on_record}"
             )
         study, observers = self._study, self._observers
         tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)
@@ -210,12 +218,15 @@ class Session:
                 observers.trial(trial, self._best(tuning))
             observers.end(Phase.TUNING)
             found = conclude(study, backend, self._algorithm, tuning.trials, observers)
+            verdict = self._verdict(found, tuning.trials)
+            self._status.conclude(verdict)
         if recording.summary["policy"] != Policy.NONE:
             self._folder.write_json(RECORDING, recording.summary)
         if found is None:
-            self._display.warn("no feasible parameters: every trial failed")
-            return EXIT_INFEASIBLE
-        return self._report(found, len(tuning.trials))
+            self._display.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
+            return exit_code(verdict)
+        self._report(found, verdict, len(tuning.trials), journal.count_evaluations())
+        return exit_code(verdict)
 
     @contextlib.contextmanager
     def _watched(self, journal: Journal) -> Iterator[RunRecording]:
@@ -225,7 +236,7 @@ class Session:
             self._folder.path,
             self._study,
             self._options.record,
-            None if ros is None else partial(TopicListener, ros.context, ros.nodes),
+            None if ros is None else partial(TopicListener, ros.context, ros.nodes, ros.topics),
             self._display.warn,
         )
         with contextlib.ExitStack() as stack:
@@ -234,6 +245,7 @@ class Session:
                 self._observers.add(observer)
             if ros is not None:
                 self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
+                self._observers.add(ParkInPause(ros.park, self._display.warn))
             self._observers.add(self._advisor)
             self._observers.add(self._gate)
             stack.enter_context(self._display)
@@ -264,7 +276,19 @@ class Session:
         ranked = rank(self._study, tuning.trials, self._algorithm.models)
         return ranked[0] if ranked else None
 
-    def _report(self, found: Conclusion, trials: int) -> int:
+    def _verdict(self, found: Conclusion | None, trials: Sequence[Trial]) -> Verdict:
+        if found is None:
+            return open_verdict(self._study, trials)
+        return validated(
+            self._study,
+            found.recommendation.candidate.trial.number,
+            found.default,
+            found.tuned,
+            read_journal(self._folder.journal).evaluations,
+            passed_check=found.recommendation.feasible,
+        )
+
+    def _report(self, found: Conclusion, verdict: Verdict, trials: int, evaluations: int) -> None:
         folder = self._folder
         path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
         summary = summarize(
@@ -273,29 +297,12 @@ class Session:
             self._advisor.advice,
             stop_early=self._options.stop_early,
             trials=trials,
-            evaluations=len(read_journal(folder.journal).evaluations),
+            evaluations=evaluations,
         )
+        summary["verdict"] = verdict.to_mapping()
         folder.write_json(SUMMARY, summary)
-        problem = _problem(self._study, found)
-        self._display.result(
-            Result(self._study, found.default, found.tuned, path, problem, summary)
-        )
-        return EXIT_OK if found.feasible else EXIT_INFEASIBLE
+        parameters = found.recommendation.candidate.trial.parameters
+        self._display.result(Result(self._study, verdict, parameters, path, summary))
 
     def _how_to_resume(self) -> str:
         return f"go on by: tune --resume {self._folder.path}"
-
-
-def _problem(study: Study, found: Conclusion) -> str:
-    """Return why the recommended parameter set is not feasible; empty if it is."""
-    if found.feasible:
-        return ""
-    text = "the recommended parameters passed the checks but not the validation"
-    if not found.recommendation.feasible:
-        text = "no feasible parameter set was found; the file contains the one closest to feasible"
-    broken = [study.constraints[name] for name, s in found.tuned.constraints.items() if not s.holds]
-    metrics = [study.metrics[constraint.metric] for constraint in broken]
-    if metrics and not any(metric.reproducible for metric in metrics):
-        names = ", ".join(metric.name for metric in metrics)
-        text += f"; only {names} exceeded a limit, which other load on this machine can also cause"
-    return text

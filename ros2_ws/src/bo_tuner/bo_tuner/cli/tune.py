@@ -15,18 +15,21 @@ from bo_tuner.cli.common import (
     split_ros_arguments,
 )
 from bo_tuner.cli.session import RunOptions, Session
-from bo_tuner.errors import OutputError, StudyError
+from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
-from bo_tuner.storage.record import read_run
+from bo_tuner.storage.parameter_set_file import read_parameter_set
+from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import trust
 from bo_tuner.study import maxima
+from bo_tuner.study.changes import comparable, summarized
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, shipped_studies
+from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
 Find robust, real-time capable, safe parameters by two-stage constrained
@@ -51,6 +54,8 @@ examples:
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
+  tune --start known.yaml              try parameter sets that you know first
+  tune --from latest --trials 60       begin with the trials of an earlier run
   tune --stop-early                    stop when further trials are not worth it
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
@@ -58,7 +63,7 @@ examples:
 
 STUDY = "benchmark"
 ALGORITHM = "IV"
-FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm")
+FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
 
 
@@ -83,14 +88,7 @@ def make_parser() -> Parser:
         metavar="DIR",
         help=f"where run folders are created (default: {RUNS})",
     )
-    parser.add_argument(
-        "--backend",
-        choices=BACKENDS,
-        help=f"run on ROS nodes, or on the same objects in this process (default: {BACKENDS[0]})",
-    )
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
+    parser.add_backend_arguments(BACKENDS[0])
     parser.add_argument(
         "--record",
         type=Policy,
@@ -120,6 +118,23 @@ def make_parser() -> Parser:
         help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
         "with --trials N larger than before, the run continues to N trials",
     )
+    parser.add_argument(
+        "--start",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="parameter sets to try first, after those that the study names (the default unless "
+        "it says otherwise): YAML files of values by name, or parameter files of nodes; what a "
+        "file leaves out has its default",
+    )
+    parser.add_argument(
+        "--from",
+        type=Path,
+        dest="earlier",
+        metavar="RUN",
+        help="begin with the trials of an earlier run of the same study, which stays as it is; "
+        "with --trials N, N trials in all",
+    )
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
         "--quiet",
@@ -142,12 +157,7 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="with --resume: start the programs and import the objects that the run's study names, "
-        "now and later; read the study first if the run is not yours",
-    )
+    parser.add_trust_argument("with --resume or --from: ")
     return parser
 
 
@@ -165,6 +175,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    carried: tuple[Trial, ...] = ()
+    if arguments.resume is not None and arguments.earlier is not None:
+        parser.error("--resume continues a run, --from begins a new one; leave one out")
     if arguments.resume is not None:
         given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
         if given:
@@ -181,6 +194,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 )
             # Who asks for more trials does not want the earlier advice to stop.
             study, stop_early = _changed(study, arguments), arguments.stop_early
+    elif arguments.earlier is not None:
+        record = read_run(run_folder(arguments.earlier))
+        study, stop_early = _study(arguments, record), arguments.stop_early
+        if arguments.study is None:
+            allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
+        algorithm, backend = record.algorithm, recorded_backend(record)
+        _check_comparable(record, study, arguments, parser)
+        carried = record.trials
     else:
         study, stop_early = _study(arguments), arguments.stop_early
         # Where that cannot be noted down, the commands on this run will ask for --trust.
@@ -199,6 +220,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
         output=arguments.output_mode,
         stop_early=stop_early,
+        carried=carried,
+        carried_from=str(record.path.resolve()) if carried else "",
     )
     if arguments.resume is not None:
         folder = RunFolder(record.path.resolve())
@@ -224,14 +247,38 @@ def _megabytes(text: str) -> int:
     return round(size * MEGABYTE)
 
 
-def _study(arguments: argparse.Namespace) -> Study:
-    return _changed(load_study(STUDY if arguments.study is None else arguments.study), arguments)
+def _study(arguments: argparse.Namespace, earlier: RunRecord | None = None) -> Study:
+    """Return the study to run: the one named, or else that of the earlier run, or the default."""
+    if arguments.study is not None or earlier is None:
+        study = load_study(STUDY if arguments.study is None else arguments.study)
+    else:
+        study = earlier.study
+    return _changed(study, arguments)
+
+
+def _check_comparable(
+    record: RunRecord, study: Study, arguments: argparse.Namespace, parser: Parser
+) -> None:
+    """Refuse to begin with trials that are of another study, or were made in another way."""
+    for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
+        if getattr(arguments, name) not in (None, found):
+            parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
+    if differences := comparable(record.study, study):
+        raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
+    if not record.trials:
+        raise RunRecordError(f"{record.path}: has no whole trial to begin with")
+    if len(record.trials) >= study.budget.trials:
+        parser.error(
+            f"--trials: expected more than the {len(record.trials)} of --from, found "
+            f"{study.budget.trials}"
+        )
 
 
 def _changed(study: Study, arguments: argparse.Namespace) -> Study:
     """Return the study with the options of the command line."""
+    sets = [read_parameter_set(path, study) for path in arguments.start or ()]
     try:
-        return study.replace(trials=arguments.trials, seed=arguments.seed)
+        return study.replace(trials=arguments.trials, seed=arguments.seed, start=sets)
     except StudyError as error:
         option = error.path[-1] if error.path else ""
         raise StudyError(f"--{option}: {error.problem}") from error

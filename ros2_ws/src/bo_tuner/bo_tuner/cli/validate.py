@@ -20,6 +20,7 @@ from bo_tuner.certificate.certificate import (
     write_certificate,
 )
 from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     latest_certificate,
@@ -29,18 +30,19 @@ from bo_tuner.certificate.store import (
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.unfinished import Unfinished
-from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
+from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     guarded,
+    opened,
     read_result,
     recorded_backend,
     split_ros_arguments,
     trial_of,
 )
 from bo_tuner.cli.deliverables import write_deliverables
-from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK
+from bo_tuner.cli.exit_codes import EXIT_FAULT, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
@@ -52,9 +54,11 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
-from bo_tuner.study.parts import BACKENDS, ROS
+from bo_tuner.study.parts import ROS
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
+from bo_tuner.verdict.table import print_next_steps, print_verdict
+from bo_tuner.verdict.verdict import Verdict
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it in fresh draws of context and noise,
@@ -136,20 +140,8 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--with-default", action="store_true", help="certify the default as well, to compare"
     )
-    parser.add_argument(
-        "--backend",
-        choices=BACKENDS,
-        help="run on ROS nodes, or on the same objects in this process (default: as in the run)",
-    )
-    parser.add_argument(
-        "--attach", action="store_true", help="use running nodes instead of starting them"
-    )
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="start the programs and import the objects that the run's study names, now and later; "
-        "read the study first if the run is not yours",
-    )
+    parser.add_backend_arguments("as in the run")
+    parser.add_trust_argument()
     return parser
 
 
@@ -189,7 +181,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
-    passed = False
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
@@ -214,17 +205,18 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     interruption,
                     console,
                     with_default=arguments.with_default,
+                    more=arguments.until_pass > 1,
                 )
             except (RunError, OutputError) as error:
                 console.print(f"error: {error}", soft_wrap=True)
                 return EXIT_FAULT
-            _report(certificate, path)
-            passed = certificate.passed
-            if passed:
+            verdict = certified(record, candidate, path)
+            _report(certificate, verdict, path)
+            if certificate.passed:
                 break
         interruption.ignore()
     missing = shortfall(record.study, draws, confidence)
-    if missing and passed:
+    if missing and certificate.passed:
         console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
     if is_result:
 
@@ -232,7 +224,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             console.print(text, soft_wrap=True)
 
         write_deliverables(folder.path, tell, tell)
-    return EXIT_OK if passed else EXIT_INFEASIBLE
+    return exit_code(verdict)
 
 
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
@@ -260,6 +252,7 @@ def _certify(
     console: Console,
     *,
     with_default: bool,
+    more: bool,
 ) -> tuple[Certificate, Path]:
     """Run all evaluations of a trial's parameter set, and write its certificate."""
     study = record.study
@@ -274,8 +267,6 @@ def _certify(
         console.print(f"going on after {done} evaluations of an interrupted certificate")
     backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
     try:
-        interruption.check()
-        backend.open()
         bar, observers = _Bar(console), Observers()
         observers.add(unfinished)
         observers.add(bar)
@@ -287,14 +278,10 @@ def _certify(
             attempt=attempt,
             observer=observers,
         )
-        with bar.progress:
+        with opened(backend, interruption, again=more), bar.progress:
             found = certification.collect(subjects, draws)
-    except BaseException:
-        interruption.ignore()
-        raise
     finally:
         unfinished.close()
-        backend.close()
     evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
     certificate = make_certificate(
         record, trial, evidence, draws, confidence, attempt, nodes.name, best_sha256
@@ -363,13 +350,16 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def _report(certificate: Certificate, path: Path) -> None:
+def _report(certificate: Certificate, verdict: Verdict, path: Path) -> None:
     out = plain_console()
+    print_verdict(out, certificate.study, verdict, certificate.tuned.parameters)
+    out.print()
     out.print(certificate_table(certificate))
     for line in certificate_lines(certificate):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)
-    out.print(PASS if certificate.passed else FAIL)
+    out.print("next:")
+    print_next_steps(out, verdict, path.parent.parent)
 
 
 def _fraction(text: str) -> float:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.atomic import write_atomically
@@ -132,6 +133,9 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         for name, source in copied.items():
             if source is not None and source.is_file():
                 files[name] = source.read_bytes()
+                if name == REPORT:
+                    # Its links lead into the run folder, which is one level up from here.
+                    files[name] = files[name].replace(b'href="./', b'href="../')
             else:
                 (folder / name).unlink(missing_ok=True)
         if rollback is not None or not (folder / ROLLBACK).exists():
@@ -216,12 +220,11 @@ def _same_type(value: object, like: object) -> bool:
 
 
 def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> str:
-    summary = record.summary or {}
     content = {
         "study": record.study.name,
         "run": record.path.resolve().name,
         "trial": trial.number,
-        "feasible": summary.get("feasible"),
+        "verdict": run_verdict(record).to_mapping(),
         "parameters": dict(trial.parameters),
         "provenance": dict(record.provenance),
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())},

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bo_tuner.errors import StudyError
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.numerics.signal_metrics import MEASURES, UndefinedMetricError, options_of
-from bo_tuner.study.signals import TIME, Signal, SignalMetric, expression
+from bo_tuner.study import checks, named_code
+from bo_tuner.study.signals import TIME, PythonMetric, Signal, SignalMetric, expression
 from bo_tuner.study.study import Study
+from bo_tuner.text import one_line
 
 
 class FailedRunError(Exception):
@@ -69,8 +72,9 @@ class Recording:
         Raises
         ------
         FailedRunError
-            If a signal has too few messages, too long a time without one, or a value that is not
-            finite; the message names the signal and its topic.
+            If a signal has too few messages, too many that were lost or late, too long a time
+            without one, or a value that is not finite; the message names the signal and its
+            topic.
         """
         for name, spec in specs.items():
             seen = self.signals[name]
@@ -84,6 +88,11 @@ class Recording:
                 raise FailedRunError(
                     f"{where} has {seen.messages} messages in a run of {self.end:.3g} s, "
                     f"expected at least {spec.minimum_messages}{before}"
+                )
+            if spec.most_lost is not None and seen.lost + seen.late > spec.most_lost:
+                raise FailedRunError(
+                    f"{where} has {seen.lost} lost and {seen.late} late messages, "
+                    f"expected at most {spec.most_lost}"
                 )
             if spec.largest_gap is not None:
                 times = np.concatenate(([0.0], seen.time[seen.time >= 0.0], [self.end]))
@@ -192,10 +201,73 @@ class SignalSource:
             raise MissingMetricError(f"metric {metric.name}: {metric.of} {error}") from None
 
 
+class PythonSource:
+    """Computes a metric of the signals of the last run by a function of the user.
+
+    The function is passed, by their names, the times (n,) [s] and values (n,) of all signals that
+    have messages, and returns the value. As for the other measures the first time is 0, or that of
+    the first message, the last one is the end of the run, and a value holds until the next one.
+
+    Parameters
+    ----------
+    metric
+        The metric.
+    recording
+        Returns what was recorded of the last run.
+
+    Raises
+    ------
+    StudyError
+        If the function cannot be imported.
+    """
+
+    def __init__(self, metric: PythonMetric, recording: Callable[[], Recording]) -> None:
+        self._metric = metric
+        self._recording = recording
+        # Foreign code, which may raise anything; here and below.
+        try:
+            self._function = named_code.load(metric.python)
+        except Exception as error:
+            raise StudyError(
+                f"cannot import {metric.python}: {one_line(f'{type(error).__name__}: {error}')}",
+                ("metrics", metric.name, "python"),
+            ) from error
+        if not callable(self._function):
+            raise StudyError(
+                f"expected a function, found {checks.show(self._function)}",
+                ("metrics", metric.name, "python"),
+            )
+
+    def value(self, results: Results) -> object:
+        """Return the value; of `results` nothing is needed."""
+        recording = self._recording()
+        signals = {
+            name: recording.sample(Expression(name, (name,)))
+            for name, seen in recording.signals.items()
+            if len(seen.time)
+        }
+        where = f"metric {self._metric.name}: {self._metric.python}"
+        try:
+            found = self._function(signals)
+        except Exception as error:
+            raise MissingMetricError(f"{where} raised {type(error).__name__}: {error}") from None
+        if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
+            raise MissingMetricError(f"{where} returned {checks.show(found)}, expected a number")
+        return found
+
+
 def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str, MetricSource]:
-    """Make the source of each metric of a study that is computed of signals, by its name."""
-    return {
-        name: SignalSource(metric, study, recording)
-        for name, metric in study.metrics.items()
-        if isinstance(metric, SignalMetric)
-    }
+    """Make the source of each metric of a study that is computed of signals, by its name.
+
+    Raises
+    ------
+    StudyError
+        If a function that the study names cannot be imported.
+    """
+    sources: dict[str, MetricSource] = {}
+    for name, metric in study.metrics.items():
+        if isinstance(metric, SignalMetric):
+            sources[name] = SignalSource(metric, study, recording)
+        elif isinstance(metric, PythonMetric):
+            sources[name] = PythonSource(metric, recording)
+    return sources

@@ -13,6 +13,7 @@ It is a metric: close to the Euclidean one (in length scales) for near points, a
 for distant ones, which all count the same. A neighbour's weight is 1 / δ².
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,6 +49,8 @@ class NeighbourClassifier:
         k ≥ 1; all points vote if there are fewer.
     prior_probability : float
         p_0 in [0, 1].
+    encode : callable
+        Maps points at which the probability is asked for, in whatever form, to points like `x`.
     prior_distance : float
         δ_0 > 0; at 1 the kernel is ½. Infinity removes the prior.
 
@@ -63,6 +66,7 @@ class NeighbourClassifier:
     neighbours: int = 5
     prior_probability: float = 0.1
     prior_distance: float = 1.0
+    encode: Callable[[Array], Array] = lambda x: x
 
     def __post_init__(self) -> None:
         """Check shapes and ranges."""
@@ -122,6 +126,7 @@ class NeighbourClassifier:
 
     def _votes(self, x: Array) -> tuple[Array, Array]:
         """Return the summed weights for and against the positive class, each of shape (m,)."""
+        x = self.encode(x)
         n, m = len(self.x), len(x)
         prior = self.prior_distance**-2
         if n == 0:

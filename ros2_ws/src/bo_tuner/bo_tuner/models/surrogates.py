@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.models.categories import Coding, coded, coded_fit
 from bo_tuner.models.constraints import JointConstraint, SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
@@ -161,6 +162,7 @@ class _Fitting:
         self._study = study
         self._space = study.search_space()
         self._minimum = self._space.minimum_length_scales()
+        self._coding = Coding(self._space.levels)
         self._rng = rng
         self._start = start
         self._options = options
@@ -170,13 +172,14 @@ class _Fitting:
         objective = self._study.objective
         x, y, number = self._observations(complete, objective.metric)
         # On the metric's own scale, where off-the-charts values stand out the most.
-        mask, self.models[OUTLIERS] = find_outliers(
-            x,
+        mask, bulk = find_outliers(
+            self._coding.encode(x),
             objective.sign * y,
             rng=self._rng,
-            minimum_length_scales=self._minimum,
+            minimum_length_scales=self._coding.spread(self._minimum),
             start=self._start.get(OUTLIERS),
         )
+        self.models[OUTLIERS] = coded(bulk, self._coding)
         return frozenset(number[mask].tolist())
 
     def objective(self, trials: Sequence[Trial]) -> Model:
@@ -201,8 +204,9 @@ class _Fitting:
         self, trials: Sequence[Trial], positive: Callable[[Trial], bool]
     ) -> NeighbourClassifier:
         labels = np.array([positive(t) for t in trials], dtype=bool)
-        scales = np.full(self._space.dimension, CLASSIFIER_SCALE)
-        return NeighbourClassifier(self._points(trials), labels, scales)
+        points = self._coding.encode(self._points(trials))
+        scales = np.full(points.shape[1], CLASSIFIER_SCALE)
+        return NeighbourClassifier(points, labels, scales, encode=self._coding.encode)
 
     def _worst_case(self, trials: Sequence[Trial], worst: Constraint) -> SurrogateConstraint:
         y = single_evaluation_worst_cases(trials, worst)
@@ -219,7 +223,8 @@ class _Fitting:
         return JointConstraint(model, worst.upper - margin, contexts.candidates())
 
     def _fit(self, name: str, x: Array, y: Array, minimum: Array) -> Model:
-        self.models[name] = self._options.fit(
+        fit = coded_fit(self._options.fit, self._coding)
+        self.models[name] = fit(
             x, y, rng=self._rng, minimum_length_scales=minimum, start=self._start.get(name)
         )
         return self.models[name]

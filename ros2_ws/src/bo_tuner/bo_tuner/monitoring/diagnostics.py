@@ -6,6 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
@@ -70,7 +71,15 @@ def progress(study: Study, now: Snapshot) -> Status:
         message += "; no feasible point yet"
     if now.paused:
         message += "; paused"
-    return Status(PROGRESS, Level.OK, message, _text(values))
+    if now.verdict is None:
+        return Status(PROGRESS, Level.OK, message, _text(values))
+    values |= {
+        "verdict": str(now.verdict.state),
+        "feasible": now.verdict.feasible,
+        "result": now.verdict.trial,
+    }
+    level = Level.OK if now.verdict.feasible else Level.WARN
+    return Status(PROGRESS, level, now.verdict.headline, _text(values))
 
 
 def surrogate(study: Study, now: Snapshot) -> Status:
@@ -79,7 +88,8 @@ def surrogate(study: Study, now: Snapshot) -> Status:
     values: dict[str, object] = {"fallbacks": now.fallbacks}
     if last is None or not last.hyperparameters:
         return Status(SURROGATE, Level.OK, "no model yet", _text(values))
-    names = (*study.search_space().names, *study.context_space().names)
+    space = study.search_space()
+    names = Coding(space.levels).names([*space.names, *study.context_space().names])
     for model, phi in last.hyperparameters.items():
         found = Hyperparameters.from_log(np.array(phi))
         scales = zip(names, found.length_scales.tolist(), strict=False)

@@ -1,4 +1,4 @@
-"""Output of a run: the base class of the displays, and the table of the result."""
+"""Output of a run: the base class of the displays, and the consoles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,13 +8,14 @@ from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from bo_tuner.study.study import Study
 from bo_tuner.text import printable
+from bo_tuner.trials import Value
 from bo_tuner.tuning.observer import RunObserver
-from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.table import print_next_steps, print_verdict
+from bo_tuner.verdict.verdict import Verdict
 
 
 class Output(StrEnum):
@@ -33,21 +34,20 @@ class Result:
     ----------
     study
         The study.
-    default, tuned
-        Validations of the two parameter sets.
+    verdict
+        The verdict on it.
+    tuned
+        The tuned parameter set.
     parameters_file
-        File with the tuned parameter set.
-    problem
-        Why the tuned parameter set is not feasible, in a sentence; empty if it is.
+        File with the tuned parameter set, in the run folder.
     summary
         Content of ``summary.json``.
     """
 
     study: Study
-    default: Validation
-    tuned: Validation
+    verdict: Verdict
+    tuned: Mapping[str, Value]
     parameters_file: Path
-    problem: str
     summary: Mapping[str, object]
 
 
@@ -82,10 +82,10 @@ class Display(RunObserver):
     def result(self, result: Result) -> None:
         """Show the result on standard output."""
         out = plain_console()
-        out.print(comparison(result.study, result.default, result.tuned))
+        print_verdict(out, result.study, result.verdict, result.tuned)
         out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
-        if result.problem:
-            out.print(result.problem, soft_wrap=True)
+        out.print("next:")
+        print_next_steps(out, result.verdict, result.parameters_file.parent)
 
     def finish(self, code: int) -> None:
         """Show that the run has ended with an exit code."""
@@ -121,40 +121,3 @@ def plain_console(stderr: bool = False) -> Console:
 def say(text: str) -> None:
     """Print a line on standard output, without markup or wrapping."""
     plain_console().print(text, soft_wrap=True)
-
-
-def comparison(study: Study, default: Validation, tuned: Validation) -> Table:
-    """Make a table that compares the default with the tuned parameter set on the same draws."""
-    table = Table(
-        title=f"{study.name}: default against tuned, the same {tuned.draws} fresh draws",
-        title_justify="left",
-    )
-    table.add_column("")
-    table.add_column("unit")
-    table.add_column("default", justify="right")
-    table.add_column("tuned", justify="right")
-    both = (default, tuned)
-    for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[f"{v.parameters[name]:.4g}" for v in both])
-    table.add_section()
-    metric = study.metrics[study.objective.metric]
-    table.add_row(
-        f"mean {metric.name}",
-        metric.unit,
-        *[f"{v.objective:.4g} ± {v.deviation / v.draws**0.5:.2g}" for v in both],
-    )
-    for name, constraint in study.constraints.items():
-        unit = study.metrics[constraint.metric].unit
-        samples = [v.constraints[name] for v in both]
-        table.add_row(
-            f"largest {constraint.metric}", unit, *[f"{sample.worst:.4g}" for sample in samples]
-        )
-        table.add_row(
-            f"  draws above {constraint.upper:g}",
-            "",
-            *[str(sample.violations) for sample in samples],
-        )
-    table.add_row("failed evaluations", "", *[str(v.failures) for v in both])
-    table.add_section()
-    table.add_row("feasible", "", *["yes" if v.feasible else "NO" for v in both])
-    return table

@@ -124,7 +124,7 @@ class JsonLines(Display):
         self._write(
             "result",
             parameters_file=str(result.parameters_file),
-            problem=result.problem,
+            problem="; ".join(result.verdict.reasons),
             **result.summary,
         )
 

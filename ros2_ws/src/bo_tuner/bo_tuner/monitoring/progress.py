@@ -1,5 +1,6 @@
 """Live progress of a run in the terminal."""
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,9 +16,18 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable
-from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import worst_case_holds
+from bo_tuner.text import printable, shown
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value
+from bo_tuner.tuning.limits import violated
+
+JOIN = "\xa0"
+"""Joins words that no line break may separate; shown as a space."""
+
+NUMBER_WIDTH = 9
+"""Width of most numbers with four digits, such as -0.001234."""
+
+INDENT = " " * 16
+"""Of the lines that continue that of a trial."""
 
 
 class RunProgress(Display):
@@ -85,7 +95,10 @@ class RunProgress(Display):
         """Count a trial, and show it and the incumbent."""
         self._progress.second_line = incumbent_in_words(incumbent, self._study)
         self._show(steps=1)
-        self.tell(f"trial {trial.number:3d}  {describe(trial, self._study)}")
+        mark = ""
+        if incumbent is not None and incumbent.trial.number == trial.number:
+            mark = "best" if incumbent.believed_feasible else ""
+        self.tell(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}")
         for warning in trial.warnings:
             self.tell(f"           warning: {warning}")
 
@@ -100,7 +113,9 @@ class RunProgress(Display):
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""
-        self._console.print(text, soft_wrap=True)
+        if self._console.is_terminal:
+            text = _wrapped(text, self._console.width)
+        self._console.print(text.replace(JOIN, " "), soft_wrap=True)
 
     def _show(self, steps: int = 0) -> None:
         parts = []
@@ -176,18 +191,36 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
+def _wrapped(text: str, width: int) -> str:
+    """Break a line between words, and never between a name and its number."""
+    return textwrap.fill(
+        text, width, subsequent_indent=INDENT, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _pair(name: str, value: Value) -> str:
+    """Return a name with its number, in a width that aligns the numbers of all trials."""
+    return f"{name}{JOIN}{shown(value)}".ljust(len(name) + 1 + NUMBER_WIDTH, JOIN)
+
+
 def describe(trial: Trial, study: Study) -> str:
-    """Describe a trial in a line: tuned parameters, and its values or why it failed."""
+    """Describe a trial in a line: tuned parameters, and its values or why it failed.
+
+    What belongs together is joined by `JOIN` instead of a space.
+    """
     tuned = [name for name, item in study.parameters.items() if item.is_tuned]
-    where = "  ".join(f"{name} {trial.parameters[name]:.4g}" for name in tuned)
+    where = "  ".join(_pair(name, trial.parameters[name]) for name in tuned)
     if trial.state is TrialState.FAILED:
         evaluation = trial.evaluations[-1]
         context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
         return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
     values = trial.observations(study.objective.metric)
-    text = f"{where}  {study.objective.metric} {sum(values) / len(values):.4g}"
+    text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        verdict = "within" if worst_case_holds(worst, trial.worst_case) else "above"
-        text += f"  worst {worst.metric} {trial.worst_case.value:.4g} ({verdict} {worst.upper:g})"
-    return f"{text}  [{len(trial.evaluations)} evaluations]"
+        sign = "<=" if trial.worst_case.value <= worst.upper else "> "
+        value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_case.value)
+        text += f"  {value}{JOIN}{sign}{JOIN}{worst.upper:g}"
+    if broken := violated(study, trial):
+        text += f"  violates {', '.join(broken)}"
+    return f"{text}  [{len(trial.evaluations)}{JOIN}evaluations]"

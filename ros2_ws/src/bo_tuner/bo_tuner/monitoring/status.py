@@ -12,6 +12,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
 from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import Phase, RunObserver
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
+from bo_tuner.verdict.verdict import Verdict
 
 RECENT = 10
 """Number of latest trials that the time left is estimated from: proposals take ever longer."""
@@ -48,6 +49,8 @@ class Snapshot:
         Number of evaluations that were lost because a node stopped.
     fallbacks
         Number of trials with a space-filling proposal.
+    verdict
+        The verdict on the result; None before the end of the run.
     """
 
     phase: str = ""
@@ -64,6 +67,7 @@ class Snapshot:
     violating: int = 0
     lost: int = 0
     fallbacks: int = 0
+    verdict: Verdict | None = None
 
 
 class RunStatus(RunObserver):
@@ -131,6 +135,10 @@ class RunStatus(RunObserver):
     def pause(self, paused: bool) -> None:
         """Set whether the run is paused."""
         self._update(paused=paused)
+
+    def conclude(self, verdict: Verdict) -> None:
+        """Set the verdict on the result."""
+        self._update(verdict=verdict)
 
     def _count(self, evaluation: Evaluation) -> None:
         self._evaluations += 1

@@ -16,6 +16,7 @@ import simpleeval
 from numpy.typing import ArrayLike
 
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.text import one_line
 
 LONGEST = 500
 """Characters of an expression."""
@@ -149,9 +150,9 @@ class Expression:
                 found = evaluator.eval(self.text, previously_parsed=self._tree)
                 return np.asarray(found, dtype=np.float64)
         except simpleeval.InvalidExpression as error:
-            raise ExpressionError(" ".join(str(error).split())) from None
+            raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
-            raise ExpressionError(f"cannot be evaluated: {' '.join(str(error).split())}") from None
+            raise ExpressionError(f"cannot be evaluated: {one_line(str(error))}") from None
 
 
 def _number(node: ast.Constant) -> float:

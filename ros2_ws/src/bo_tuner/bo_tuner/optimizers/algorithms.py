@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
+from bo_tuner.models.categories import Coding
 from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, joint_observations
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
@@ -79,7 +80,8 @@ class Algorithm:
         if self.nominal:
             return ReinterpolationSearch(contexts, constraint.upper, 0, OBSERVED)
         space = study.search_space()
-        point = space.to_cube(proposal.parameters)
+        coding = Coding(space.levels)
+        point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
         if self.models.joint:
             kept = [t for t in trials if t.state is TrialState.COMPLETE]
             points = {t.number: space.to_cube(t.parameters) for t in kept}
@@ -90,7 +92,7 @@ class Algorithm:
                 constraint.level,
                 study.budget.search_evaluations,
                 point,
-                x.reshape(-1, space.dimension + contexts.dimension),
+                coding.encode(x.reshape(-1, space.dimension + contexts.dimension)),
                 y,
                 proposal.hyperparameters.get(constraint.name) or None,
             )
@@ -102,7 +104,9 @@ class Algorithm:
             self.worst_case,
             worst_contexts_nearby(
                 point,
-                np.array([space.to_cube(p) for p, _ in known]).reshape(-1, space.dimension),
+                coding.encode(
+                    np.array([space.to_cube(p) for p, _ in known]).reshape(-1, space.dimension)
+                ),
                 [worst for _, worst in known],
                 contexts,
                 self.neighbour_starts,

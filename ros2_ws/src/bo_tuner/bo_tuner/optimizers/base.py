@@ -9,6 +9,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, Value
 
+DEFAULT, START = "default", "start"
 INITIAL, ACQUISITION, REFINEMENT = "initial", "acquisition", "refinement"
 RANDOM, SPACE_FILLING = "random", "space-filling"
 
@@ -22,8 +23,8 @@ class Proposal:
     parameters
         Every parameter of the study.
     origin
-        How it was proposed: ``initial``, ``acquisition``, ``refinement``, ``random`` or
-        ``space-filling``.
+        How it was proposed: ``default``, ``start``, ``initial``, ``acquisition``, ``refinement``,
+        ``random`` or ``space-filling``.
     warnings
         Numerical problems while it was proposed, one line each.
     hyperparameters
@@ -50,7 +51,9 @@ class Optimizer(Protocol):
 
 
 class DesignedOptimizer:
-    """Base of the optimizers that start with a Latin hypercube.
+    """Base of the optimizers that start with what the study names, and a Latin hypercube.
+
+    The hypercube has as many points as are left of the initial design.
 
     Parameters
     ----------
@@ -69,9 +72,12 @@ class DesignedOptimizer:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
-        self._design = self.space.latin_hypercube(
-            study.budget.initial_trials, generator(study.seed, Stream.INITIAL_DESIGN)
-        )
+        self._starts = study.starting_sets()
+        drawn = study.budget.initial_trials - len(self._starts)
+        self._design = np.empty((0, self.space.dimension))
+        if drawn > 0:
+            rng = generator(study.seed, Stream.INITIAL_DESIGN)
+            self._design = self.space.latin_hypercube(drawn, rng, self._starts)
 
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
@@ -79,7 +85,13 @@ class DesignedOptimizer:
 
     def initial(self) -> Proposal | None:
         """Return the initial design's proposal for the next trial, or None after the last."""
-        number = len(self.trials)
+        tried = {self.space.key(trial.parameters) for trial in self.trials}
+        for parameters in self._starts:
+            if self.space.key(parameters) not in tried:
+                is_default = parameters == self.space.defaults
+                return Proposal(parameters, DEFAULT if is_default else START)
+        # Trials of an earlier run take the place of as many points.
+        number = len(self.trials) - len(self._starts)
         if number >= len(self._design):
             return None
         return Proposal(self.space.to_parameters(self._design[number]), INITIAL)

@@ -10,6 +10,7 @@ from bo_tuner.acquisition.acquisition import (
     best_at_data,
     constrained_improvement,
 )
+from bo_tuner.models.categories import Coding
 from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
@@ -195,6 +196,8 @@ def space_filling(space: SearchSpace, tried: Array, rng: np.random.Generator) ->
     candidates = space.latin_hypercube(SPACE_FILLING_CANDIDATES, rng)
     farthest: Array = candidates[0]
     if len(tried) > 0:
-        squared = ((candidates[:, None, :] - tried[None, :, :]) ** 2).sum(axis=2)
+        coding = Coding(space.levels)
+        apart = coding.encode(candidates)[:, None, :] - coding.encode(tried)[None, :, :]
+        squared = (apart**2).sum(axis=2)
         farthest = candidates[int(squared.min(axis=1).argmax())]
     return farthest

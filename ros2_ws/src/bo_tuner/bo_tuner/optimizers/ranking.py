@@ -121,15 +121,15 @@ def rank(
 def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:
     """Return the points (m, d) of the unit cube that are one step away from a trial.
 
-    A step changes one parameter: an integer by one, a continuous one by half its shortest length
-    scale among all models, but at most by `LARGEST_STEP`.
+    A step changes one parameter: an integer by one, a choice to another value, a continuous one by
+    half its shortest length scale among all models, but at most by `LARGEST_STEP`.
     """
     x = space.to_cube(trial.parameters)
     # The columns of a joint model are the parameters, then the context variables.
     d = space.dimension
     scales = np.min([m.length_scales[:d] for m in models.models.values()], axis=0)
     points = [space.to_cube(neighbour) for neighbour in space.integer_neighbours(trial.parameters)]
-    for column in np.flatnonzero(~space.integer):
+    for column in np.flatnonzero(~space.discrete):
         for sign in (-1.0, 1.0):
             moved = x.copy()
             moved[column] += sign * min(0.5 * scales[column], LARGEST_STEP)

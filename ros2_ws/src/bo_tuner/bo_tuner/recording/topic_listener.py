@@ -1,4 +1,4 @@
-"""Hears all topics of a study's nodes, whatever they are: the graph tells names and types."""
+"""Hears all topics of a study's nodes and of its signals: the graph tells names and types."""
 
 import importlib
 import threading
@@ -49,12 +49,15 @@ class TopicListener:
         The ROS context of the tuner: one participant for both keeps the traffic low.
     nodes
         Names of the nodes to hear, relative to the namespace.
+    topics
+        Topics to hear whoever publishes them, relative to the namespace or absolute.
     sink
         Where messages go.
     """
 
-    def __init__(self, context: Context, nodes: list[str], sink: Sink) -> None:
+    def __init__(self, context: Context, nodes: list[str], topics: list[str], sink: Sink) -> None:
         self._nodes = nodes
+        self._topics = topics
         self._sink = sink
         self._heard: set[str] = set()
         self._node = Node(
@@ -83,6 +86,10 @@ class TopicListener:
                 continue
             for topic, types in topics:
                 found.setdefault(topic, types[0])
+        known = dict(self._node.get_topic_names_and_types())
+        for topic in map(self._node.resolve_topic_name, self._topics):
+            if topic in known:
+                found.setdefault(topic, known[topic][0])
         new = found.keys() - self._heard - {*NOT_HEARD}
         for topic in sorted(new):
             self._heard.add(topic)

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.errors import RunRecordError
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
@@ -18,7 +17,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
-from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.verdict import Verdict
 
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 
@@ -90,44 +89,15 @@ class Analysis:
                 return trial
         raise RunRecordError(f"{self.record.path}: its summary names trial {number}, not on record")
 
-    @property
-    def believed_feasible(self) -> bool:
-        """Whether the answer is believed to keep the limits and, once validated, kept them."""
-        if self.record.summary is not None:
-            return self.record.summary.get("feasible") is True
-        return bool(self.ranked) and self.ranked[0].believed_feasible
+    @cached_property
+    def verdict(self) -> Verdict:
+        """The verdict on the result."""
+        return run_verdict(self.record)
 
     @property
     def defaults(self) -> Mapping[str, Value]:
         """The hand-tuned parameter set."""
         return self.study.search_space().defaults
-
-    @cached_property
-    def validations(self) -> tuple[Validation, Validation] | None:
-        """Validation of the default and the tuned parameter set; None without a result."""
-        if self.record.summary is None:
-            return None
-        try:
-            default, tuned = (
-                Validation.from_mapping(self.record.summary[key]) for key in ("default", "tuned")
-            )
-            for side in (default, tuned):
-                self._check_validation(side)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise RunRecordError(
-                f"{self.record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
-            ) from error
-        return default, tuned
-
-    def _check_validation(self, side: Validation) -> None:
-        """Refuse a validation of other parameters or constraints than the study's."""
-        space = self.study.search_space()
-        if side.parameters != space.completed(side.parameters):
-            raise ValueError("other values of tied or fixed parameters")
-        if side.constraints.keys() != self.study.constraints.keys():
-            raise ValueError(f"constraints {', '.join(side.constraints)}")
-        if not 0 <= side.failures <= side.draws:
-            raise ValueError(f"{side.failures} failures of {side.draws} draws")
 
     def outcome(self, trial: Trial) -> str:
         """Return the `Outcome` of a trial."""
@@ -146,30 +116,6 @@ class Analysis:
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""
         return {name: parameters[name] for name in self.study.search_space().names}
-
-    def paired_difference(self) -> tuple[float, float] | None:
-        """Mean difference of the objective, tuned minus default, and its standard error.
-
-        Over the draws of the validation that both completed; None without two of them.
-        """
-        if self.answer is None:
-            return None
-        # In the validation, trial 0 is the default and trial 1 the tuned parameter set. A run that
-        # was extended may have validated another one before.
-        sides = (dict(self.defaults), dict(self.answer.parameters))
-        seen: dict[int, dict[int, float]] = {}
-        for evaluation in self.record.evaluations:
-            if (
-                evaluation.stage is Stage.VALIDATION
-                and dict(evaluation.parameters) == sides[evaluation.trial]
-                and evaluation.outcome.state is EvaluationState.COMPLETE
-            ):
-                value = evaluation.outcome.metrics[self.study.objective.metric]
-                seen.setdefault(evaluation.index, {})[evaluation.trial] = value
-        pairs = np.array([both[1] - both[0] for both in seen.values() if len(both) == 2])
-        if len(pairs) < 2:
-            return None
-        return float(pairs.mean()), float(pairs.std(ddof=1) / np.sqrt(len(pairs)))
 
     def evaluations_of(self, parameters: Mapping[str, Value]) -> list[Evaluation]:
         """Return the complete evaluations of a parameter set, of any stage."""

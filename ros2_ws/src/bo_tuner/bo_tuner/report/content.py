@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
+from bo_tuner.text import shown
+from bo_tuner.trials import Value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +60,11 @@ class Section:
     notes: Sequence[str] = ()
 
 
-def number(value: float | None) -> str:
-    """Format a number with four digits; a dash for None and NaN."""
-    if value is None or math.isnan(value):
+def number(value: Value | None) -> str:
+    """Format a number with four digits, any other value as it is; a dash for None and NaN."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
-    return f"{value:.4g}"
+    return shown(value)
 
 
 def quantity(value: float | None, unit: str) -> str:
@@ -70,7 +72,7 @@ def quantity(value: float | None, unit: str) -> str:
     return f"{number(value)} {unit}".rstrip()
 
 
-def values(mapping: Mapping[str, float]) -> str:
+def values(mapping: Mapping[str, Value]) -> str:
     """Format named numbers in one line."""
     return ", ".join(f"{name} {number(value)}" for name, value in mapping.items())
 

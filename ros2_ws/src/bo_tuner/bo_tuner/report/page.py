@@ -3,9 +3,11 @@
 import base64
 import hashlib
 import importlib.resources
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -20,11 +22,13 @@ from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.appendix import all_trials, provenance
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
+from bo_tuner.report.sections.draws import draws
 from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
+from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.record import RunRecord
@@ -37,7 +41,9 @@ def sections(analysis: Analysis) -> list[Section]:
     """Return the sections of a run's report in order, without those that do not apply."""
     made = [
         None if analysis.certificate is None else analysis.certificate.section,
+        draws(analysis),
         convergence(analysis),
+        trade_off(analysis),
         contexts(analysis),
         tolerance(analysis),
         trajectories(analysis),
@@ -85,7 +91,7 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
     OutputError
         If the file cannot be written.
     """
-    text = render(analysis, parts)
+    text = render(analysis, parts, os.path.relpath(analysis.record.path, path.parent))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -94,8 +100,8 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
     return write_atomically(path, text)
 
 
-def render(analysis: Analysis, parts: Sequence[Section]) -> str:
-    """Return the HTML of the page."""
+def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -> str:
+    """Return the HTML of the page, with links into the run folder by its relative path."""
     environment = Environment(
         loader=PackageLoader("bo_tuner.report"),
         autoescape=True,
@@ -111,6 +117,7 @@ def render(analysis: Analysis, parts: Sequence[Section]) -> str:
         study=analysis.study,
         record=analysis.record,
         answer=answer(analysis),
+        base=quote(f"{run}/"),
         sections=parts,
         style=_template("report.css"),
         light=LIGHT,

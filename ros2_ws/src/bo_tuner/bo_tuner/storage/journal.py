@@ -20,7 +20,7 @@ from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Of the tables below, and of what a session tells; a journal of another version is refused."""
 
 COLUMNS = {
@@ -72,6 +72,8 @@ class Journal:
         The file; made if it does not exist.
     provenance
         What works on the run from now on: versions, seed, host. A row of its own each time.
+    trials
+        Trials that a new journal begins with.
 
     Raises
     ------
@@ -79,7 +81,9 @@ class Journal:
         If the file cannot be opened, is no journal, or is of another version.
     """
 
-    def __init__(self, path: Path, provenance: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: Path, provenance: Mapping[str, str], trials: Sequence[Trial] = ()
+    ) -> None:
         self._path = path
         check_rollback(path)
         new = not path.exists()
@@ -89,7 +93,7 @@ class Journal:
             raise JournalError(f"{path}: {error}") from error
         try:
             harden(self._db)
-            self._open(new, (json.dumps(dict(provenance)),))
+            self._open(new, (json.dumps(dict(provenance)),), trials)
             self._identity = path.stat()
         except (sqlite3.Error, FileNotFoundError) as error:
             self.close()
@@ -114,6 +118,9 @@ class Journal:
     def record_evaluation(self, evaluation: Evaluation) -> None:
         """Append an evaluation."""
         self._check_file()
+        self._insert_evaluation(evaluation)
+
+    def _insert_evaluation(self, evaluation: Evaluation) -> None:
         outcome = evaluation.outcome
         row = (
             evaluation.trial,
@@ -133,6 +140,9 @@ class Journal:
     def record_trial(self, trial: Trial) -> None:
         """Append a trial whose evaluations were recorded before."""
         self._check_file()
+        self._insert_trial(trial)
+
+    def _insert_trial(self, trial: Trial) -> None:
         row = (
             trial.number,
             json.dumps(dict(trial.parameters)),
@@ -147,13 +157,18 @@ class Journal:
         )
         self._insert("trial", row)
 
+    def count_evaluations(self) -> int:
+        """Return the number of evaluations on record, those of earlier sessions included."""
+        (count,) = self._db.execute("SELECT count(*) FROM evaluation").fetchone()
+        return int(count)
+
     def close(self) -> None:
         """Close the file, and leave it alone in the folder unless somebody reads it just now."""
         with contextlib.suppress(sqlite3.Error):
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 
-    def _open(self, new: bool, session: tuple[str]) -> None:
+    def _open(self, new: bool, session: tuple[str], trials: Sequence[Trial]) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         if new:
@@ -165,6 +180,10 @@ class Journal:
             check_schema(self._path, self._db)
         self._insert("session", session)
         if new:
+            for trial in trials:
+                for evaluation in trial.evaluations:
+                    self._insert_evaluation(evaluation)
+                self._insert_trial(trial)
             self._db.execute("COMMIT")
 
     def _check_file(self) -> None:

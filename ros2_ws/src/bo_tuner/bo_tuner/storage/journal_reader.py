@@ -36,9 +36,6 @@ OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
 NOT_EXPORTED = ("seconds", "hyperparameters")
 """Columns of no use in a table, or that differ between runs which are the same."""
 
-LARGEST = 1_000_000_000
-"""Size [byte] beyond which a header that tells the size of a journal is not believed."""
-
 # Page size and number of pages, see https://www.sqlite.org/fileformat.html.
 _SQLITE = b"SQLite format 3\0"
 _HEADER = struct.Struct(">16xH10xI")
@@ -92,7 +89,7 @@ def read_journal(path: Path) -> JournalContent:
     except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
         if isinstance(error, JournalError):
             raise
-        raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
+        raise JournalError(f"{path}: {one_line(str(error))}") from error
     try:
         evaluations = tuple(rows.evaluation_of(row) for row in evaluation_rows)
         trials = tuple(_trials(trial_rows, evaluations))
@@ -168,7 +165,7 @@ def export_csv(path: Path, directory: Path) -> None:
             with closing(_connect(path)) as db:
                 found, _ = _rows(db, table)
         except sqlite3.Error as error:
-            raise JournalError(f"{path}: {' '.join(str(error).split())}") from error
+            raise JournalError(f"{path}: {one_line(str(error))}") from error
         try:
             flat = [_flat(row) for row in found]
         except (ValueError, AttributeError, RecursionError) as error:
@@ -203,7 +200,7 @@ def _connect(path: Path) -> sqlite3.Connection:
             raise
         page, pages = _HEADER.unpack_from(data)
         size = (65536 if page == 1 else page) * pages
-        if not len(data) < size <= LARGEST:
+        if not len(data) < size <= maxima.JOURNAL_BYTES:
             raise
         # What is missing reads as empty pages; without a log there is no write-ahead mode.
         data[18:20] = b"\1\1"

@@ -26,10 +26,9 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
         spec = study.nodes[key]
         of_node = values.setdefault(spec.node, {})
         of_node.update({name: _plain(constant) for name, constant in spec.parameters.items()})
-    for name, value in parameters.items():
-        item = study.parameters[name]
-        typed = int(value) if item.is_integer else float(value)
-        values[study.nodes[item.node].node][item.parameter] = typed
+    typed = {name: study.parameters[name].checked(value) for name, value in parameters.items()}
+    for key, of_set in study.node_parameters(typed).items():
+        values[study.nodes[key].node].update({name: _plain(v) for name, v in of_set.items()})
     return values
 
 

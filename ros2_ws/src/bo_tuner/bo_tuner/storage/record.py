@@ -85,7 +85,7 @@ def read_run(path: Path) -> RunRecord:
         check_study(study, content.evaluations, content.trials)
     except ValueError as error:
         raise RunRecordError(f"{path / JOURNAL}: not of this study: {str(error)[:200]}") from error
-    provenance = dict(content.sessions[0]) if content.sessions else {}
+    provenance = dict(content.sessions[0])
     provenance.pop(STUDY_YAML, None)
     algorithm = provenance.get("algorithm", "")
     if algorithm not in ALGORITHMS:
@@ -130,7 +130,4 @@ def _summary(path: Path) -> Mapping[str, object] | None:
         summary = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError):
         return None
-    if not isinstance(summary, dict):
-        return None
-    trial = summary.get("trial")
-    return summary if isinstance(trial, int) and not isinstance(trial, bool) else None
+    return summary if isinstance(summary, dict) else None

@@ -49,7 +49,7 @@ def evaluation_of(row: Row) -> Evaluation:
         trial=_count(row, "trial"),
         index=_count(row, "position"),
         stage=Stage(_text(row, "stage")),
-        parameters=_numbers(row, "parameters"),
+        parameters=_values(row, "parameters"),
         context=_numbers(row, "context"),
         seed=_count(row, "seed"),
         outcome=Outcome(state, metrics, reason, _texts(row, "details")),
@@ -67,13 +67,13 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
         worst_case = _worst_case(row)
     return Trial(
         number=number_of(row),
-        parameters=_numbers(row, "parameters"),
+        parameters=_values(row, "parameters"),
         origin=_text(row, "origin"),
         state=state,
         reason=reason,
         evaluations=evaluations,
         worst_case=worst_case,
-        warnings=tuple(_text({"warnings": text}, "warnings") for text in _list(row, "warnings")),
+        warnings=tuple(_as_text(item, "warnings") for item in _list(row, "warnings")),
         hyperparameters={
             name: tuple(float(_number(phi, "hyperparameters")) for phi in _sequence(values))
             for name, values in _object(row, "hyperparameters").items()
@@ -168,7 +168,10 @@ def _worst_case(row: Row) -> WorstCase | None:
 
 
 def _text(row: Row, column: str) -> str:
-    value = row[column]
+    return _as_text(row[column], column)
+
+
+def _as_text(value: object, column: str) -> str:
     if not isinstance(value, str):
         raise ValueError(f"{column}: expected text, found {checks.show(value)}")
     return value
@@ -181,7 +184,7 @@ def _count(row: Row, column: str) -> int:
     return value
 
 
-def _number(value: object, column: str) -> Value:
+def _number(value: object, column: str) -> int | float:
     if isinstance(value, int) and not isinstance(value, bool):
         if abs(value) < checks.INTEGER_LIMIT:
             return value
@@ -214,18 +217,25 @@ def _sequence(value: object) -> Sequence[object]:
     return value
 
 
-def _numbers(row: Row, column: str) -> dict[str, Value]:
+def _numbers(row: Row, column: str) -> dict[str, int | float]:
     return _as_numbers(_object(row, column), column)
 
 
-def _as_numbers(value: object, column: str) -> dict[str, Value]:
+def _as_numbers(value: object, column: str) -> dict[str, int | float]:
     if not isinstance(value, dict):
         raise ValueError(f"{column}: expected an object, found {checks.show(value)}")
     return {name: _number(item, column) for name, item in value.items()}
 
 
+def _values(row: Row, column: str) -> dict[str, Value]:
+    return {
+        name: item if isinstance(item, (bool, str)) else _number(item, column)
+        for name, item in _object(row, column).items()
+    }
+
+
 def _texts(row: Row, column: str) -> dict[str, str]:
-    return {name: _text({column: item}, column) for name, item in _object(row, column).items()}
+    return {name: _as_text(item, column) for name, item in _object(row, column).items()}
 
 
 def _check_size(values: Iterable[float], what: str) -> None:

@@ -1,4 +1,4 @@
-"""Which studies' programs may be started and objects be imported without being asked for.
+"""Which studies' programs may be started and code be imported without being asked for.
 
 A run folder may come from anybody, and its study names executables and Python objects. Those of the
 shipped studies are known. Others are trusted once this user has run a study with them here, by
@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.study.study import NodeSpec, Study
+from bo_tuner.study.study import NodeSpec, PythonMetric, Study
 from bo_tuner.study.study_file import load_study, shipped_studies, study_to_mapping
 
-OF_A_RUN = ("name", "description", "seed", "budget")
+OF_A_RUN = ("name", "description", "seed", "budget", "start")
 """Sections of a study that do not matter: they say how much is run, not what."""
 
 
@@ -60,9 +60,15 @@ def check_trust(study: Study, folder: Path) -> None:
 
 
 def foreign_programs(study: Study) -> list[str]:
-    """List the executables and objects that a study names and no shipped study does."""
+    """List the programs, objects and functions that a study names and no shipped study does."""
     named = [program for node in study.nodes.values() for program in _programs(node)]
+    named += python_functions(study)
     return [program for program in dict.fromkeys(named) if program not in _shipped()]
+
+
+def python_functions(study: Study) -> list[str]:
+    """List the functions that compute metrics of a study: imported also for nodes that run."""
+    return [item.python for item in study.metrics.values() if isinstance(item, PythonMetric)]
 
 
 @cache
@@ -76,8 +82,12 @@ def _shipped() -> frozenset[str]:
 
 
 def _programs(node: NodeSpec) -> list[str]:
-    executable = f"{node.package}/{node.executable}" if node.executable else None
-    return [program for program in (executable, node.object) if program]
+    started = f"{node.package}/{node.executable}" if node.executable else node.command or ""
+    if node.launch:
+        started = f"ros2 launch {node.launch}"
+    # A variable can make another program of any.
+    variables = [f"{name}={value}" for name, value in node.env.items()]
+    return [program for program in (" ".join([*variables, started]), node.object) if program]
 
 
 def _digest(study: Study) -> str:

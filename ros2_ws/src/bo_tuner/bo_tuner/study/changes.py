@@ -7,6 +7,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
+OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate")
+"""Sections that may differ between runs whose trials can be compared."""
 
 
 def changes(then: Study, now: Study) -> list[str]:
@@ -18,6 +20,13 @@ def changes(then: Study, now: Study) -> list[str]:
         for path in before | after
         # By their text: for a node, 3 and 3.0 differ.
         if repr(before.get(path)) != repr(after.get(path)) or (path in before) != (path in after)
+    ]
+
+
+def comparable(then: Study, now: Study) -> list[str]:
+    """Return the `changes` after which trials cannot be compared with the earlier ones."""
+    return [
+        change for change in changes(then, now) if change.split()[0].split(".")[0] not in OF_A_RUN
     ]
 
 

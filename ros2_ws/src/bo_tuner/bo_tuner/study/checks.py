@@ -20,6 +20,7 @@ INTEGER_LIMIT = 2**63
 
 SIMPLE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 PARAMETER_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
+PARAMETER_OR_ITEM = re.compile(PARAMETER_NAME.pattern + r"(\[(0|[1-9][0-9]{0,5})\])?")
 NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")
@@ -108,6 +109,13 @@ def number(value: object, *path: str | int) -> float:
     return float(value)
 
 
+def boolean(value: object, *path: str | int) -> bool:
+    """Return `value` if it is true or false."""
+    if not isinstance(value, bool):
+        raise StudyError(f"expected true or false, found {show(value)}", path)
+    return value
+
+
 def positive(value: object, *path: str | int) -> float:
     """Return `value` as a float if it is a finite number above zero."""
     checked = number(value, *path)
@@ -149,6 +157,12 @@ def matching(value: object, pattern: re.Pattern[str], expected: str, *path: str 
 def parameter_name(value: object, *path: str | int) -> str:
     """Return `value` if it can name a ROS parameter; dots separate groups."""
     return matching(value, PARAMETER_NAME, "a ROS parameter name such as gains.kp", *path)
+
+
+def parameter_or_item(value: object, *path: str | int) -> str:
+    """Return `value` if it can name a ROS parameter, or an item of one that is an array."""
+    expected = "a ROS parameter name such as gains.kp or covariance[7]"
+    return matching(value, PARAMETER_OR_ITEM, expected, *path)
 
 
 def choice(value: object, allowed: Sequence[str], *path: str | int) -> str:

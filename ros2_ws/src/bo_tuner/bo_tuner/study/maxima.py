@@ -13,10 +13,12 @@ NODES = 100
 PARAMETERS = 500
 """Tuned, tied and fixed ones."""
 TUNED = 50
+CHOICES = 50
+"""Of a tuned text."""
 CONTEXTS = 50
 SIGNALS = 100
 STEPS = 100
-"""In each part of a run: before, start and after."""
+"""In each part of a run: before, start, after and recover."""
 METRICS = 200
 CONSTRAINTS = 50
 CONSTANTS = 1_000

@@ -1,12 +1,16 @@
 """A parameter of a study: tuned, tied to another one, or fixed."""
 
+import math
 from dataclasses import dataclass
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study import checks
+from bo_tuner.study import checks, maxima
+from bo_tuner.trials import Value
 
 Number = int | float
 
+TYPES = ("double", "integer", "boolean", "string")
+_TUNED_ONLY = ("bounds", "step", "choices", "minimum_correlation")
 # Larger integers have no exact double, and the unit cube is computed in doubles.
 LARGEST_BOUND = 2**53
 
@@ -22,14 +26,19 @@ class Parameter:
     node : str
         Node of the study that has the parameter.
     type : str
-        `integer` or `double`, as ROS calls the type.
+        `double`, `integer`, `boolean` or `string`, as ROS calls the type.
     bounds : tuple of two numbers, optional
-        Smallest and largest value; makes the parameter a tuned one.
+        Smallest and largest value of a tuned number.
+    step : int or float, optional
+        A tuned number is the lower bound or a multiple of this above it; 1 for an integer unless
+        given.
+    choices : tuple of str, optional
+        The values of a tuned text, which have no order.
     tied_to : str, optional
         Tuned or fixed parameter whose value this one takes.
-    fixed : int or float, optional
+    fixed : bool, int, float or str, optional
         Value in every trial.
-    default : int or float, optional
+    default : bool, int, float or str, optional
         Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; derived
         for the others, see `SearchSpace.defaults`.
     scale : str
@@ -40,16 +49,19 @@ class Parameter:
     minimum_correlation : float, optional
         Lower bound of the surrogates' correlation between neighbouring integers.
     parameter : str
-        Name of the parameter in the node; `name` unless given.
+        Name of the parameter in the node; `name` unless given. ``covariance[7]`` is an item of the
+        array `covariance`, counted from 0.
     """
 
     name: str
     node: str
     type: str
     bounds: tuple[Number, Number] | None = None
+    step: Number | None = None
+    choices: tuple[str, ...] | None = None
     tied_to: str | None = None
-    fixed: Number | None = None
-    default: Number | None = None
+    fixed: Value | None = None
+    default: Value | None = None
     scale: str = "linear"
     unit: str = ""
     minimum_correlation: float | None = None
@@ -57,14 +69,14 @@ class Parameter:
 
     def __post_init__(self) -> None:
         """Check the fields; references to other parts of a study are checked there."""
-        checks.parameter_name(self.name)
+        checks.parameter_or_item(self.name)
         checks.text(self.node, "node")
-        checks.choice(self.type, ("integer", "double"), "type")
+        checks.choice(self.type, TYPES, "type")
         checks.choice(self.scale, ("linear", "log"), "scale")
         checks.text(self.unit, "unit")
         if self.parameter == "":
             object.__setattr__(self, "parameter", self.name)
-        checks.parameter_name(self.parameter, "parameter")
+        checks.parameter_or_item(self.parameter, "parameter")
         if self.fixed is not None:
             self._check_fixed()
         elif self.tied_to is not None:
@@ -75,55 +87,142 @@ class Parameter:
     @property
     def is_tuned(self) -> bool:
         """Whether the optimizer chooses the value."""
-        return self.bounds is not None
+        return self.fixed is None and self.tied_to is None
 
     @property
     def is_integer(self) -> bool:
         """Whether the value is an integer."""
         return self.type == "integer"
 
+    @property
+    def is_number(self) -> bool:
+        """Whether the value is a number, with bounds where it is tuned."""
+        return self.type in ("double", "integer")
+
+    @property
+    def levels(self) -> tuple[Value, ...]:
+        """The values of a tuned parameter that is no number; empty for one that is."""
+        if self.is_number:
+            return ()
+        return (False, True) if self.type == "boolean" else (self.choices or ())
+
+    @property
+    def array(self) -> str:
+        """Name of the array that has the parameter as an item; empty if it is no item."""
+        return self.parameter.partition("[")[0] if self.parameter.endswith("]") else ""
+
+    @property
+    def item(self) -> int:
+        """Position of the parameter in its array."""
+        return int(self.parameter.partition("[")[2].rstrip("]"))
+
+    def checked(self, value: object, *path: str | int) -> Value:
+        """Return a value that has the parameter's type; bounds do not matter.
+
+        Raises
+        ------
+        StudyError
+            If it has another one, or is no choice.
+        """
+        if self.type == "integer":
+            return checks.integer(value, *path)
+        if self.type == "double":
+            return checks.number(value, *path)
+        if self.type == "boolean":
+            return checks.boolean(value, *path)
+        if self.choices is not None:
+            return checks.choice(value, self.choices, *path)
+        return checks.text(value, *path)
+
     def _check_fixed(self) -> None:
-        self._refuse("a fixed parameter", "bounds", "tied_to", "minimum_correlation")
-        fixed = self._typed(self.fixed, "fixed")
+        self._refuse("a fixed parameter", *_TUNED_ONLY, "tied_to")
+        fixed = self.checked(self.fixed, "fixed")
         object.__setattr__(self, "fixed", fixed)
-        if self.default is not None and self._typed(self.default, "default") != fixed:
+        if self.default is not None and self.checked(self.default, "default") != fixed:
             raise StudyError(
                 f"{self.default} differs from the fixed value {fixed}; leave it out", ("default",)
             )
         object.__setattr__(self, "default", fixed)
 
     def _check_tied(self) -> None:
-        self._refuse("a tied parameter", "bounds", "minimum_correlation")
+        self._refuse("a tied parameter", *_TUNED_ONLY)
         checks.text(self.tied_to, "tied_to")
         if self.default is not None:
-            object.__setattr__(self, "default", self._typed(self.default, "default"))
+            object.__setattr__(self, "default", self.checked(self.default, "default"))
 
     def _check_tuned(self) -> None:
-        if self.bounds is None:
-            raise StudyError(
-                "missing; expected [lower, upper] (or tied_to or fixed instead)", ("bounds",)
-            )
-        items = checks.pair(self.bounds, "bounds [lower, upper]", "bounds")
-        lower, upper = (self._typed(item, "bounds", i) for i, item in enumerate(items))
-        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
-            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
-        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
-        object.__setattr__(self, "bounds", (lower, upper))
-        if self.scale == "log" and lower <= 0:
-            raise StudyError(
-                f"the log scale needs bounds above 0, found lower bound {lower}", ("scale",)
-            )
-        if self.default is None:
-            raise StudyError("missing; expected the hand-tuned value", ("default",))
-        default = self._typed(self.default, "default")
-        if not lower <= default <= upper:
-            raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
-        object.__setattr__(self, "default", default)
+        if self.is_number:
+            if self.choices is not None:
+                raise StudyError("a number has no choices; leave it out", ("choices",))
+            self._check_range()
+        else:
+            self._check_levels()
         if self.minimum_correlation is not None:
             if not self.is_integer:
                 raise StudyError("applies to integers only; leave it out", ("minimum_correlation",))
             correlation = checks.fraction(self.minimum_correlation, "minimum_correlation")
             object.__setattr__(self, "minimum_correlation", correlation)
+
+    def _check_levels(self) -> None:
+        self._refuse(f"a {self.type}", "bounds", "step", "minimum_correlation")
+        if self.type == "boolean":
+            self._refuse("a boolean", "choices")
+        else:
+            expected = "a list of two or more different texts (or tied_to or fixed instead)"
+            if self.choices is None:
+                raise StudyError(f"missing; expected {expected}", ("choices",))
+            items = checks.sequence(self.choices, expected, "choices")
+            checks.at_most(items, maxima.CHOICES, "choices")
+            choices = tuple(checks.text(item, "choices", i) for i, item in enumerate(items))
+            if len(choices) < 2 or len(set(choices)) < len(choices):
+                raise StudyError(f"expected {expected}", ("choices",))
+            object.__setattr__(self, "choices", choices)
+        if self.default is None:
+            raise StudyError("missing; expected the hand-tuned value", ("default",))
+        object.__setattr__(self, "default", self.checked(self.default, "default"))
+
+    def _check_range(self) -> None:
+        if self.bounds is None:
+            raise StudyError(
+                "missing; expected [lower, upper] (or tied_to or fixed instead)", ("bounds",)
+            )
+        items = checks.pair(self.bounds, "bounds [lower, upper]", "bounds")
+        lower, upper = (self._number(item, "bounds", i) for i, item in enumerate(items))
+        if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
+            raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
+        checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
+        object.__setattr__(self, "bounds", (lower, upper))
+        if self.step is not None:
+            step = self._number(self.step, "step")
+            if not 0 < step <= upper - lower:
+                raise StudyError(f"expected above 0 and within the bounds, found {step}", ("step",))
+            object.__setattr__(self, "step", step)
+        if self.scale == "log" and lower <= 0:
+            raise StudyError(
+                f"the log scale needs bounds above 0, found lower bound {lower}; "
+                f"{_instead_of_log(lower, upper, self.default)}",
+                ("scale",),
+            )
+        if self.default is None:
+            raise StudyError("missing; expected the hand-tuned value", ("default",))
+        default = self._number(self.default, "default")
+        if not lower <= default <= upper:
+            raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
+        object.__setattr__(self, "default", default)
+        if self.step is not None and not math.isclose(default, self.on_grid(default), rel_tol=1e-9):
+            raise StudyError(
+                f"{default} is not {lower} plus a multiple of the step {self.step}", ("default",)
+            )
+
+    def on_grid(self, value: float) -> float:
+        """Return the value nearest to a number that is a multiple of the step above the bound."""
+        if self.bounds is None or self.step is None:
+            return value
+        lower, upper = self.bounds
+        # The largest one may lie below the upper bound.
+        most = math.floor((upper - lower) / self.step + 1e-9)
+        steps = min(max(math.floor((value - lower) / self.step + 0.5), 0), most)
+        return min(lower + steps * self.step, upper)
 
     def _refuse(self, kind: str, *keys: str) -> None:
         if self.scale != "linear":
@@ -132,7 +231,15 @@ class Parameter:
             if getattr(self, key) is not None:
                 raise StudyError(f"{kind} has no {key}; leave it out", (key,))
 
-    def _typed(self, value: object, *path: str | int) -> Number:
-        if self.is_integer:
-            return checks.integer(value, *path)
-        return checks.number(value, *path)
+    def _number(self, value: object, *path: str | int) -> Number:
+        return checks.integer(value, *path) if self.is_integer else checks.number(value, *path)
+
+
+def _instead_of_log(lower: Number, upper: Number, default: object) -> str:
+    """Say what to write for bounds that have no logarithm."""
+    if lower < 0 or upper <= 0:
+        return "leave it out"
+    # Three decades below the default, which is where the search is worth while.
+    near = default if isinstance(default, (int, float)) and default > 0 else upper
+    proposed = 1 if isinstance(lower, int) else float(f"{min(near, upper) / 1000.0:.1g}")
+    return f"write bounds: [{proposed}, {upper}], or leave out the scale if 0 itself counts"

@@ -8,7 +8,8 @@ from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 from bo_tuner.study.ordering import PartialOrder
-from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.trials import Value
 
 
 class ParameterSpace:
@@ -37,7 +38,7 @@ class ParameterSpace:
         These bounds, tightened by the order.
     partial_order : PartialOrder
         Order constraints between columns.
-    defaults : dict from str to int or float
+    defaults : dict from str to bool, int, float or str
         Hand-tuned value of every parameter.
 
     Raises
@@ -59,9 +60,12 @@ class ParameterSpace:
         self._check_ties()
         self.names = tuple(item.name for item in self.tuned)
         self._column = {name: column for column, name in enumerate(self.names)}
-        bounds = np.array([item.bounds for item in self.tuned], dtype=np.float64)
+        # Of what is no number, a column holds the position among its levels.
+        bounds = np.array(
+            [item.bounds or (0, len(item.levels) - 1) for item in self.tuned], dtype=np.float64
+        )
         self.lower, self.upper = bounds[:, 0], bounds[:, 1]
-        self.defaults: dict[str, Number] = {}
+        self.defaults: dict[str, Value] = {}
         for item in self.parameters:
             default = self._leader(item.name).default
             if default is not None:
@@ -71,7 +75,7 @@ class ParameterSpace:
         for index, names in enumerate(self.order):
             self._add_order(index, names)
 
-    def row(self, parameters: Mapping[str, Number]) -> Array:
+    def row(self, parameters: Mapping[str, Value]) -> Array:
         """Return the tuned values of a parameter set in their own units, shape (d,).
 
         Tied and fixed parameters may be left out.
@@ -91,24 +95,47 @@ class ParameterSpace:
             if item.name not in parameters:
                 raise ParameterError(f"{item.name}: missing")
             try:
-                check = checks.integer if item.is_integer else checks.number
-                row[column] = check(parameters[item.name])
+                value = item.checked(parameters[item.name])
             except StudyError as error:
                 raise ParameterError(f"{item.name}: {error}") from None
+            if item.levels:
+                row[column] = item.levels.index(value)
+                continue
+            row[column] = value
             if not self.lower[column] <= row[column] <= self.upper[column]:
                 raise ParameterError(
                     f"{item.name}: {parameters[item.name]} lies outside the bounds {item.bounds}"
                 )
         return row
 
-    def complete(self, row: Array) -> dict[str, Number]:
+    def check_order(self, row: Array) -> None:
+        """Refuse a row of tuned values, shape (d,), that violates the order.
+
+        Raises
+        ------
+        ParameterError
+            With the two parameters.
+        """
+        values = self.complete(row)
+        for smaller, larger in self.order:
+            if float(values[smaller]) > float(values[larger]):
+                raise ParameterError(
+                    f"expected '{smaller}' <= '{larger}', found {values[smaller]} and "
+                    f"{values[larger]}"
+                )
+
+    def complete(self, row: Array) -> dict[str, Value]:
         """Return all parameters by name for a row of tuned values, shape (d,), in own units."""
         parameters = dict(self.defaults)
         for item in self.parameters:
             column = self._column.get(self._leader(item.name).name)
             if column is not None:
                 value = float(row[column])
-                parameters[item.name] = int(value) if item.is_integer else value
+                levels = self.tuned[column].levels
+                if levels:
+                    parameters[item.name] = levels[int(value)]
+                else:
+                    parameters[item.name] = int(value) if item.is_integer else value
         return parameters
 
     def _leader(self, name: str) -> Parameter:
@@ -127,6 +154,8 @@ class ParameterSpace:
                 raise StudyError(f"'{leader.name}' is itself tied to '{leader.tied_to}'", path)
             if leader.type != item.type:
                 raise StudyError(f"'{leader.name}' is of type {leader.type}, not {item.type}", path)
+            if leader.choices is not None and item.default is not None:
+                checks.choice(item.default, leader.choices, "parameters", item.name, "default")
             if item.default is not None and item.default != leader.default:
                 raise StudyError(
                     f"{item.default} differs from {leader.default}, the default of "
@@ -144,6 +173,11 @@ class ParameterSpace:
             raise StudyError(f"'{names[0]}' is compared with itself", path)
         if leaders[0].type != leaders[1].type:
             raise StudyError(f"'{names[0]}' and '{names[1]}' are of different types", path)
+        for name, item in zip(names, leaders, strict=True):
+            if not item.is_number:
+                raise StudyError(f"'{name}' is a {item.type}, which has no order", path)
+            if item.step is not None:
+                raise StudyError(f"'{name}' has a step; a parameter with an order has none", path)
         lower, upper = (bounds.copy() for bounds in self.permitted)
         i, j = (self._column.get(item.name) for item in leaders)
         if i is not None and j is not None:
@@ -153,12 +187,12 @@ class ParameterSpace:
             # Values tied to each other always satisfy it.
             self.partial_order = PartialOrder(len(self.tuned), [p for p in pairs if p[0] != p[1]])
         elif i is not None:
-            upper[i] = min(upper[i], self.defaults[names[1]])
+            upper[i] = min(upper[i], float(self.defaults[names[1]]))
         elif j is not None:
-            lower[j] = max(lower[j], self.defaults[names[0]])
+            lower[j] = max(lower[j], float(self.defaults[names[0]]))
         self.permitted = low, high = self.partial_order.tighten(lower, upper)
         if np.any(low > high):
             raise StudyError(f"the bounds leave no values with {rule}", path)
         first, second = (self.defaults[name] for name in names)
-        if first > second:
+        if float(first) > float(second):
             raise StudyError(f"expected {rule}, found the defaults {first} and {second}", path)

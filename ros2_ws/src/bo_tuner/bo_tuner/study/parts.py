@@ -4,8 +4,7 @@ A violated rule raises a `StudyError` with the key path from the object to the v
 """
 
 import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,62 +24,6 @@ this process."""
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 CHANCE, WORST_CASE = "chance", "worst_case"
-
-
-@dataclass(frozen=True, kw_only=True)
-class NodeSpec:
-    """A node that takes parameters or reports metrics.
-
-    Attributes
-    ----------
-    name : str
-        Name in the study.
-    node : str
-        Name of the ROS node, relative to the namespace.
-    result : str, optional
-        Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
-        a node that is triggered or reports metrics.
-    package, executable : str, optional
-        Executable to start; required unless the node is already running.
-    object : str, optional
-        `module:name` of the same system without ROS; required for the in-process backend.
-    parameters : mapping from str to value
-        Set once, before the first trial.
-    inprocess_parameters : mapping from str to value
-        Override `parameters` on the in-process backend.
-    """
-
-    name: str
-    node: str
-    result: str = ""
-    package: str | None = None
-    executable: str | None = None
-    object: str | None = None
-    parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-    inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
-        checks.matching(
-            self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
-        )
-        if self.result != "":
-            checks.matching(
-                self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
-            )
-        for key, pattern, expected in (
-            ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
-            ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
-            ("object", checks.OBJECT_PATH, "module:name such as axis.simulation:Axis"),
-        ):
-            if getattr(self, key) is not None:
-                checks.matching(getattr(self, key), pattern, expected, key)
-        for key, other in (("package", "executable"), ("executable", "package")):
-            if getattr(self, key) is None and getattr(self, other) is not None:
-                raise StudyError(f"missing; {other} alone does not start a node", (key,))
-        for key in ("parameters", "inprocess_parameters"):
-            object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,11 +125,7 @@ class ReportedMetric:
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
-        if not isinstance(self.reproducible, bool):
-            raise StudyError(
-                f"expected true or false, found {checks.show(self.reproducible)}",
-                ("reproducible",),
-            )
+        checks.boolean(self.reproducible, "reproducible")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
 

@@ -1,80 +1,41 @@
 """One run of a system that knows nothing of the tuner, as a procedure."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE, expression
+from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.signals import expression
+from bo_tuner.study.steps import Step, build_steps
 
-PHASES = ("before", "start", "after")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Publish:
-    """A `message` for a `topic`: its fields by name; those that are left out are zero.
-
-    A header without a stamp gets the present time. The message's `type` is that of the topic's
-    subscribers unless given.
-    """
-
-    topic: str
-    message: Mapping[str, object] = field(default_factory=dict)
-    type: str = ""
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
-        _check_message(self.message, "message")
-        if self.type != "":
-            checks.matching(
-                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Call:
-    """A call of a `service` with the fields of its `request`, of any type that is installed.
-
-    An answer that has a field `success` must have it true.
-    """
-
-    service: str
-    request: Mapping[str, object] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
-        _check_message(self.request, "request")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """One step of a procedure: `call` a service, `publish` a message, or `wait` [s]."""
-
-    call: Call | None = None
-    publish: Publish | None = None
-    wait: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the fields."""
-        if sum(item is not None for item in (self.call, self.publish, self.wait)) != 1:
-            raise StudyError("expected one of call, publish and wait")
-        if self.wait is not None:
-            object.__setattr__(self, "wait", checks.timeout(self.wait, "wait"))
+PHASES = ("before", "start", "after", "recover")
+WALL, SIM = "wall", "sim"
 
 
 @dataclass(frozen=True, kw_only=True)
 class End:
-    """What ends a run: `after` a time since its start [s], or `when` a condition holds."""
+    """What ends a run.
+
+    Attributes
+    ----------
+    after : float, optional
+        Time since its start [s].
+    when : str
+        Condition on signals.
+    result : bool
+        The results of all goals that `start` sends.
+    """
 
     after: float | None = None
     when: str = ""
+    result: bool = False
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        if (self.after is None) == (self.when == ""):
-            raise StudyError("expected either after or when")
+        checks.boolean(self.result, "result")
+        if (self.after is not None) + (self.when != "") + self.result != 1:
+            raise StudyError("expected one of after, when and result")
         if self.after is not None:
             object.__setattr__(self, "after", checks.positive(self.after, "after"))
         checks.text(self.when, "when")
@@ -94,19 +55,25 @@ class Run:
         The run's own steps; signals are recorded from here on, and time counts from 0. With `wait`
         between them they are a sequence in time.
     after : tuple of Step
-        What follows, also after a run that failed.
+        What follows, also after a run that failed, was interrupted, or lost a node.
+    recover : tuple of Step
+        Brings the machine home after a run that failed, with the safe parameters.
     timeout : float
         Longest time [s] of a run from its start to its end.
     abort_when : str
         Condition on signals at which a run ends at once, as failed.
+    clock : str
+        `wall`, or `sim`: all times of the run are those of ``/clock``.
     """
 
     end: End
     before: tuple[Step, ...] = ()
     start: tuple[Step, ...] = ()
     after: tuple[Step, ...] = ()
+    recover: tuple[Step, ...] = ()
     timeout: float = 30.0
     abort_when: str = ""
+    clock: str = WALL
 
     def __post_init__(self) -> None:
         """Check the fields."""
@@ -114,6 +81,18 @@ class Run:
         for phase in PHASES:
             checks.at_most(getattr(self, phase), maxima.STEPS, phase)
         checks.text(self.abort_when, "abort_when")
+        checks.choice(self.clock, (WALL, SIM), "clock")
+        for index, step in enumerate(self.start):
+            if step.restart:
+                raise StudyError(
+                    "a node that restarts in a run fails it; expected this in before",
+                    ("start", index, "restart"),
+                )
+        if self.end.result and not any(step.send_goal for step in self.start):
+            raise StudyError("start has no send_goal", ("end", "result"))
+        self._check_times()
+
+    def _check_times(self) -> None:
         starting = sum(step.wait or 0.0 for step in self.start)
         if self.end.after is not None:
             if self.end.after > self.timeout:
@@ -139,25 +118,33 @@ class Run:
             for index, step in enumerate(getattr(self, phase)):
                 yield ("run", phase, index), step
 
-    def check_signals(self, signals: Iterable[str]) -> None:
-        """Refuse conditions with signals that the study does not have."""
-        names = tuple(signals)
+    def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
+        """Refuse conditions with signals, and restarts of nodes, that the study does not have."""
         if self.end.when:
-            expression(self.end.when, names, "end", "when")
+            expression(self.end.when, signals, "run", "end", "when")
         if self.abort_when:
-            expression(self.abort_when, names, "abort_when")
+            expression(self.abort_when, signals, "run", "abort_when")
+        for path, step in self.steps:
+            if step.wait_until is not None:
+                expression(step.wait_until.condition, signals, *path, "wait_until", "condition")
+            if step.restart:
+                checks.reference(step.restart, "node", nodes, *path, "restart")
 
 
-def _check_message(value: object, *path: str | int) -> None:
-    """Refuse what no message can hold."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            checks.text(key, *path)
-            if not isinstance(item, (bool, int, float, str)):
-                _check_message(item, *path, key)
-    elif isinstance(value, (list, tuple)) and len(path) > 1:
-        for index, item in enumerate(value):
-            if not isinstance(item, (bool, int, float, str)):
-                _check_message(item, *path, index)
-    else:
-        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)
+def build_run(value: object) -> Run:
+    """Return the run that a section of a study file describes.
+
+    Raises
+    ------
+    StudyError
+        If it violates a rule.
+    """
+    fields = arguments(Run, value)
+    with under("end"):
+        # The word alone says as much.
+        end = {"result": True} if fields["end"] == "result" else fields["end"]
+        fields["end"] = build(End, end)
+    for phase in PHASES:
+        with under(phase):
+            fields[phase] = build_steps(fields.get(phase, ()))
+    return Run(**fields)

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
-from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_space import ParameterSpace
+from bo_tuner.trials import Value
 
 # Parameter sets whose doubles differ by less than this fraction of their range count as the same.
 RESOLUTION = 1e-6
@@ -49,7 +50,10 @@ class SearchSpace:
     names : tuple of str
         Tuned parameters, one for each column.
     lower, upper : ndarray, shape (d,)
-        Bounds of the tuned parameters, in their own units.
+        Bounds of the tuned parameters, in their own units; of what is no number, of the position
+        among its levels.
+    integer, discrete : ndarray of bool, shape (d,)
+        Which of them are integers, and which are integers, booleans or choices.
 
     Raises
     ------
@@ -69,9 +73,12 @@ class SearchSpace:
         self.upper = self._space.upper
         self._tuned = self._space.tuned
         self.integer = np.array([item.is_integer for item in self._tuned])
+        self.discrete = np.array([not item.is_number or item.is_integer for item in self._tuned])
+        self._stepped = [c for c, item in enumerate(self._tuned) if item.step is not None]
         self._log = np.array([item.scale == "log" for item in self._tuned])
         self._scaled_lower = self._scaled(self.lower)
         self._scaled_width = self._scaled(self.upper) - self._scaled_lower
+        self._width = self.upper - self.lower
         self._order = self._space.partial_order
         # The bounds, tightened by the order.
         self._low, self._high = self._space.permitted
@@ -82,11 +89,23 @@ class SearchSpace:
         return len(self.names)
 
     @property
-    def defaults(self) -> dict[str, Number]:
+    def levels(self) -> tuple[int, ...]:
+        """Number of values without an order, for each column; 0 for one with an order."""
+        # Two values have the same distance in either way.
+        counts = (len(item.levels) for item in self._tuned)
+        return tuple(count if count > 2 else 0 for count in counts)
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Tuned parameters that are numbers, which can be drawn along an axis."""
+        return tuple(item.name for item in self._tuned if item.is_number)
+
+    @property
+    def defaults(self) -> dict[str, Value]:
         """The hand-tuned parameter set, including tied and fixed parameters."""
         return dict(self._space.defaults)
 
-    def to_parameters(self, cube: ArrayLike) -> dict[str, Number]:
+    def to_parameters(self, cube: ArrayLike) -> dict[str, Value]:
         """Return the repaired parameter set at a point of the unit cube.
 
         Parameters
@@ -109,7 +128,7 @@ class SearchSpace:
             raise ParameterError(f"cube: expected shape ({self.dimension},), found {point.shape}")
         return self._space.complete(self._values(point[None])[0])
 
-    def to_cube(self, parameters: Mapping[str, Number]) -> Array:
+    def to_cube(self, parameters: Mapping[str, Value]) -> Array:
         """Return the point of the unit cube, shape (d,), for a parameter set.
 
         Parameters
@@ -124,7 +143,7 @@ class SearchSpace:
         """
         return self._to_unit(self._space.row(parameters))
 
-    def completed(self, parameters: Mapping[str, Number]) -> dict[str, Number]:
+    def completed(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return all parameters, tied and fixed ones included, for the tuned ones.
 
         Raises
@@ -133,6 +152,18 @@ class SearchSpace:
             As `to_cube`.
         """
         return self._space.complete(self._space.row(parameters))
+
+    def permitted(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
+        """Return all parameters, as `completed`, of a parameter set that satisfies the order.
+
+        Raises
+        ------
+        ParameterError
+            As `to_cube`, or if the order is violated.
+        """
+        row = self._space.row(parameters)
+        self._space.check_order(row)
+        return self._space.complete(row)
 
     def repair(self, positions: ArrayLike) -> Array:
         """Move positions to points that represent a permitted parameter set.
@@ -162,7 +193,7 @@ class SearchSpace:
             )
         return self._to_unit(self._values(rows))
 
-    def key(self, parameters: Mapping[str, Number]) -> tuple[Number, ...]:
+    def key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
         """Return a hashable key that equal parameter sets share.
 
         The tuned values in own units: integers unchanged, doubles rounded to the decimal place at
@@ -176,11 +207,16 @@ class SearchSpace:
         row = self._space.row(parameters)
         places = -np.floor(np.log10(RESOLUTION * (self.upper - self.lower))).astype(int)
         return tuple(
-            int(value) if integer else round(value, int(digits))
-            for value, integer, digits in zip(row.tolist(), self.integer, places, strict=True)
+            int(value) if discrete else round(value, int(digits))
+            for value, discrete, digits in zip(row.tolist(), self.discrete, places, strict=True)
         )
 
-    def latin_hypercube(self, count: int, rng: np.random.Generator) -> Array:
+    def latin_hypercube(
+        self,
+        count: int,
+        rng: np.random.Generator,
+        taken: Iterable[Mapping[str, Value]] = (),
+    ) -> Array:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
         Each parameter's permitted range is divided into n equal strata with one point in each; all
@@ -193,6 +229,8 @@ class SearchSpace:
             Number of points, n, at least 1.
         rng : numpy.random.Generator
             Draws the order of the strata and the position within each.
+        taken : iterable of mapping
+            Parameter sets that the points shall differ from as well.
 
         Returns
         -------
@@ -205,8 +243,9 @@ class SearchSpace:
         values = self._low + uniform * (self._high - self._low)
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
-        values = np.where(self.integer, integers, values)
-        return self._distinct(self._to_unit(self._values_of(self._order.swap(values))))
+        values = np.where(self.discrete, integers, values)
+        points = self._to_unit(self._values_of(self._order.swap(values)))
+        return self._distinct(points, {self.key(parameters) for parameters in taken})
 
     def minimum_length_scales(self) -> Array:
         """Return lower bounds of the kernel's length scales in the unit cube, shape (d,).
@@ -218,14 +257,14 @@ class SearchSpace:
         0 where the study sets no minimum.
         """
         scales = np.zeros(self.dimension)
-        step = self._to_unit(self.lower + 1.0)
+        step = self._to_unit(self.lower + [item.step or 1.0 for item in self._tuned])
         for column, item in enumerate(self._tuned):
             if item.minimum_correlation is not None:
                 reach = np.sqrt(-2.0 * np.log(item.minimum_correlation))
                 scales[column] = step[column] / reach
         return scales
 
-    def integer_neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
+    def integer_neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one integer step away.
 
         Parameters
@@ -236,8 +275,9 @@ class SearchSpace:
         Returns
         -------
         list of dict from str to int or float
-            For each tuned integer, one below and one above where bounds and order permit it;
-            doubles as in `parameters`, tied parameters follow.
+            For each tuned integer, one step below and one above where bounds and order permit it;
+            for each boolean or choice, every other value; doubles as in `parameters`, tied
+            parameters follow.
 
         Raises
         ------
@@ -246,8 +286,13 @@ class SearchSpace:
         """
         row = self._space.row(parameters)
         neighbours = []
-        for column in np.flatnonzero(self.integer):
-            for step in (-1.0, 1.0):
+        for column in np.flatnonzero(self.discrete):
+            item = self._tuned[column]
+            size = float(item.step or 1.0)
+            away = np.array([-size, size])
+            if item.levels:
+                away = np.arange(len(item.levels)) - row[column]
+            for step in away[away != 0.0]:
                 moved = row.copy()
                 moved[column] += step
                 inside = self._low[column] <= moved[column] <= self._high[column]
@@ -255,7 +300,7 @@ class SearchSpace:
                     neighbours.append(self._space.complete(moved))
         return neighbours
 
-    def neighbours(self, parameters: Mapping[str, Number]) -> list[dict[str, Number]]:
+    def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one step away, see `STEP`.
 
         Parameters
@@ -277,8 +322,9 @@ class SearchSpace:
         found = self.integer_neighbours(parameters)
         row = self._space.row(parameters)
         at = self.repair(self.to_cube(parameters)[None])
-        for column in np.flatnonzero(~self.integer):
-            for step in (-STEP, STEP):
+        for column in np.flatnonzero(~self.discrete):
+            size = max(STEP, float(self._tuned[column].step or 0.0) / self._width[column])
+            for step in (-size, size):
                 moved = at.copy()
                 moved[0, column] += step
                 moved = self.repair(moved)
@@ -300,7 +346,9 @@ class SearchSpace:
     def _values_of(self, values: Array) -> Array:
         ordered = self._order.project(values)
         # Rounding and clipping to tightened bounds both keep the order.
-        rounded = np.where(self.integer, np.floor(ordered + 0.5), ordered)
+        rounded = np.where(self.discrete, np.floor(ordered + 0.5), ordered)
+        for column in self._stepped:
+            rounded[:, column] = [self._tuned[column].on_grid(v) for v in rounded[:, column]]
         return np.clip(rounded, self._low, self._high)
 
     def _to_unit(self, values: Array) -> Array:
@@ -313,10 +361,9 @@ class SearchSpace:
         scaled[..., self._log] = np.log(values[..., self._log])
         return scaled
 
-    def _distinct(self, points: Array) -> Array:
+    def _distinct(self, points: Array, seen: set[tuple[Value, ...]]) -> Array:
         """Move repeated points to the nearest free parameter set in integer steps."""
         points = points.copy()
-        seen: set[tuple[Number, ...]] = set()
         for index, point in enumerate(points):
             layer = [self.to_parameters(point)]
             visited = {self.key(layer[0])}

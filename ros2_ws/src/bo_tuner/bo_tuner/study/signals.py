@@ -75,12 +75,14 @@ class Signal:
     type : str
         Type of the messages, such as `std_msgs/msg/Float64`; what the publisher says unless given.
     time : str
-        `header`, the stamp in the message's header, or `reception`, when it came in; `header`
-        if the message has one, unless given.
+        `header`, the stamp in the message's header, or `reception`, when it came in by the clock
+        of the run; `header` if the message has one, unless given.
     minimum_messages : int
         A run with fewer messages fails.
     largest_gap : float, optional
         A run with a longer time [s] without a message fails; its start and its end count.
+    most_lost : int, optional
+        A run in which more messages are lost or late fails.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Signal:
     time: str = ""
     minimum_messages: int = 1
     largest_gap: float | None = None
+    most_lost: int | None = None
 
     def __post_init__(self) -> None:
         """Check the fields."""
@@ -108,6 +111,8 @@ class Signal:
         if self.largest_gap is not None:
             gap = checks.positive(self.largest_gap, "largest_gap")
             object.__setattr__(self, "largest_gap", gap)
+        if self.most_lost is not None:
+            checks.integer(self.most_lost, "most_lost", at_least=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,6 +179,36 @@ class SignalMetric:
             )
         if isinstance(self.target, str):
             expression(self.target, signals, "target")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PythonMetric:
+    """A number that a function of the user computes of the signals of a run.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    python : str
+        `module:function`, in a module that can be imported.
+    unit : str
+        Unit, for display only.
+    """
+
+    name: str
+    python: str
+    unit: str = ""
+
+    reproducible = False
+    """Of measured signals no two runs give the same."""
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.parameter_name(self.name)
+        checks.matching(
+            self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
+        )
+        checks.text(self.unit, "unit")
 
 
 def expression(text: object, signals: Iterable[str], *path: str | int) -> Expression:

@@ -14,6 +14,7 @@ import yaml
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.checks import show
+from bo_tuner.text import one_line
 
 MAX_DEPTH = 20
 
@@ -64,7 +65,7 @@ def parse(text: str) -> Document:
         return _Reader(text).read()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        problem = " ".join(str(error.problem or error.context).split())
+        problem = one_line(str(error.problem or error.context))
         raise StudyError(
             f"not valid YAML: {problem}", line=mark.line + 1 if mark else None
         ) from None

@@ -1,13 +1,15 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.parameter import Number, Parameter
+from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     CHANCE,
     WORST_CASE,
@@ -15,7 +17,6 @@ from bo_tuner.study.parts import (
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    NodeSpec,
     Objective,
     ReportedMetric,
     SeedParameter,
@@ -23,9 +24,11 @@ from bo_tuner.study.parts import (
 )
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
-from bo_tuner.study.signals import Signal, SignalMetric
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.trials import Value
 
 __all__ = [
+    "DEFAULT_SET",
     "Budget",
     "CertificateRequirement",
     "Constraint",
@@ -33,6 +36,8 @@ __all__ = [
     "NodeSpec",
     "Objective",
     "Parameter",
+    "Park",
+    "PythonMetric",
     "ReportedMetric",
     "Run",
     "SeedParameter",
@@ -42,6 +47,8 @@ __all__ = [
     "Trigger",
 ]
 
+DEFAULT_SET = "default"
+"""Stands for the study's default in the list of parameter sets that are tried first."""
 
 MOST = {
     "nodes": maxima.NODES,
@@ -51,6 +58,7 @@ MOST = {
     "metrics": maxima.METRICS,
     "constraints": maxima.CONSTRAINTS,
     "order": maxima.PARAMETERS,
+    "start": maxima.TRIALS,
 }
 
 
@@ -66,7 +74,7 @@ class Study:
         Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
         Tuned, tied and fixed parameters.
-    metrics : mapping from str to ReportedMetric or SignalMetric
+    metrics : mapping from str to ReportedMetric, SignalMetric or PythonMetric
         Results of an evaluation.
     objective : Objective
         What is optimized.
@@ -79,6 +87,8 @@ class Study:
         The procedure that is an evaluation of nodes which know nothing of the tuner.
     signals : mapping from str to Signal
         What is recorded of such a run.
+    park : Park
+        What the nodes are set to while no run is performed.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
@@ -87,6 +97,9 @@ class Study:
         What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
+    start : tuple of mapping or str
+        Parameter sets that are tried first: `DEFAULT_SET`, or values of parameters by name, where
+        those that are left out are the defaults. The default alone unless given.
     seed_parameter : SeedParameter, optional
         Where an evaluation's noise is seeded.
     seed : int
@@ -103,16 +116,18 @@ class Study:
     name: str
     nodes: Mapping[str, NodeSpec]
     parameters: Mapping[str, Parameter]
-    metrics: Mapping[str, ReportedMetric | SignalMetric]
+    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric]
     objective: Objective
     budget: Budget
     trigger: Trigger | None = None
     run: Run | None = None
     signals: Mapping[str, Signal] = field(default_factory=dict)
+    park: Park = field(default_factory=Park)
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
     order: tuple[tuple[str, str], ...] = ()
+    start: tuple[Mapping[str, Value] | str, ...] = (DEFAULT_SET,)
     seed_parameter: SeedParameter | None = None
     seed: int = 1
     description: str = ""
@@ -123,6 +138,7 @@ class Study:
         checks.text(self.description, "description")
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
+        object.__setattr__(self, "start", _start(self.start))
         for section, most in MOST.items():
             checks.at_most(getattr(self, section), most, section)
         tuned = [name for name, item in self.parameters.items() if item.is_tuned]
@@ -152,11 +168,48 @@ class Study:
                 ("constraints", worst[1], "kind"),
             )
         self._check_targets()
-        self.search_space()
+        self._check_park()
+        self.starting_sets()
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
         return SearchSpace(self.parameters.values(), self.order)
+
+    @property
+    def safe_parameters(self) -> dict[str, Value]:
+        """All parameters, as they are while no run is performed."""
+        space = self.search_space()
+        return space.completed(space.defaults | dict(self.park.parameters))
+
+    def starting_sets(self) -> list[dict[str, Value]]:
+        """Return the different parameter sets of `start`, complete and in its order.
+
+        Raises
+        ------
+        StudyError
+            If one is not a parameter set of the study, or there are more than trials.
+        """
+        space = self.search_space()
+        sets: dict[object, dict[str, Value]] = {}
+        for index, given in enumerate(self.start):
+            chosen: Mapping[str, Value] = {} if isinstance(given, str) else given
+            try:
+                found = space.permitted({**space.defaults, **chosen})
+            except ParameterError as error:
+                raise StudyError(str(error), ("start", index)) from None
+            for name, value in chosen.items():
+                if found[name] != value:
+                    raise StudyError(
+                        f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
+                        ("start", index, name),
+                    )
+            sets.setdefault(space.key(found), found)
+        if len(sets) > self.budget.trials:
+            raise StudyError(
+                f"{len(sets)} parameter sets are more than the {self.budget.trials} trials",
+                ("start",),
+            )
+        return list(sets.values())
 
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
@@ -174,8 +227,8 @@ class Study:
         return worst[0] if worst else None
 
     def assignments(
-        self, parameters: Mapping[str, Number], context: Mapping[str, float], seed: int
-    ) -> dict[str, dict[str, Number]]:
+        self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return the parameters to set on each node before an evaluation.
 
         Parameters
@@ -192,15 +245,39 @@ class Study:
         dict from str to dict
             Values by the node's name in the study, then by the node's own parameter name.
         """
-        values: dict[str, dict[str, Number]] = {}
-        for name, value in parameters.items():
-            item = self.parameters[name]
-            values.setdefault(item.node, {})[item.parameter] = value
+        values = self.node_parameters(parameters)
         for name, value in context.items():
             variable = self.contexts[name]
             values.setdefault(variable.node, {})[variable.parameter] = value
         if self.seed_parameter is not None:
             values.setdefault(self.seed_parameter.node, {})[self.seed_parameter.parameter] = seed
+        return values
+
+    def node_parameters(
+        self, parameters: Mapping[str, Value]
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
+        """Return a parameter set as the nodes take it: an item of an array as the whole array.
+
+        Parameters
+        ----------
+        parameters : mapping from str to value
+            Values of the study's parameters.
+
+        Returns
+        -------
+        dict from str to dict
+            Values by the node's name in the study, then by the node's own parameter name.
+        """
+        values: dict[str, dict[str, checks.ParameterValue]] = {}
+        for name, value in parameters.items():
+            item = self.parameters[name]
+            of_node = values.setdefault(item.node, {})
+            if not item.array:
+                of_node[item.parameter] = value
+                continue
+            items = of_node.get(item.array, self.nodes[item.node].parameters[item.array])
+            if isinstance(items, tuple):
+                of_node[item.array] = (*items[: item.item], value, *items[item.item + 1 :])
         return values
 
     def replace(
@@ -212,8 +289,11 @@ class Study:
         drawn_contexts: int | None = None,
         search_evaluations: int | None = None,
         validation_draws: int | None = None,
+        start: Sequence[Mapping[str, Value]] = (),
     ) -> "Study":
         """Return the study with another seed or budget, checked again; None keeps a value.
+
+        The parameter sets in `start` are tried after those that the study has.
 
         With `trials` alone, the initial design shrinks to that number if necessary.
 
@@ -236,12 +316,17 @@ class Study:
             budget = dataclasses.replace(self.budget, **changes)
         except StudyError as error:
             raise error.under("budget") from None
-        return dataclasses.replace(self, budget=budget, seed=self.seed if seed is None else seed)
+        return dataclasses.replace(
+            self,
+            budget=budget,
+            seed=self.seed if seed is None else seed,
+            start=(*self.start, *start),
+        )
 
     def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
         for section in ("parameters", "contexts", "metrics"):
             for name, item in getattr(self, section).items():
-                if not isinstance(item, SignalMetric):
+                if isinstance(item, (Parameter, ContextVariable, ReportedMetric)):
                     yield (section, name), item.node
         if self.trigger is not None:
             yield ("trigger",), self.trigger.node
@@ -257,9 +342,11 @@ class Study:
         reporting = {}
         for name, metric in self.metrics.items():
             here = ("metrics", name)
-            if isinstance(metric, SignalMetric):
+            if not isinstance(metric, ReportedMetric):
                 if self.run is None:
                     raise StudyError("signals are recorded in a run; add run", here)
+                if isinstance(metric, PythonMetric):
+                    continue
                 try:
                     metric.check_signals(self.signals)
                 except StudyError as error:
@@ -280,17 +367,48 @@ class Study:
             if self.signals:
                 raise StudyError("signals are recorded in a run; add run", ("signals",))
             return
+        self.run.check_references(self.signals, self.nodes)
+
+    def _check_park(self) -> None:
+        """Refuse safe parameters that the study cannot set."""
+        path = ("park", "parameters")
+        for name in self.park.parameters:
+            checks.reference(name, "parameter", self.parameters, *path)
+            if not self.parameters[name].is_tuned:
+                raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
         try:
-            self.run.check_signals(self.signals)
+            _ = self.safe_parameters
+        except ParameterError as error:
+            raise StudyError(str(error), path) from None
+
+    def _check_item(self, name: str, item: Parameter) -> None:
+        """Refuse an item of an array that the study does not have, or not with such an item."""
+        path = ("nodes", item.node, "parameters", item.array)
+        if item.array not in self.nodes[item.node].parameters:
+            raise StudyError(f"missing; expected the array of which '{name}' is an item", path)
+        array = self.nodes[item.node].parameters[item.array]
+        if not isinstance(array, tuple):
+            raise StudyError(f"expected an array, found {checks.show(array)}", path)
+        if item.item >= len(array):
+            raise StudyError(
+                f"has {len(array)} items, so that there is no '{item.parameter}'", path
+            )
+        try:
+            item.checked(array[item.item])
         except StudyError as error:
-            raise error.under("run") from None
+            raise error.under(*path, item.item) from None
 
     def _check_targets(self) -> None:
         """Refuse two sources for one parameter of a node."""
         sources: dict[tuple[str, str], str] = {}
+        arrays = {(item.node, item.array) for item in self.parameters.values() if item.array}
+        for name, item in self.parameters.items():
+            if item.array:
+                self._check_item(name, item)
         for key, node in self.nodes.items():
             for name in (*node.parameters, *node.inprocess_parameters):
-                sources[key, name] = f"nodes.{key}"
+                if (key, name) not in arrays:
+                    sources[key, name] = f"nodes.{key}"
         targets: list[tuple[KeyPath, str, str]] = [
             ((section, name), item.node, item.parameter)
             for section, items in (("parameters", self.parameters), ("contexts", self.contexts))
@@ -317,3 +435,16 @@ def _order(order: object) -> tuple[tuple[str, str], ...]:
             (checks.text(smaller, "order", index, 0), checks.text(larger, "order", index, 1))
         )
     return tuple(pairs)
+
+
+def _start(start: object) -> tuple[Mapping[str, Value] | str, ...]:
+    expected = f"parameter sets, or {DEFAULT_SET}"
+    items: list[Mapping[str, Value] | str] = []
+    for index, item in enumerate(checks.sequence(start, f"a list of {expected}", "start")):
+        if isinstance(item, Mapping):
+            items.append(dict(item))
+        elif item == DEFAULT_SET:
+            items.append(DEFAULT_SET)
+        else:
+            raise StudyError(f"expected {expected}, found {checks.show(item)}", ("start", index))
+    return tuple(items)

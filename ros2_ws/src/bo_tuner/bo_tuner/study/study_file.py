@@ -1,35 +1,34 @@
 """Study files: from YAML to a checked `Study`, and back."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.building import arguments, build, under
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
     Budget,
     CertificateRequirement,
     Constraint,
     ContextVariable,
-    NodeSpec,
     Objective,
     ReportedMetric,
     SeedParameter,
     Trigger,
 )
-from bo_tuner.study.run import PHASES, Call, End, Publish, Run, Step
-from bo_tuner.study.signals import Signal, SignalMetric
+from bo_tuner.study.run import Run, build_run
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.study.study import Study
 
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
-
-T = TypeVar("T")
 
 # Sections that hold one object, and sections of objects by name.
 _SINGLE: dict[str, type[Any]] = {
@@ -38,6 +37,7 @@ _SINGLE: dict[str, type[Any]] = {
     "objective": Objective,
     "budget": Budget,
     "run": Run,
+    "park": Park,
     "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
@@ -82,8 +82,8 @@ def load_study(name_or_path: str | Path) -> Study:
                 "write a path with its suffix, such as ./mine.yaml"
             )
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
-        return parse_study(_read(path, path.name), path.name)
-    return parse_study(_read(Path(name_or_path), str(name_or_path)), str(name_or_path))
+        return parse_study(read_text(path, path.name), path.name)
+    return parse_study(read_text(Path(name_or_path), str(name_or_path)), str(name_or_path))
 
 
 def parse_study(text: str, source: str = "study") -> Study:
@@ -120,14 +120,14 @@ def study_from_mapping(mapping: object) -> Study:
     StudyError
         If they violate a rule; carries the key path to the value.
     """
-    values = _arguments(Study, mapping)
+    values = arguments(Study, mapping)
     for key, cls in _SINGLE.items():
         if key in values:
-            with _under(key):
-                values[key] = _build_run(values[key]) if cls is Run else _build(cls, values[key])
+            with under(key):
+                values[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
     for key, cls in _NAMED.items():
         if key in values:
-            with _under(key):
+            with under(key):
                 values[key] = _build_named(cls, values[key])
     return Study(**values)
 
@@ -139,6 +139,9 @@ def study_to_mapping(study: Study) -> dict[str, object]:
         items = getattr(study, key)
         if items:
             mapping[key] = {name: _plain_part(item) for name, item in items.items()}
+    if not study.start:
+        # Unlike in other sections, an empty list is not what it is without the key.
+        mapping["start"] = []
     return mapping
 
 
@@ -151,7 +154,14 @@ def _is_path(text: str) -> bool:
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 
-def _read(path: Path, source: str) -> str:
+def read_text(path: Path, source: str) -> str:
+    """Read a file of the user's, which errors call `source`.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be read, is too large, or is no UTF-8 text.
+    """
     try:
         with path.open("rb") as file:
             content = file.read(MAX_BYTES + 1)
@@ -162,26 +172,12 @@ def _read(path: Path, source: str) -> str:
         # A path with a null character.
         raise StudyError(f"cannot be read: {error}", source=repr(source)) from None
     if len(content) > MAX_BYTES:
-        raise StudyError("expected a study file of at most 1 MB", source=source)
+        raise StudyError("expected a file of at most 1 MB", source=source)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise StudyError("expected UTF-8 text", source=source, line=line) from None
-
-
-@contextmanager
-def _under(*keys: str | int) -> Iterator[None]:
-    """Prefix the key path of an error raised inside with `keys`."""
-    try:
-        yield
-    except StudyError as error:
-        raise error.under(*keys) from None
-
-
-def _build(cls: type[T], value: object, **given: object) -> T:
-    """Build an object from the fields in `value`; those in `given` are not keys of the file."""
-    return cls(**_arguments(cls, value, skip=tuple(given)), **given)
 
 
 def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
@@ -191,7 +187,7 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
     for name, fields in value.items():
         if not isinstance(name, str):
             raise StudyError(f"expected a name, found {checks.show(name)}")
-        with _under(name):
+        with under(name):
             if cls is ContextVariable:
                 items[name] = _build_context(name, fields)
             elif (
@@ -199,31 +195,12 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
                 and isinstance(fields, dict)
                 and {"of", "measure"} & fields.keys()
             ):
-                items[name] = _build(SignalMetric, fields, name=name)
+                items[name] = build(SignalMetric, fields, name=name)
+            elif cls is ReportedMetric and isinstance(fields, dict) and "python" in fields:
+                items[name] = build(PythonMetric, fields, name=name)
             else:
-                items[name] = _build(cls, fields, name=name)
+                items[name] = build(cls, fields, name=name)
     return items
-
-
-def _build_run(value: object) -> Run:
-    fields = _arguments(Run, value)
-    with _under("end"):
-        fields["end"] = _build(End, fields["end"])
-    for phase in PHASES:
-        steps = checks.sequence(fields.get(phase, ()), "a list of steps", phase)
-        with _under(phase):
-            fields[phase] = tuple(_build_step(index, step) for index, step in enumerate(steps))
-    return Run(**fields)
-
-
-def _build_step(index: int, value: object) -> Step:
-    with _under(index):
-        fields = _arguments(Step, value)
-        for key, cls in (("call", Call), ("publish", Publish)):
-            if key in fields:
-                with _under(key):
-                    fields[key] = _build(cls, fields[key])
-        return Step(**fields)
 
 
 def _build_context(name: str, value: object) -> ContextVariable:
@@ -236,32 +213,9 @@ def _build_context(name: str, value: object) -> ContextVariable:
     own = [field.name for field in dataclasses.fields(ContextVariable) if field.name != "name"]
     cls = DISTRIBUTIONS[kind]
     shape = {key: item for key, item in value.items() if key not in own}
-    distribution = cls(**_arguments(cls, shape, also=own))
+    distribution = cls(**arguments(cls, shape, also=own))
     variable = {key: item for key, item in value.items() if key in own and key != "distribution"}
-    return _build(ContextVariable, variable, name=name, distribution=distribution)
-
-
-def _arguments(
-    cls: type[Any], value: object, skip: Sequence[str] = (), also: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Return the mapping `value` if its keys are fields of `cls` and none is missing.
-
-    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one.
-    """
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping, found {checks.show(value)}")
-    fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
-    names = [field.name for field in fields]
-    for key in value:
-        if not isinstance(key, str):
-            raise StudyError(f"expected text as a key, found {checks.show(key)}")
-        if key not in names:
-            raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
-    for field in fields:
-        needed = field.default is field.default_factory is dataclasses.MISSING
-        if needed and field.name not in value:
-            raise StudyError("missing", (field.name,))
-    return dict(value)
+    return build(ContextVariable, variable, name=name, distribution=distribution)
 
 
 def _plain_part(part: Any) -> dict[str, object]:

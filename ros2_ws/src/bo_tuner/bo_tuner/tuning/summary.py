@@ -127,6 +127,7 @@ def summarize(
         "evaluations": evaluations,
         "feasible": conclusion.feasible,
         "trial": best.candidate.trial.number,
+        "passed_check": best.feasible,
         "checked_trials": best.checked,
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,

@@ -36,7 +36,9 @@ def calibrate(calibration: Calibration) -> dict[str, Any]:
             parameters = space.to_parameters(space.to_cube(tuned))
         except ParameterError:
             continue
-        if any(abs(parameters[name] - value) > REPAIRED for name, value in tuned.items()):
+        if any(
+            abs(float(parameters[name]) - float(value)) > REPAIRED for name, value in tuned.items()
+        ):
             continue
         repeats = range(calibration.repeats)
         points.append(

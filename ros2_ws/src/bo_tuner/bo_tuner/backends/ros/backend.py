@@ -12,17 +12,15 @@ from pathlib import Path
 from rclpy.context import Context
 
 from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.ros.clock import TOPIC as CLOCK
+from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
 from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.backends.ros.procedure import Procedure
-from bo_tuner.backends.ros.processes import NodeProcess, stop_all
-from bo_tuner.backends.ros.study_client import (
-    DisturbedError,
-    LostError,
-    RefusedError,
-    StudyClient,
-)
+from bo_tuner.backends.ros.started_nodes import StartedNodes
+from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, OutputError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.recording import (
@@ -34,6 +32,7 @@ from bo_tuner.metrics.recording import (
 from bo_tuner.metrics.source import MetricSource
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.study.parts import ROS
+from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
@@ -74,11 +73,6 @@ class RosBackend(SequentialBackend):
         Asked while waiting; raises what shall end the wait.
     sources
         Where metrics come from, unless as the study says; by name.
-
-    Attributes
-    ----------
-    processes
-        The started nodes by their key in the study.
     """
 
     name = ROS
@@ -94,20 +88,22 @@ class RosBackend(SequentialBackend):
         sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
-        signals = signal_sources(study, lambda: self._recording)
-        self._collector = Collector(study, {**signals, **(sources or {})})
+        self._sources = dict(sources or {})
+        self._collector = Collector(study, self._sources)
         self._log_directory = log_directory
         self._attach = attach
         self._ros_arguments = ros_arguments or []
         self._namespace = _namespace(self._ros_arguments)
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
+        self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
         self._found: dict[str, dict[str, object]] = {}
         self._held: dict[str, dict[str, object]] = {}
         self._suspension = Suspension()
-        self.processes: dict[str, NodeProcess] = {}
+        self._safe: dict[str, dict[str, object]] = {}
+        self._started = StartedNodes(study, self._namespace, log_directory)
 
     def open(self) -> None:
         """Start the nodes, unless attached, and wait until they are discovered.
@@ -120,10 +116,13 @@ class RosBackend(SequentialBackend):
             one runs more than once; or if, attached, a parameter that the study does not set is
             not what it was when the first backend with this log directory was opened.
         StudyError
-            If a node does not take its constant parameters, the study does not say how to start
-            it, or a topic or service of its run is not there.
+            If a node does not take its constant or safe parameters, the study does not say how to
+            start it, a topic, service or action of its run is not there, or a function of its
+            metrics cannot be imported.
         """
         _check_clock()
+        signals = signal_sources(self._study, lambda: self._recording)
+        self._collector = Collector(self._study, {**signals, **self._sources})
         given = _domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
         self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
@@ -131,29 +130,35 @@ class RosBackend(SequentialBackend):
             # The middleware reads the environment of the process, in this one too.
             os.environ.update(isolated_environment(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
-        client = StudyClient(self._study, self._claim.domain, self._ros_arguments, self._watch)
+        tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
+        self._tuner = tuner
+        client = StudyClient(self._study, tuner)
         self._client = client
         try:
             if not self._attach:
                 if given is not None:
-                    self._refuse_running_nodes(client)
-                self._start_processes()
-            client.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+                    self._refuse_running_nodes(tuner, client)
+                self._started.start()
+            client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
             if self._attach:
                 # That the nodes are discovered does not mean that another tuner is, too.
-                client.spin_for(LOOK_AROUND)
-            self._refuse_second_tuner(client)
-            if twins := client.twins(LEASE):
+                tuner.spin_for(LOOK_AROUND)
+            _refuse_second_tuner(tuner)
+            if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
-            found = {key: client.read(key) for key in self._study.nodes}
+            found = {key: client.parameters.read(key) for key in self._study.nodes}
             if self._attach:
                 self._found = {key: self._of_study(key, found[key]) for key in found}
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
             self._compare_with_earlier({key: self._not_of_study(key, found[key]) for key in found})
+            self._safe = _safe(self._study)
             if self._study.run is not None:
-                self._procedure = Procedure(self._study, self._study.run, client)
+                # The nodes run by themselves, and from now on as they will between two runs.
+                self._set_safe(client)
+                restart = None if self._attach else self._restart
+                self._procedure = Procedure(self._study, self._study.run, tuner, restart)
         except LostError as loss:
             hint = "; start it, or leave out --attach" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -161,9 +166,21 @@ class RosBackend(SequentialBackend):
     @property
     def context(self) -> Context:
         """ROS context of the tuner; there while the backend is open."""
+        if self._tuner is None:
+            raise BackendError("the backend is not open")
+        return self._tuner.context
+
+    def park(self) -> list[str]:
+        """Set the safe parameters on all nodes and read them back.
+
+        Returns
+        -------
+        list of str
+            What went wrong, each in a line.
+        """
         if self._client is None:
             raise BackendError("the backend is not open")
-        return self._client.context
+        return self._client.park(self._safe, self._held)
 
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
@@ -184,13 +201,34 @@ class RosBackend(SequentialBackend):
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
 
     def _attempt(self, planned: Evaluation) -> Outcome:
+        outcome = self._evaluated(planned)
+        if outcome.state is EvaluationState.COMPLETE:
+            problems = self.park() if self._study.park.between_runs else []
+        elif outcome.state is EvaluationState.LOST:
+            problems = self._recover()
+        else:
+            problems = self._make_safe()
+        if not problems:
+            return outcome
+        text = one_line("; ".join(problems))
+        if outcome.state is EvaluationState.COMPLETE:
+            return dataclasses.replace(outcome, details={**outcome.details, "park": text})
+        return dataclasses.replace(outcome, reason=one_line(f"{outcome.reason}; {text}"))
+
+    def _evaluated(self, planned: Evaluation) -> Outcome:
+        """Run an evaluation; whatever becomes of it is an outcome."""
         client = self._client
         if client is None:
             raise BackendError("the backend is not open")
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         try:
-            run = None if self._procedure is None else partial(self._run, self._procedure, client)
+            run = None
+            if self._procedure is not None:
+                prepared = self._study.park.between_runs
+                if prepared:
+                    self._prepare(self._procedure)
+                run = partial(self._run, self._procedure, client, prepared)
             result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
             counts = self._recording.counts()
@@ -199,21 +237,61 @@ class RosBackend(SequentialBackend):
             reason = one_line(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
         except LostError as loss:
-            reason = one_line(f"{loss}{self._recover(client)}")
-            return Outcome(EvaluationState.LOST, {}, reason)
+            return Outcome(EvaluationState.LOST, {}, one_line(str(loss)))
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(
             result, details={**result.details, **ignored, **self._recording.counts()}
         )
 
-    def _run(self, procedure: Procedure, client: StudyClient) -> None:
+    def _prepare(self, procedure: Procedure) -> None:
+        """Prepare a run with the safe parameters.
+
+        Raises
+        ------
+        LostError
+            If a node does not have them.
+        """
+        if problems := self.park():
+            raise LostError("; ".join(problems))
+        procedure.prepare()
+
+    def _run(self, procedure: Procedure, client: StudyClient, prepared: bool) -> None:
         try:
-            procedure.run()
+            if not prepared:
+                procedure.prepare()
+            procedure.perform()
         except FailedRunError:
             # A run may have failed for want of a node.
             for key in self._study.nodes:
-                client.expect_answer(key)
+                client.parameters.expect_answer(key)
             raise
+
+    def _make_safe(self) -> list[str]:
+        """Leave a run that failed with the machine safe, and home; returns what went wrong."""
+        problems = self.park()
+        if self._procedure is not None:
+            problems += self._procedure.leave()
+            problems += self._procedure.recover()
+        return problems
+
+    def _recover(self) -> list[str]:
+        """Make safe what is left, and get lost nodes back; returns what went wrong."""
+        tuner, client = self._opened
+        problems = []
+        if self._procedure is not None:
+            with tuner.watched_by(self._look):
+                # Of the node that was lost nothing else is to be expected.
+                self.park()
+                problems = self._procedure.leave()
+        if problem := self._get_back(tuner, client):
+            return [*problems, problem]
+        return problems + self._make_safe()
+
+    @property
+    def _opened(self) -> tuple[TunerNode, StudyClient]:
+        if self._tuner is None or self._client is None:
+            raise BackendError("the backend is not open")
+        return self._tuner, self._client
 
     @property
     def _recording(self) -> Recording:
@@ -225,17 +303,34 @@ class RosBackend(SequentialBackend):
         """Names of the study's nodes, relative to the namespace."""
         return [spec.node for spec in self._study.nodes.values()]
 
+    @property
+    def topics(self) -> list[str]:
+        """Topics of the study's signals, relative to the namespace or absolute."""
+        run = self._study.run
+        clock = [CLOCK] if run is not None and run.clock == SIM else []
+        return [*dict.fromkeys(spec.topic for spec in self._study.signals.values()), *clock]
+
     def close(self) -> None:
-        """End the started nodes, leave attached ones as they were found, and leave ROS."""
-        stop_all(self.processes.values())
-        self.processes.clear()
+        """Leave the machine safe, end the started nodes, restore attached ones, and leave ROS.
+
+        An attached node has its previous parameters in the end, but for safe ones that the study
+        names.
+        """
+        # A signal has its effect already, and must not leave the nodes half set.
+        self._interrupted = lambda: None
+        if self._tuner is not None and self._client is not None:
+            with self._tuner.watched_by(self._look):
+                if self._procedure is not None:
+                    for problem in self.park() + self._procedure.leave():
+                        self._tuner.warn(problem)
+                self._restore(self._tuner, self._client)
+        self._started.stop()
         if self._procedure is not None:
             self._procedure.close()
             self._procedure = None
-        if self._client is not None:
-            self._restore(self._client)
-            self._client.close()
-            self._client = None
+        if self._tuner is not None:
+            self._tuner.close()
+            self._tuner = self._client = None
         if self._claim is not None:
             self._claim.release()
             self._claim = None
@@ -275,48 +370,48 @@ class RosBackend(SequentialBackend):
         names = {*study.nodes[key].parameters, *of_evaluation.get(key, {})}
         return {name: value for name, value in values.items() if name in names}
 
-    def _restore(self, client: StudyClient) -> None:
+    def _restore(self, tuner: TunerNode, client: StudyClient) -> None:
         """Restore attached nodes: a live one must not keep what an evaluation was run with."""
         found, self._found = self._found, {}
-        client.forget_parameters()
-        # A signal has its effect already, and must not leave the nodes half set.
-        self._interrupted = lambda: None
+        client.parameters.forget_all()
+        chosen = [self._study.parameters[name] for name in self._study.park.parameters]
         for key, values in found.items():
+            names = {item.array or item.parameter for item in chosen if item.node == key}
+            kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
             try:
-                client.assign(key, values)
+                client.parameters.assign_and_read_back(key, {**values, **kept}, PARK_TIMEOUT)
             except (RefusedError, LostError) as error:
-                client.warn(f"{self._study.nodes[key].node} is not set back: {error}")
+                tuner.warn(f"{self._study.nodes[key].node} is not set back: {error}")
 
     def _watch(self) -> None:
+        self._look()
+        self._started.check()
+
+    def _look(self) -> None:
+        """Watch without a look at the nodes."""
         self._suspension.look()
         self._interrupted()
-        for process in self.processes.values():
-            if process.exit_reason is not None:
-                raise LostError(process.exit_reason)
 
-    def _start_processes(self) -> None:
-        environment = {
-            # A node computes small matrices: more threads would only get in each other's way.
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-            "ROS_LOG_DIR": str(self._log_directory),
-        }
-        for key, spec in self._study.nodes.items():
-            if not (spec.package and spec.executable):
-                raise StudyError(
-                    "no package and executable; add them, or use --attach", ("nodes", key)
-                )
-            self.processes[key] = NodeProcess(
-                spec.package,
-                spec.executable,
-                ["--ros-args", "-r", f"__ns:={self._namespace}"],
-                environment,
-                self._log_directory / f"{key}.log",
-            )
+    def _restart(self, key: str) -> None:
+        """Start a node anew, and tell it what it must have.
 
-    def _refuse_running_nodes(self, client: StudyClient) -> None:
-        client.spin_for(LOOK_AROUND)
-        absent = client.absent()
+        Raises
+        ------
+        LostError
+            If it does not come back.
+        """
+        tuner, client = self._opened
+        self._suspension.look()
+        self._started.stop_one(key)
+        self._suspension.skip()
+        tuner.wait_until(lambda: key in client.presence.absent(), LEASE)
+        self._started.start_one(key)
+        client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
+        client.tell_again(key)
+
+    def _refuse_running_nodes(self, tuner: TunerNode, client: StudyClient) -> None:
+        tuner.spin_for(LOOK_AROUND)
+        absent = client.presence.absent()
         running = [spec.node for key, spec in self._study.nodes.items() if key not in absent]
         if running:
             raise BackendError(
@@ -324,43 +419,62 @@ class RosBackend(SequentialBackend):
                 "use --attach, or leave ROS_DOMAIN_ID unset"
             )
 
-    def _refuse_second_tuner(self, client: StudyClient) -> None:
-        if not client.is_alone():
-            raise BackendError(
-                f"another tuner is at work as {client.full_name}; wait for it, or "
-                "use another namespace or ROS_DOMAIN_ID"
-            )
-
     def _set_constants(self, client: StudyClient) -> None:
         for key, spec in self._study.nodes.items():
             try:
-                client.assign_and_read_back(key, spec.parameters)
+                client.parameters.assign_and_read_back(key, spec.parameters)
             except RefusedError as refusal:
                 raise StudyError(str(refusal), ("nodes", key, "parameters")) from refusal
 
-    def _recover(self, client: StudyClient) -> str:
-        """Get the nodes back; returns what to add to the reason if that failed."""
-        client.forget_parameters()
+    def _set_safe(self, client: StudyClient) -> None:
+        for key, values in self._safe.items():
+            try:
+                client.parameters.assign_and_read_back(key, values)
+            except RefusedError as refusal:
+                section = "park" if self._study.park.parameters else "parameters"
+                raise StudyError(f"as safe values: {refusal}", (section,)) from refusal
+
+    def _get_back(self, tuner: TunerNode, client: StudyClient) -> str:
+        """Get the nodes back; returns in a line why that failed."""
+        client.parameters.forget_all()
         self._suspension.look()
-        processes = list(self.processes.values())
-        # Stopped ones are no longer watched.
-        self.processes.clear()
-        stop_all(processes)
+        self._started.stop()
         self._suspension.skip()
         try:
             if not self._attach:
-                client.wait_until_gone(LEASE)
-                self._start_processes()
-            client.wait_for_nodes(DISCOVERY_TIMEOUT)
+                client.presence.wait_until_gone(LEASE)
+                self._started.start()
+            client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
             if self._attach:
                 # Of a node that was killed and is back, the graph tells bit by bit.
-                client.spin_for(LOOK_AROUND)
+                tuner.spin_for(LOOK_AROUND)
                 client.restarted()
             self._set_constants(client)
         except (LostError, BackendError, StudyError) as error:
             # The next evaluation will be lost in turn; three lost trials end the run.
-            return f"; not recovered: {error}"
+            return f"not recovered: {error}"
         return ""
+
+
+def _refuse_second_tuner(tuner: TunerNode) -> None:
+    if not tuner.is_alone():
+        raise BackendError(
+            f"another tuner is at work as {tuner.full_name}; wait for it, or "
+            "use another namespace or ROS_DOMAIN_ID"
+        )
+
+
+def _safe(study: Study) -> dict[str, dict[str, object]]:
+    """Return by node key the parameters that nodes have while no run is performed."""
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    safe: dict[str, dict[str, object]] = {
+        key: dict(values)
+        for key, values in study.assignments(study.safe_parameters, nominal, 0).items()
+    }
+    if study.seed_parameter is not None:
+        del safe[study.seed_parameter.node][study.seed_parameter.parameter]
+    return safe
 
 
 def _check_clock() -> None:

@@ -14,7 +14,7 @@ from rclpy.qos import qos_profile_parameter_events
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.study.checks import same_value
 
-EVENTS = "/parameter_events"
+PARAMETER_EVENTS = "/parameter_events"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class ParameterWatch:
         self._expected: Mapping[str, Mapping[str, object]] = {}
         self._seen: list[Difference] = []
         self._subscription = node.create_subscription(
-            ParameterEvent, EVENTS, self._on_event, qos_profile_parameter_events
+            ParameterEvent, PARAMETER_EVENTS, self._on_event, qos_profile_parameter_events
         )
 
     def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:

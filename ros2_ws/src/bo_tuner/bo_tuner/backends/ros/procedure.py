@@ -1,33 +1,40 @@
 """Performs the run of a study on nodes that know nothing of the tuner."""
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
-from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-from bo_tuner.backends.ros.messages import interface_class, make_message
+from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
+from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
+from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.study_client import NODE_NAME, StudyClient
-from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.metrics.collect import one_line
+from bo_tuner.backends.ros.steps import (
+    CONNECT_TIMEOUT,
+    LifecycleChange,
+    PreparedStep,
+    Publication,
+    ServiceCall,
+    where,
+)
+from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
-from bo_tuner.study.run import Call, Publish, Run, Step
-from bo_tuner.study.signals import expression
+from bo_tuner.study.run import SIM, Run
+from bo_tuner.study.signals import TIME, expression
+from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
 
-CONNECT_TIMEOUT = 5.0
-"""Time [s] to find a topic, a service, or the subscribers of a message."""
-POLL_PERIOD = 0.01
-"""Time [s] between two looks at the signals: how late a run ends or is aborted at most."""
 OVERLAP = 0.5
 """Time [s] of a run that a condition is judged on again, for messages that come in late."""
+ACKNOWLEDGED = 1
+"""Time [s] in which the last messages reach those who are still there."""
+FAULTS = (FailedRunError, LostError, RefusedError, DisturbedError, BackendError, StudyError)
+"""What a step may raise; others end the whole run."""
 
 
 class Procedure:
@@ -39,8 +46,10 @@ class Procedure:
         The study, for its signals.
     run
         What makes up a run.
-    client
+    tuner
         The tuner's node.
+    restart
+        Starts a node anew, by its key; None if the tuner has started none.
 
     Attributes
     ----------
@@ -50,84 +59,137 @@ class Procedure:
     Raises
     ------
     StudyError
-        If a topic or service is not there, or not of the type that the study needs.
+        If a topic, service or action is not there, or not of the type that the study needs.
     """
 
-    def __init__(self, study: Study, run: Run, client: StudyClient) -> None:
+    def __init__(
+        self,
+        study: Study,
+        run: Run,
+        tuner: TunerNode,
+        restart: Callable[[str], None] | None,
+    ) -> None:
         self._run = run
         self._study = study
-        self._client = client
-        self._recorder = SignalRecorder(client.context, study.signals)
+        self._tuner = tuner
+        self._restart = restart
+        self._recorder = SignalRecorder(tuner.context, study.signals)
+        self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
-        self._abort = self._condition(self._run.abort_when)
-        self._end = self._condition(self._run.end.when)
-        self._actions: dict[KeyPath, _Publication | _Service] = {}
+        self._abort = self._condition(run.abort_when)
+        self._end = self._condition(run.end.when)
+        self._steps: dict[KeyPath, PreparedStep] = {}
+        self._goals: dict[KeyPath, Goal] = {}
         self._publishers: dict[str, Publisher] = {}
+        self._started: list[Goal] = []
         self._is_recording = False
-        self._began = 0.0
+        self._next_after: int | None = None
         self._judged = 0.0
         try:
-            for path, step in self._run.steps:
-                try:
-                    self._prepare(path, step)
-                except StudyError as error:
-                    raise error.under(*path) from None
-            self._recorder.connect(self._wait_until)
+            self._connect()
         except BaseException:
             self.close()
             raise
 
-    def run(self) -> None:
-        """Run once; `recording` has the signals then.
+    def prepare(self) -> None:
+        """Perform the steps before a run; raises as `perform`."""
+        self.recording = NOTHING_RECORDED
+        self._started.clear()
+        self._next_after = 0
+        self._perform("before")
+
+    def perform(self) -> None:
+        """Perform a run and the steps after it; `recording` has the signals then.
 
         Raises
         ------
         FailedRunError
             If the run does not count: a step is refused, a condition does not hold in time or says
-            that the run is to be aborted, or signals are not whole.
+            that the run is to be aborted, or signals are not whole. Then, as after whatever else
+            ends a run, `leave` it.
         LostError
-            If a service does not answer.
+            If a service or an action does not answer, or the clock stands still.
+        DisturbedError
+            If the clock is set in the run.
         """
-        self.recording = NOTHING_RECORDED
-        try:
-            self._perform("before", self._run.before)
-            self.recording = self._record()
-        except FailedRunError as failure:
-            try:
-                self._perform("after", self._run.after)
-            except FailedRunError as further:
-                raise FailedRunError(f"{failure}; and after it: {further}") from None
-            raise
-        self._perform("after", self._run.after)
+        self.recording = self._record()
+        if problems := self._cancel():
+            raise FailedRunError(problems[0])
+        for index, step in enumerate(self._run.after):
+            self._next_after = index + 1
+            self._perform_step(("run", "after", index), step)
+        self._next_after = None
         self.recording.check(self._study.signals)
 
+    def leave(self) -> list[str]:
+        """Bring a run that did not end well to its end as far as possible: goals, steps after it.
+
+        Each step is performed whether or not the one before it was possible.
+
+        Returns
+        -------
+        list of str
+            What went wrong, each in a line.
+        """
+        if self._next_after is None:
+            return []
+        problems = self._cancel()
+        for index in range(self._next_after, len(self._run.after)):
+            path = ("run", "after", index)
+            try:
+                self._perform_step(path, self._run.after[index])
+            except FAULTS as fault:
+                problems.append(f"{where(path)}: {fault}")
+        self._next_after = None
+        return problems
+
+    def recover(self) -> list[str]:
+        """Perform the steps that bring the machine home; returns what went wrong, in lines."""
+        try:
+            self._perform("recover")
+        except FAULTS as fault:
+            return [f"not recovered: {fault}", *self._cancel()]
+        return []
+
     def close(self) -> None:
-        """Hear no more."""
+        """Hear no more, once what was published has been received."""
+        for publisher in self._publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
+        for goal in self._goals.values():
+            goal.close()
         self._recorder.close()
 
     def _record(self) -> Recording:
         run = self._run
+        self._clock.begin()
         self._recorder.begin()
-        self._began = time.monotonic()
         self._judged = 0.0
         self._is_recording = True
         try:
-            self._perform("start", run.start)
+            self._perform("start")
             if run.end.after is not None:
                 self._watch_until(run.end.after)
                 return self._recorder.recording(run.end.after)
             ended = self._watch_until(run.timeout, ends=True)
-            if ended is None:
-                raise FailedRunError(
-                    f"the run does not end: {checks.quoted(run.end.when)} does not hold within "
-                    f"{run.timeout:g} s"
-                )
-            return self._recorder.recording(ended)
+            if ended is not None:
+                return self._recorder.recording(ended)
+            missing = f"{checks.quoted(run.end.when)} does not hold"
+            if run.end.result:
+                names = [goal.name for goal in self._started if goal.is_active]
+                missing = f"{' and '.join(names)} has no result"
+            raise FailedRunError(f"the run does not end: {missing} within {run.timeout:g} s")
         finally:
             self._is_recording = False
+            self._recorder.end()
+            self._clock.end()
 
-    def _watch_until(self, end: float, ends: bool = False) -> float | None:
-        """Look on until `end` [s]; with `ends`, return when before it the run's condition held."""
+    def _watch_until(
+        self, end: float, ends: bool = False, held: Callable[[], bool] | None = None
+    ) -> float | None:
+        """Look on until `end` [s], or until `held`.
+
+        With `ends`, return when before it the run came to its own end.
+        """
         begin = self._now
         while True:
             now = self._now
@@ -139,164 +201,166 @@ class Procedure:
                 raise FailedRunError(
                     f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
                 )
-            ended = self._holds(self._end, max(since, begin), seen) if ends else None
-            if ended is not None or now >= end:
+            for goal in self._started:
+                goal.check()
+            ended = None
+            if ends:
+                ended = self._ended(max(since, begin), seen)
+            if ended is not None or now >= end or (held is not None and held()):
                 return ended
             self._judged = seen
-            self._client.spin_once(min(POLL_PERIOD, end - now))
+            self._tuner.spin_once(min(POLL_PERIOD, end - now))
+
+    def _ended(self, since: float, now: float) -> float | None:
+        """Return when [s] the run came to its end, if it did."""
+        if not self._run.end.result:
+            return self._holds(self._end, since, now)
+        return None if any(goal.is_active for goal in self._started) else now
 
     @property
     def _now(self) -> float:
         """Time since the start of the run [s]."""
-        return time.monotonic() - self._began
+        self._clock.look()
+        return self._recorder.seconds
 
     def _holds(self, condition: Expression | None, since: float, now: float) -> float | None:
         """Return the first time [s] from `since` on at which a condition holds, if there is one."""
         if condition is None:
             return None
-        recording = self._recorder.recording(now, since)
-        names = condition.names & self._study.signals.keys()
-        if any(len(recording.signals[name].time) == 0 for name in names):
-            return None
-        times, values = recording.sample(condition)
+        times, values = self._sampled(condition, since, now)
         held = np.flatnonzero(np.isfinite(values) & (values != 0.0) & (times >= since))
         return float(times[held[0]]) if len(held) else None
 
-    def _perform(self, phase: str, steps: Sequence[Step]) -> None:
-        for index, step in enumerate(steps):
-            if step.wait is not None:
-                if self._is_recording:
-                    self._watch_until(self._now + step.wait)
-                else:
-                    self._sleep(step.wait)
-            else:
-                self._actions["run", phase, index].perform()
+    def _sampled(
+        self, condition: Expression, since: float, now: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        recording = self._recorder.recording(now, since)
+        names = condition.names & self._study.signals.keys()
+        if any(len(recording.signals[name].time) == 0 for name in names):
+            return np.array([]), np.array([])
+        return recording.sample(condition)
 
-    def _sleep(self, period: float) -> None:
-        deadline = time.monotonic() + period
-        while (left := deadline - time.monotonic()) > 0.0:
-            self._client.spin_once(min(POLL_PERIOD, left))
+    def _perform(self, phase: str) -> None:
+        for index, step in enumerate(getattr(self._run, phase)):
+            self._perform_step(("run", phase, index), step)
 
-    def _wait_until(self, condition: Callable[[], bool]) -> bool:
-        deadline = time.monotonic() + CONNECT_TIMEOUT
-        while not condition():
-            if time.monotonic() > deadline:
+    def _perform_step(self, path: KeyPath, step: Step) -> None:
+        if step.wait is not None:
+            self._wait(step.wait)
+        elif step.wait_until is not None:
+            self._wait_until(path, step.wait_until)
+        elif path in self._goals:
+            self._send(self._goals[path])
+        elif step.restart and self._restart is not None:
+            self._restart(step.restart)
+        else:
+            self._steps[path].perform()
+
+    def _send(self, goal: Goal) -> None:
+        self._started.append(goal)
+        goal.send()
+        if not self._is_recording:
+            goal.wait()
+
+    def _wait(self, period: float) -> None:
+        if self._is_recording:
+            self._watch_until(self._now + period)
+            return
+        watch = Stopwatch(self._clock)
+        while (left := period - watch.seconds) > 0.0:
+            self._recorder.poll()
+            self._clock.look()
+            self._tuner.spin_once(min(POLL_PERIOD, left))
+
+    def _wait_until(self, path: KeyPath, wait: WaitUntil) -> None:
+        condition = expression(wait.condition, self._study.signals)
+        if not self._is_recording:
+            self._recorder.begin(in_run=False)
+        began = self._recorder.seconds
+        watch = Stopwatch(self._clock)
+
+        def held() -> bool:
+            """Whether it has held all the time since `hold` seconds ago."""
+            now = self._recorder.seconds
+            since = now - wait.hold
+            if since < began:
                 return False
-            self._client.spin_once(POLL_PERIOD)
-        return True
+            times, values = self._sampled(condition, since, now)
+            # What holds at `since` is what came last before it.
+            first = max(np.searchsorted(times, since, side="right") - 1, 0)
+            return len(times) > 0 and bool(np.all(np.nan_to_num(values[first:]) != 0.0))
+
+        if self._is_recording:
+            self._watch_until(began + wait.timeout, held=held)
+        else:
+            while not held() and watch.seconds <= wait.timeout:
+                self._tuner.spin_once(POLL_PERIOD)
+                self._clock.look()
+                self._recorder.poll()
+        if not held():
+            raise FailedRunError(
+                f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "
+                f"within {wait.timeout:g} s{self._shown(condition)}"
+            )
+
+    def _shown(self, condition: Expression) -> str:
+        """Tell the latest values of the signals of a condition."""
+        recording = self._recorder.recording(self._recorder.seconds)
+        names = sorted(condition.names - {TIME})
+        shown = [
+            f"{name} {recording.signals[name].value[-1]:.4g}"
+            if len(recording.signals[name].value)
+            else f"no message of {name}"
+            for name in names
+        ]
+        return f" ({', '.join(shown)})" if shown else ""
+
+    def _cancel(self) -> list[str]:
+        """Cancel the goals that are active; returns what went wrong."""
+        return [problem for goal in self._started if (problem := goal.cancel())]
 
     def _condition(self, text: str) -> Expression | None:
         return expression(text, self._study.signals) if text else None
 
+    def _connect(self) -> None:
+        wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
+        if self._run.clock == SIM:
+            clock = SimClock(self._recorder.node)
+            try:
+                clock.connect(wait)
+            except StudyError as error:
+                raise error.under("run", "clock") from None
+            self._clock = clock
+        for path, step in self._run.steps:
+            try:
+                self._prepare(path, step)
+            except StudyError as error:
+                raise error.under(*path) from None
+        self._recorder.connect(self._clock, wait)
+
     def _prepare(self, path: KeyPath, step: Step) -> None:
         if step.call is not None:
-            self._actions[path] = self._service(path, step.call)
+            self._steps[path] = ServiceCall.prepare(self._tuner, step.call, path)
         elif step.publish is not None:
-            self._actions[path] = self._publication(step.publish)
-
-    def _service(self, path: KeyPath, call: Call) -> "_Service":
-        node = self._client.node
-        name = node.resolve_service_name(call.service)
-        if not self._wait_until(lambda: name in dict(node.get_service_names_and_types())):
-            names = sorted(n for n, _ in node.get_service_names_and_types())
-            raise StudyError(
-                f"there is no service {name}; {checks.suggestion(name, names)}", ("call", "service")
+            self._steps[path] = Publication.prepare(
+                self._tuner, step.publish, self._clock, self._publishers
             )
-        try:
-            cls = interface_class(dict(node.get_service_names_and_types())[name][0])
-        except StudyError as error:
-            raise error.under("call", "service") from None
-        try:
-            request = make_message(cls.Request, call.request)
-        except StudyError as error:
-            raise error.under("call", "request") from None
-        return _Service(self._client, node.create_client(cls, name), request, path)
+        elif step.lifecycle is not None:
+            self._steps[path] = LifecycleChange.prepare(self._tuner, step.lifecycle)
+        elif step.send_goal is not None:
+            try:
+                self._goals[path] = Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
+            except StudyError as error:
+                raise error.under("send_goal") from None
+        elif step.restart:
+            self._check_restart(step.restart)
 
-    def _publication(self, publish: Publish) -> "_Publication":
-        node = self._client.node
-        topic = node.resolve_topic_name(publish.topic)
-
-        def others() -> list[Any]:
-            found = node.get_subscriptions_info_by_topic(topic)
-            # The tuner's own nodes, which record the topic, do not count.
-            return [info for info in found if not info.node_name.startswith(NODE_NAME)]
-
-        if not self._wait_until(lambda: bool(others())):
-            names = sorted(n for n, _ in node.get_topic_names_and_types() if n != topic)
-            raise StudyError(
-                f"nothing subscribes to {topic}; {checks.suggestion(topic, names)}",
-                ("publish", "topic"),
-            )
-        found = others()
-        if publish.type not in ("", found[0].topic_type):
-            raise StudyError(
-                f"{topic} carries {found[0].topic_type}, expected {publish.type}",
-                ("publish", "type"),
-            )
-        try:
-            cls = interface_class(found[0].topic_type)
-        except StudyError as error:
-            raise error.under("publish", "topic") from None
-        try:
-            make_message(cls, publish.message)
-        except StudyError as error:
-            raise error.under("publish", "message") from None
-        durability = QoSDurabilityPolicy.VOLATILE
-        if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
-            durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
-        publisher = self._publishers.get(topic)
-        if publisher is None:
-            qos = QoSProfile(depth=10, durability=durability)
-            publisher = self._publishers[topic] = node.create_publisher(cls, topic, qos)
-        publication = _Publication(self._client, publisher, others, publish, cls, self._wait_until)
-        try:
-            publication.wait()
-        except FailedRunError as error:
-            raise StudyError(str(error), ("publish", "topic")) from None
-        return publication
-
-
-@dataclass(frozen=True)
-class _Service:
-    """A call, ready to be made."""
-
-    client: StudyClient
-    service: Client
-    request: Any
-    path: KeyPath
-
-    def perform(self) -> None:
-        _, phase, index = self.path
-        response = self.client.call(
-            self.service, self.request, f"the node that run.{phase}[{index}] calls"
-        )
-        if getattr(response, "success", True) is False:
-            reason = one_line(getattr(response, "message", "")) or "no reason given"
-            raise FailedRunError(f"{self.service.srv_name} refused: {reason}")
-
-
-@dataclass(frozen=True)
-class _Publication:
-    """A message, ready to be published."""
-
-    client: StudyClient
-    publisher: Publisher
-    others: Callable[[], list[Any]]
-    publish: Publish
-    cls: Any
-    wait_until: Callable[[Callable[[], bool]], bool]
-
-    def wait(self) -> None:
-        """Wait until those who subscribe are connected, as what is published earlier is lost."""
-
-        def connected() -> bool:
-            count = len(self.others())
-            return 0 < count <= self.publisher.get_subscription_count()
-
-        if not connected() and not self.wait_until(connected):
-            raise FailedRunError(f"nothing subscribes to {self.publisher.topic_name}")
-
-    def perform(self) -> None:
-        self.wait()
-        stamp = self.client.node.get_clock().now().to_msg()
-        self.publisher.publish(make_message(self.cls, self.publish.message, stamp))
+    def _check_restart(self, key: str) -> None:
+        spec = self._study.nodes[key]
+        problem = ""
+        if self._restart is None:
+            problem = f"{key} is attached; only a node that the tuner has started can be restarted"
+        elif not (spec.executable or spec.command or spec.launch):
+            problem = f"the study does not say how to start {key}"
+        if problem:
+            raise StudyError(problem, ("restart",))

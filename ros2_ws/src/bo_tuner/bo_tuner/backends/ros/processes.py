@@ -45,13 +45,17 @@ def find_executable(package: str, executable: str) -> Path:
         file = Path(prefix) / "lib" / package / executable
         if os.access(file, os.X_OK):
             return file
-    path = f"{sys.prefix}/bin{os.pathsep}{os.environ.get('PATH', os.defpath)}"
-    found = shutil.which(executable, path=path)
+    found = shutil.which(executable, path=search_path())
     if found is None:
         raise BackendError(
             f"{package}: no executable {executable}; install the package or source its workspace"
         )
     return Path(found)
+
+
+def search_path() -> str:
+    """Return where programs are looked for: the virtual environment first."""
+    return f"{sys.prefix}/bin{os.pathsep}{os.environ.get('PATH', os.defpath)}"
 
 
 class NodeProcess:
@@ -65,10 +69,10 @@ class NodeProcess:
 
     Parameters
     ----------
-    package, executable
-        Where the node's program is.
-    arguments
-        Its ``--ros-args``.
+    name
+        What it is called in messages.
+    command
+        Its program and the arguments.
     environment
         Changes to this process's environment.
     log
@@ -77,20 +81,18 @@ class NodeProcess:
     Raises
     ------
     BackendError
-        If the executable is not found or cannot be run.
+        If the program cannot be run.
     """
 
     def __init__(
         self,
-        package: str,
-        executable: str,
-        arguments: list[str],
+        name: str,
+        command: list[str],
         environment: Mapping[str, str],
         log: Path,
     ) -> None:
-        self.name = executable
+        self.name = name
         self.log = log
-        command = [str(find_executable(package, executable)), *arguments]
         self._guard = _Guard()
         try:
             with log.open("ab") as output:

@@ -1,6 +1,5 @@
 """Hears the signals of a study, each from the one node that publishes it."""
 
-import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,14 +11,15 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from bo_tuner.backends.ros.clock import RunClock, WallClock
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
     has_header,
     interface_class,
     number_reader,
 )
-from bo_tuner.backends.ros.study_client import NODE_NAME as TUNER
-from bo_tuner.backends.ros.study_client import UNKNOWN_NODE
+from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
+from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
 from bo_tuner.study import checks
@@ -42,21 +42,29 @@ class SignalRecorder:
         ROS context of the tuner.
     signals
         The study's signals.
+
+    Attributes
+    ----------
+    node : Node
+        The recorder's node, which is in no executor.
     """
 
     def __init__(self, context: Context, signals: Mapping[str, Signal]) -> None:
         self._signals = signals
-        self._node = Node(
+        self._clock: RunClock = WallClock()
+        self.node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
         )
         self._heard: dict[str, _Topic] = {}
         self._began = 0
 
-    def connect(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+    def connect(self, clock: RunClock, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Subscribe to every signal.
 
         Parameters
         ----------
+        clock
+            Tells the time of the runs, which is also that of headers.
         wait
             Waits until a condition holds; whether it did in time.
 
@@ -65,21 +73,40 @@ class SignalRecorder:
         StudyError
             If a topic has no publisher, or two, or other messages than expected.
         """
+        self._clock = clock
         for name, spec in self._signals.items():
             try:
                 self._connect(name, spec, wait)
             except StudyError as error:
                 raise error.under("signals", name) from None
+        # What is published before a subscription is known to the publisher is lost.
+        wait(lambda: all(heard.is_connected for heard in self._heard.values()))
         # So that also what is published only now and then has a value when a run starts.
         latched = [heard for heard in self._heard.values() if heard.is_latched]
         wait(lambda: all(heard.has_message() for heard in latched))
 
-    def begin(self) -> None:
-        """Start a run: time is 0 now, and of what came before only the latest counts."""
+    def begin(self, in_run: bool = True) -> None:
+        """Count time from now on, and of what came before only the latest.
+
+        In a run a message whose stamp is not after that of the one before is late; otherwise what
+        comes last holds, as a simulation may be reset.
+        """
         for heard in self._heard.values():
             heard.poll()
-            heard.begin()
-        self._began = time.time_ns()
+        self._began = self._clock.now
+        for heard in self._heard.values():
+            heard.begin(self._began, in_run)
+
+    def end(self) -> None:
+        """End a run."""
+        for heard in self._heard.values():
+            for track in heard.tracks.values():
+                track.in_run = False
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start of the run [s]."""
+        return (self._clock.now - self._began) * 1e-9
 
     def poll(self) -> None:
         """Take what came in.
@@ -92,14 +119,15 @@ class SignalRecorder:
         for heard in self._heard.values():
             heard.poll()
             if heard.problem:
-                raise FailedRunError(heard.problem)
+                problem, heard.problem = heard.problem, ""
+                raise FailedRunError(problem)
 
     def recording(self, end: float, since: float = -np.inf) -> Recording:
         """Return what was recorded until `end` [s], from the last message before `since` [s] on."""
         latest = self._began + round(end * 1e9)
         signals = {}
         for name, spec in self._signals.items():
-            heard = self._heard[self._node.resolve_topic_name(spec.topic)]
+            heard = self._heard[self.node.resolve_topic_name(spec.topic)]
             track = heard.tracks[name]
             first = 0
             if since > -np.inf:
@@ -118,13 +146,13 @@ class SignalRecorder:
 
     def close(self) -> None:
         """Hear no more."""
-        self._node.destroy_node()
+        self.node.destroy_node()
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
-        topic = self._node.resolve_topic_name(spec.topic)
-        publishers = self._node.get_publishers_info_by_topic
+        topic = self.node.resolve_topic_name(spec.topic)
+        publishers = self.node.get_publishers_info_by_topic
         if not wait(lambda: bool(publishers(topic))):
-            names = sorted(n for n, _ in self._node.get_topic_names_and_types() if n != topic)
+            names = sorted(n for n, _ in self.node.get_topic_names_and_types() if n != topic)
             near = checks.suggestion(topic, names)
             raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
         found = publishers(topic)
@@ -152,16 +180,17 @@ class SignalRecorder:
         except StudyError as error:
             raise StudyError(error.problem, ("field",)) from None
         if topic not in self._heard:
-            self._heard[topic] = _Topic(topic, *self._subscribe(topic, cls, publisher.qos_profile))
+            subscribed = self._subscribe(topic, cls, publisher.qos_profile)
+            self._heard[topic] = _Topic(topic, self._clock, *subscribed)
         by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
-        self._heard[topic].tracks[name] = _Track(read, by_header)
+        self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
 
     def _subscribe(self, topic: str, cls: Any, offered: QoSProfile) -> tuple[Subscription, bool]:
         qos = QoSProfile(
             depth=DEPTH, reliability=offered.reliability, durability=offered.durability
         )
         # It is in no executor, which would call this.
-        subscription = self._node.create_subscription(cls, topic, lambda message: None, qos)
+        subscription = self.node.create_subscription(cls, topic, lambda message: None, qos)
         latched = offered.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
         return subscription, latched and offered.reliability == QoSReliabilityPolicy.RELIABLE
 
@@ -172,23 +201,36 @@ class _Track:
 
     read: Callable[[Any], float]
     by_header: bool
+    clock: RunClock
     stamps: list[int] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
     late: int = 0
+    in_run: bool = False
 
     def add(self, message: Any, received: int) -> None:
-        stamp = received
+        value = self.read(message)
         if self.by_header:
             stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        value = self.read(message)
+        else:
+            stamp = self.clock.at(received)
+            if self.clock.coarse and self.stamps and stamp == self.stamps[-1]:
+                # Of what comes between two ticks of the clock the last one holds.
+                self.values[-1] = value
+                return
         if self.stamps and stamp <= self.stamps[-1]:
-            self.late += 1
-            return
+            if self.in_run:
+                self.late += 1
+                return
+            self.stamps.clear()
+            self.values.clear()
         self.stamps.append(stamp)
         self.values.append(value)
 
-    def begin(self) -> None:
+    def begin(self, now: int, in_run: bool) -> None:
+        self.in_run = in_run
         del self.stamps[:-1], self.values[:-1]
+        # A stamp may lie ahead, as of a clock that was set back: the value holds now all the same.
+        self.stamps[:] = [min(stamp, now - 1) for stamp in self.stamps]
         self.late = 0
 
 
@@ -197,6 +239,7 @@ class _Topic:
     """A subscription and the signals in its messages."""
 
     name: str
+    clock: RunClock
     subscription: Subscription
     is_latched: bool
     tracks: dict[str, _Track] = field(default_factory=dict)
@@ -204,11 +247,16 @@ class _Topic:
     lost: int = 0
     problem: str = ""
 
-    def begin(self) -> None:
+    def begin(self, now: int, in_run: bool) -> None:
         self.lost = 0
         self.problem = ""
         for track in self.tracks.values():
-            track.begin()
+            track.begin(now, in_run)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the publisher is known here."""
+        return self.subscription.handle.get_publisher_count() > 0
 
     def has_message(self) -> bool:
         """Whether anything ever came."""

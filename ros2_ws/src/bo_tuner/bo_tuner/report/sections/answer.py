@@ -1,253 +1,172 @@
-"""The answer at the top of a report: the result of the run, or its state so far."""
+"""The first screen of a report: the verdict on the result, its numbers, and what to do next."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+from math import isfinite, isnan
 
+from bo_tuner.deploy.bundle import DEPLOY
+from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Table, change, number, quantity
-from bo_tuner.study.parts import CHANCE, EXPECTATION, MINIMIZE, Constraint
-from bo_tuner.tuning.limits import Sample
-from bo_tuner.tuning.validation import Validation
+from bo_tuner.report.content import Table, number
+from bo_tuner.storage.run_folder import BEST, JOURNAL
+from bo_tuner.verdict.differences import CONFIDENCE, Change
+from bo_tuner.verdict.next_steps import Step, next_steps
+from bo_tuner.verdict.verdict import Quantity, Status, Verdict, shown
 
-
-class Status(StrEnum):
-    """Whether a result is good; open while the run has none."""
-
-    GOOD = "good"
-    WARNING = "warning"
-    BAD = "bad"
-    OPEN = "open"
+FILES = (
+    (BEST, "the tuned parameters"),
+    (f"{DEPLOY}/", "bundle with rollback and digests"),
+    ("trials.csv", "all trials"),
+    ("evaluations.csv", "all evaluations"),
+    (JOURNAL, "the record"),
+    ("bags/", "bags of notable trials"),
+    ("certificates/", "certificates"),
+)
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A key figure: the tuned value, a remark with its reference, and its status."""
+    """A key figure: the tuned value, remarks with its references, and its status."""
 
     label: str
     value: str
     unit: str
-    remark: str
+    remarks: Sequence[str]
     status: Status = Status.OPEN
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The content of the top of a report.
+    """The content of the first screen of a report.
 
     Attributes
     ----------
-    status
-        Status of the result.
-    title
-        The result in one line.
+    verdict
+        The verdict, with its words.
     sentences
         The explanation.
     tiles
         Key figures.
+    steps
+        Commands that come next.
+    files
+        Names of the files and folders of the run that exist, with their content.
     table
         Default and tuned parameter set, side by side.
     """
 
-    status: Status
-    title: str
+    verdict: Verdict
     sentences: Sequence[str]
     tiles: Sequence[Tile]
+    steps: Sequence[Step]
+    files: Sequence[tuple[str, str]]
     table: Table
 
 
 def answer(analysis: Analysis) -> Answer:
     """Return the answer of a run, or its state so far."""
-    if analysis.validations is None:
-        return _so_far(analysis)
-    default, tuned = analysis.validations
-    study = analysis.study
-    metric = study.metrics[study.objective.metric]
-    found_feasible = analysis.believed_feasible
-    if found_feasible and default.feasible:
-        status, title = Status.GOOD, "The tuned parameter set keeps all limits, as does the default"
-    elif found_feasible:
-        status = Status.GOOD
-        title = "The tuned parameter set keeps all limits; the default does not"
-    elif tuned.feasible:
-        status, title = Status.BAD, "No parameter set was found to be feasible"
+    verdict, record = analysis.verdict, analysis.record
+    sentences = list(verdict.sentences)
+    if verdict.quantities:
+        tiles, table = _tiles(analysis), _comparison(analysis)
     else:
-        status, title = Status.BAD, "No parameter set kept all limits in the validation"
-    sentences = [
-        f"Mean {metric.name} {quantity(tuned.objective, metric.unit)}, "
-        f"{change(tuned.objective, default.objective)} relative to the default, on the same "
-        f"{tuned.draws} fresh draws of context and noise{_paired(analysis, metric.unit)}.",
-        _holds("The tuned parameter set", tuned),
-        _holds("The default", default),
-    ]
-    if not found_feasible:
-        sentences.append("best.yaml holds the least violating one; do not use it as it is.")
-    elif default.feasible and not _better(analysis, tuned.objective, default.objective):
-        status = Status.WARNING
-        sentences.append("The default is feasible as well and not worse: tuning gained nothing.")
-    tiles = _tiles(analysis, default, tuned)
-    certificate = analysis.certificate
-    if certificate is not None:
-        passed = Status.GOOD if certificate.passed else Status.BAD
-        verdict = "PASS" if certificate.passed else "FAIL"
-        of_another = analysis.answer is None or certificate.trial != analysis.answer.number
-        scope = certificate.scope
-        if of_another:
-            passed, scope = Status.WARNING, f"of trial {certificate.trial}, which is not the result"
-        tiles.insert(0, Tile("certificate", verdict, "", scope, passed))
-        if not certificate.passed and not of_another:
-            status = Status.BAD
-            sentences += [f"The certificate failed: {why}." for why in certificate.reasons]
+        tiles, table = [], _parameters(analysis)
+        leader = analysis.ranked[0] if analysis.ranked else None
+        sentences.append(f"So far: {incumbent_in_words(leader, analysis.study)}.")
     return Answer(
-        status=status,
-        title=title,
+        verdict=verdict,
         sentences=sentences,
         tiles=tiles,
-        table=_comparison(analysis, default, tuned),
+        steps=next_steps(verdict, f"runs/{record.path.resolve().name}"),
+        files=[(name, what) for name, what in FILES if (record.path / name).exists()],
+        table=table,
     )
 
 
-def _so_far(analysis: Analysis) -> Answer:
-    record, study = analysis.record, analysis.study
-    done, planned = len(record.trials), study.budget.trials
-    complete = len(analysis.ranked) > 0
-    if done < planned:
-        title = f"No result yet: {done} of {planned} trials"
-    elif complete:
-        title = f"No result yet: all {planned} trials are done but not validated"
+def _tiles(analysis: Analysis) -> list[Tile]:
+    """Return the certificate, and the numbers that matter: of limits, effort and the objective."""
+    verdict = analysis.verdict
+    tiles = [_of_quantity(q) for q in verdict.quantities if _matters(analysis, q)]
+    found = analysis.certificate
+    if found is not None and found.trial == verdict.trial:
+        tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
+    elif found is not None:
+        scope = f"of trial {found.trial}, which is not the result"
+        value = "PASS" if found.passed else "FAIL"
+        tiles.insert(0, Tile("certificate", value, "", [scope], Status.WARNING))
     else:
-        title = "No result: no trial is complete"
-    sentences = ["The run is in progress, or ended before its validation."] if complete else []
-    tiles: list[Tile] = []
-    if not complete:
-        failed = sum(analysis.outcome(trial) == "failed" for trial in analysis.trials)
-        sentences.append(f"{failed} trials failed; see the section on failures.")
-    else:
-        leader = analysis.ranked[0]
-        metric = study.metrics[study.objective.metric]
-        sentences.append(
-            f"Trial {leader.trial.number} is the best so far: predicted mean {metric.name} "
-            f"{quantity(leader.objective, metric.unit)}, feasible with probability "
-            f"{leader.feasibility:.2f}."
-            if leader.believed_feasible
-            else f"No trial is believed feasible; the least violating one is trial "
-            f"{leader.trial.number}, feasible with probability {leader.feasibility:.2f}."
-        )
-        tiles = [
-            Tile(f"mean {metric.name}, predicted", number(leader.objective), metric.unit, ""),
-            Tile("feasible with probability", f"{leader.feasibility:.2f}", "", ""),
-        ]
-    parameters = analysis.answer.parameters if analysis.answer is not None else None
-    rows = [
-        [name, number(value), number(parameters[name]) if parameters else "–", item.unit, ""]
-        for (name, value), item in zip(
-            analysis.defaults.items(), study.parameters.values(), strict=True
-        )
-    ]
-    table = _table(rows, "Default and best parameter set so far", "best so far")
-    return Answer(Status.OPEN, title, sentences, tiles, table)
-
-
-def _tiles(analysis: Analysis, default: Validation, tuned: Validation) -> list[Tile]:
-    study = analysis.study
-    metric = study.metrics[study.objective.metric]
-    better = _better(analysis, tuned.objective, default.objective)
-    tiles = [
-        Tile(
-            f"mean {metric.name}",
-            number(tuned.objective),
-            metric.unit,
-            f"default {number(default.objective)}, {change(tuned.objective, default.objective)}",
-            Status.GOOD if better else Status.WARNING,
-        )
-    ]
-    for name, constraint in study.constraints.items():
-        ours, theirs = tuned.constraints[name], default.constraints[name]
-        limit = f"limit {number(constraint.upper)}"
-        tiles.append(
-            Tile(
-                f"largest {constraint.metric}",
-                number(ours.worst),
-                study.metrics[constraint.metric].unit,
-                f"{limit}, default {number(theirs.worst)}",
-                Status.GOOD if ours.holds else Status.BAD,
-            )
-        )
+        tiles.insert(0, Tile("certificate", "none yet", "", ["run validate"], Status.OPEN))
     return tiles
 
 
-def _comparison(analysis: Analysis, default: Validation, tuned: Validation) -> Table:
-    study = analysis.study
-    metric = study.metrics[study.objective.metric]
-    both = (default, tuned)
-    rows = [
-        [name, *(number(v.parameters.get(name)) for v in both), item.unit, ""]
-        for name, item in study.parameters.items()
-    ]
-    rows.append([f"mean {metric.name}", *(number(v.objective) for v in both), metric.unit, ""])
-    rows.append(
-        [
-            f"  standard error of the mean {metric.name}",
-            *(number(v.deviation / math.sqrt(v.draws - v.failures)) if v.draws > v.failures else "–"
-              for v in both),
-            metric.unit,
-            "",
-        ]
-    )  # fmt: skip
-    for name, constraint in study.constraints.items():
-        samples = [v.constraints[name] for v in both]
-        unit = study.metrics[constraint.metric].unit
-        limit = f"≤ {number(constraint.upper)}"
-        rows.append(
-            [f"largest {constraint.metric}", *(number(s.worst) for s in samples), unit, limit]
-        )
+def _matters(analysis: Analysis, quantity: Quantity) -> bool:
+    """Return whether a number has a tile: the means of limited metrics have none."""
+    limited = {constraint.metric for constraint in analysis.study.constraints.values()}
+    return quantity.holds is not None or quantity.metric not in limited
+
+
+def _of_quantity(quantity: Quantity) -> Tile:
+    remarks = [f"default {number(quantity.default)}"]
+    if not isnan(quantity.limit):
+        kept = "kept" if quantity.holds else "NOT kept"
+        if isfinite(quantity.bound):
+            kept = "shown to be kept" if quantity.holds else "NOT shown to be kept"
+            remarks.append(f"upper bound of the mean {shown(quantity.bound)}")
+        remarks[0] += f", limit {number(quantity.limit)}: {kept}"
+    if quantity.difference is not None:
+        remarks.append(f"{quantity.change}: {quantity.change_in_words}")
+    if quantity.remark:
+        remarks.append(quantity.remark)
+    return Tile(quantity.label, number(quantity.tuned), quantity.unit, remarks, _status(quantity))
+
+
+def _status(quantity: Quantity) -> Status:
+    if quantity.holds is not None:
+        return Status.GOOD if quantity.holds else Status.BAD
+    marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
+    return marks.get(quantity.change, Status.OPEN)
+
+
+def _comparison(analysis: Analysis) -> Table:
+    verdict = analysis.verdict
+    rows = _parameter_rows(analysis)
+    for quantity in verdict.quantities:
         rows.append(
             [
-                f"  draws above {number(constraint.upper)}",
-                *(f"{s.violations} of {s.count}" for s in samples),
-                "",
-                _allowed(constraint),
+                quantity.label,
+                number(quantity.default),
+                number(quantity.tuned),
+                quantity.unit,
+                quantity.change_in_words,
+                str(quantity.change) if quantity.difference is not None else "",
+                "" if isnan(quantity.limit) else number(quantity.limit),
             ]
-        )  # fmt: skip
-    rows.append(["failed evaluations", *(str(v.failures) for v in both), "", "0"])
-    rows.append(["feasible", *("yes" if v.feasible else "no" for v in both), "", ""])
-    draws = f"on the same {tuned.draws} fresh draws of context and noise"
-    return _table(rows, f"Default and tuned parameter set {draws}")
+        )
+    both = ("yes" if keeps else "no" for keeps in (verdict.default_keeps, verdict.feasible))
+    rows.append(["keeps all limits", *both, "", "", "", ""])
+    return Table(
+        caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
+        f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval",
+        header=["", "default", "tuned", "unit", "difference", "", "limit"],
+        rows=rows,
+        numeric=[1, 2, 4, 6],
+    )
 
 
-def _table(rows: Sequence[Sequence[str]], caption: str, tuned: str = "tuned") -> Table:
-    header = ["", "default", tuned, "unit", "limit"]
-    return Table(caption=caption, header=header, rows=rows, numeric=[1, 2, 4])
+def _parameter_rows(analysis: Analysis) -> list[list[str]]:
+    parameters = analysis.answer.parameters if analysis.answer is not None else {}
+    return [
+        [name, number(value), number(parameters.get(name)), item.unit, "", "", ""]
+        for (name, value), item in zip(
+            analysis.defaults.items(), analysis.study.parameters.values(), strict=True
+        )
+    ]
 
 
-def _allowed(constraint: Constraint) -> str:
-    if constraint.statistic == EXPECTATION:
-        return "mean counts"
-    where = "" if constraint.kind == CHANCE else " in any context"
-    return f"≤ {100.0 * constraint.allowed:.3g} %{where}"
-
-
-def _paired(analysis: Analysis, unit: str) -> str:
-    """Return the paired difference, from which the spread between draws cancels."""
-    difference = analysis.paired_difference()
-    if difference is None:
-        return ""
-    mean, error = difference
-    return f" (paired difference {mean:+.3g} ± {error:.2g}{f' {unit}' if unit else ''})"
-
-
-def _holds(who: str, validation: Validation) -> str:
-    parts = [_broken(s) for s in validation.constraints.values() if not s.holds]
-    if validation.failures:
-        parts.append(f"{validation.failures} of {validation.draws} evaluations failed")
-    return f"{who} keeps all limits." if not parts else f"{who} fails: {', '.join(parts)}."
-
-
-def _broken(sample: Sample) -> str:
-    return f"{sample.name} violated in {sample.violations} of {sample.count} draws"
-
-
-def _better(analysis: Analysis, value: float, reference: float) -> bool:
-    minimized = analysis.study.objective.direction == MINIMIZE
-    return value < reference if minimized else value > reference
+def _parameters(analysis: Analysis) -> Table:
+    return Table(
+        caption="Default and best parameter set so far",
+        header=["", "default", "best so far", "unit"],
+        rows=[row[:4] for row in _parameter_rows(analysis)],
+        numeric=[1, 2],
+    )

@@ -9,7 +9,7 @@ from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.store import certificate_paths, read_certificate
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
-from bo_tuner.report.content import Section, Table, number, quantity
+from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.trials import Trial
 
@@ -155,7 +155,7 @@ def _gaps(content: Mapping[str, Any]) -> list[Table]:
             number(gap["observed"]),
             number(gap["predicted"]),
             number(gap["validated"]),
-            f"{gap['gap']:+.2g} ± {gap['standard_error']:.1g}",
+            _gap(gap),
             gap["unit"],
         ]
         for gap in content["training_gaps"]
@@ -173,8 +173,18 @@ def _gaps(content: Mapping[str, Any]) -> list[Table]:
     ]
 
 
-def _mean(mean: Mapping[str, float]) -> str:
-    return f"{quantity(mean['value'], '')} ± {mean['standard_error']:.2g}"
+def _gap(gap: Mapping[str, float | None]) -> str:
+    value = gap["gap"]
+    return "–" if value is None else f"{value:+.2g}" + _error(gap["standard_error"], ".1g")
+
+
+def _mean(mean: Mapping[str, float | None]) -> str:
+    return number(mean["value"]) + _error(mean["standard_error"], ".2g")
+
+
+def _error(error: float | None, form: str) -> str:
+    """Format a standard error; of fewer than two values there is none."""
+    return "" if error is None else f" ± {error:{form}}"
 
 
 def _shown(passed: bool) -> str:

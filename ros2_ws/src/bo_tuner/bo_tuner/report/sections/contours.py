@@ -121,8 +121,8 @@ def _contour_panel(
         if chosen:
             elements.append(
                 Points(
-                    x=[t.parameters[a.name] for t in chosen],
-                    y=[t.parameters[b.name] for t in chosen],
+                    x=[float(t.parameters[a.name]) for t in chosen],
+                    y=[float(t.parameters[b.name]) for t in chosen],
                     name=kind,
                     color=color,
                     marker=marker,
@@ -137,8 +137,8 @@ def _contour_panel(
     ):
         elements.append(
             Points(
-                x=[parameters[a.name]], y=[parameters[b.name]], name=name, color=color,
-                marker=marker, size=11, hover=[name],
+                x=[float(parameters[a.name])], y=[float(parameters[b.name])], name=name,
+                color=color, marker=marker, size=11, hover=[name],
             )
         )  # fmt: skip
     return Panel(x=a.axis, y=b.axis, elements=elements)
@@ -160,11 +160,12 @@ def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
 
 def most_sensitive(analysis: Analysis) -> list[str]:
     """Return the parameters with the shortest length scales, in the study's order."""
-    names, model = analysis.study.search_space().names, analysis.models.objective
+    space, model = analysis.study.search_space(), analysis.models.objective
     if model is None:
-        return list(names[:MOST_PARAMETERS])
-    order = np.argsort(model.length_scales, kind="stable")[:MOST_PARAMETERS]
-    return [names[k] for k in sorted(order)]
+        return list(space.numbers[:MOST_PARAMETERS])
+    order = np.argsort(model.length_scales, kind="stable")
+    order = np.array([k for k in order if space.names[k] in space.numbers])[:MOST_PARAMETERS]
+    return [space.names[k] for k in sorted(order)]
 
 
 def _feasible_shares(

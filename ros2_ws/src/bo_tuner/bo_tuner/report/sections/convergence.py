@@ -222,10 +222,11 @@ def _incumbent_lines(incumbents: Sequence[tuple[int, Candidate]], x: Array) -> l
 
 
 def _default_line(analysis: Analysis) -> list[Element]:
-    if analysis.validations is None or math.isnan(analysis.validations[0].objective):
+    metric = analysis.study.objective.metric
+    values = [q.default for q in analysis.verdict.quantities if q.label == f"mean {metric}"]
+    if not values or math.isnan(values[0]):
         return []
-    value = analysis.validations[0].objective
-    return [Limit(value=value, name="default, validated", color=Color.INK, dash=Dash.DASH_DOT)]
+    return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
 
 
 def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:

@@ -13,6 +13,8 @@ from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
 from bo_tuner.study.search_space import STEP
+from bo_tuner.text import shown
+from bo_tuner.trials import Value
 
 
 def sensitivity(analysis: Analysis) -> Section | None:
@@ -31,7 +33,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
             number(neighbour.objective),
             change(neighbour.objective, optimum.objective) if neighbour is not optimum else "",
             f"{100.0 * neighbour.feasibility:.0f} %",
-            "yes" if neighbour.tolerable else "no",
+            "yes" if neighbour.tolerable and neighbour.feasibility >= BELIEVED_FEASIBLE else "no",
         ]
         for neighbour in (optimum, *found.neighbours)
     ]
@@ -67,9 +69,11 @@ def sensitivity(analysis: Analysis) -> Section | None:
             )
         ],
         notes=[
+            "A step is tolerable if the parameter set there is believed feasible, and neither loss "
+            f"nor excess is above {100.0 * TOLERABLE:.0f} %. "
             f"A step is 1 for an integer and {100.0 * STEP:g} % of the range for a double. The "
             f"sensitivity score, the mean loss beyond {100.0 * TOLERABLE:.0f} %, is "
-            f"{found.score:.3g}; it is 0 if every step is tolerable."
+            f"{found.score:.3g}."
         ],
     )
 
@@ -120,6 +124,11 @@ def _step(neighbour: Neighbour, optimum: Neighbour) -> str:
     if not neighbour.changed:
         return "tuned"
     return ", ".join(
-        f"{name} {value - optimum.parameters[name]:+.3g}"
-        for name, value in neighbour.changed.items()
+        _change(name, optimum.parameters[name], value) for name, value in neighbour.changed.items()
     )
+
+
+def _change(name: str, old: Value, new: Value) -> str:
+    if isinstance(old, (bool, str)) or isinstance(new, (bool, str)):
+        return f"{name} {shown(new)}"
+    return f"{name} {new - old:+.3g}"

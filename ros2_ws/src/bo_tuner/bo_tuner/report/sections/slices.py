@@ -38,7 +38,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     """Show how objective and constraints depend on each parameter, with the others fixed."""
     study = analysis.study
     at = analysis.tuned_values(answer.parameters)
-    grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().names]
+    grids = [parameter_grid(study, name, at, FINE) for name in study.search_space().numbers]
     limited = [
         (study.constraints[name], model) for name, model in analysis.models.constraints.items()
     ]
@@ -129,7 +129,7 @@ def _near_points(
         return []
     return [
         Points(
-            x=[trial.parameters[grid.name] for trial in near], y=y, name="trials nearby",
+            x=[float(trial.parameters[grid.name]) for trial in near], y=y, name="trials nearby",
             color=Color.GRAY, filled=False, hover=[describe(analysis, trial) for trial in near],
         )
     ]  # fmt: skip
@@ -166,6 +166,8 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
         trial = candidate.trial
         away = np.abs(space.to_cube(analysis.tuned_values(trial.parameters)) - at)
         away[grid.column] = 0.0
+        # Another choice is not near, however many there are.
+        away[(away > 0.0) & np.array(space.levels, dtype=bool)] = 1.0
         if away.max() <= NEARBY:
             near.append(trial)
     return near

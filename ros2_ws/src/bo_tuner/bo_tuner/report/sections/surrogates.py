@@ -11,7 +11,10 @@ def surrogates(analysis: Analysis) -> Section | None:
     answer = analysis.answer
     if answer is None or analysis.models.objective is None:
         return None
-    names = analysis.study.search_space().names
+    space = analysis.study.search_space()
+    names = space.numbers
+    if not names:
+        return None
     figures = [slices(analysis, answer)]
     notes = ["A slice shows the trials whose other parameters are within a tenth of their ranges."]
     if len(names) > 1:
@@ -19,6 +22,9 @@ def surrogates(analysis: Analysis) -> Section | None:
     if len(names) > MOST_PARAMETERS:
         chosen = ", ".join(most_sensitive(analysis))
         notes.append(f"Pairs of the parameters with the shortest length scales: {chosen}.")
+    if len(names) < space.dimension:
+        others = ", ".join(name for name in space.names if name not in names)
+        notes.append(f"Without an axis of numbers: {others}; as in the tuned parameter set.")
     notes += [f"Fit: {warning}." for warning in analysis.models.warnings]
     return Section(
         name="surrogates",

@@ -1,174 +1,20 @@
 """Runs on a system that knows nothing of the tuner: its topics, services and mistakes."""
 
-import contextlib
-import os
-import threading
-import time
-from pathlib import Path
-
 import pytest
-import rclpy
-from rclpy._rclpy_pybind11 import RCLError
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, String
-from std_srvs.srv import SetBool, Trigger
+from servo import failure, run, study
+from waiting import wait_until
 
-from bo_tuner.backends.ros import procedure, study_client
-from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros import tuner_node
 from bo_tuner.errors import StudyError
-from bo_tuner.study.study_file import study_from_mapping
-from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
-BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class System(Node):
-    """Follows /setpoint by `gain` at 100 Hz, from its start on."""
-
-    def __init__(self, context):
-        super().__init__("servo", context=context)
-        self.declare_parameter("gain", 0.5)
-        self.angle = self.setpoint = 0.0
-        self.names = ["other", "motor"]
-        self.silent = False
-        self.hang = 0.0
-        self.received = []
-        self.states = self.create_publisher(JointState, "joint_states", BEST_EFFORT)
-        self.plain = self.create_publisher(Float64MultiArray, "plain", 10)
-        self.text = self.create_publisher(String, "text", 10)
-        self.limit = self.create_publisher(Float64, "limit", LATCHED)
-        self.limit.publish(Float64(data=2.5))
-        self.create_subscription(Float64, "setpoint", self.follow, 10)
-        self.create_subscription(JointState, "wanted", self.received.append, 10)
-        self.create_service(Trigger, "~/reset", self.reset)
-        self.create_service(SetBool, "~/enable", self.enable)
-        self.create_timer(0.01, self.step)
-
-    def follow(self, message):
-        self.setpoint = message.data
-        hang, self.hang = self.hang, 0.0
-        time.sleep(hang)
-
-    def reset(self, request, response):
-        self.angle = self.setpoint = 0.0
-        response.success = True
-        return response
-
-    def enable(self, request, response):
-        response.success = request.data
-        response.message = "the brake is on"
-        return response
-
-    def step(self):
-        self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
-        if self.silent:
-            return
-        message = JointState(name=self.names, position=[7.0, self.angle])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self.states.publish(message)
-        self.plain.publish(Float64MultiArray(data=[1.0, self.angle]))
-
-
-@pytest.fixture(scope="module")
-def machine():
-    """The system, at work in a thread, and a node whose services nobody serves."""
-    context = Context()
-    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    system, idle = System(context), Node("idle", context=context)
-    idle.create_service(Trigger, "hang", lambda request, response: response)
-    idle.create_publisher(Float64, "twice", 10)
-    system.create_publisher(Float64, "twice", 10)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(system)
-    stop = threading.Event()
-
-    def spin():
-        while not stop.is_set():
-            # An answer to a client that has gone is an error to rclpy.
-            with contextlib.suppress(RCLError):
-                executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    yield system
-    stop.set()
-    thread.join()
-    executor.shutdown()
-    for node in (system, idle):
-        node.destroy_node()
-    context.try_shutdown()
-
-
-@pytest.fixture
-def system(machine):
-    """The system as it is at first."""
-    machine.angle = machine.setpoint = 0.0
-    machine.names, machine.silent, machine.hang = ["other", "motor"], False, 0.0
-    machine.received.clear()
-    return machine
-
-
-def study(signals=None, run=None, metrics=None):
-    """A study of the system; None in place of a value takes a key out."""
-    sections = {
-        "signals": {
-            "setpoint": {"topic": "setpoint", "field": "data"},
-            "angle": {"topic": "/joint_states", "field": "position[motor]"},
-        },
-        "run": {
-            "before": [{"call": {"service": "servo/reset"}}],
-            "start": [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}],
-            "end": {"after": 0.3},
-        },
-        "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
-    }
-    for section, changes in (("signals", signals), ("run", run), ("metrics", metrics)):
-        sections[section] = sections[section] | (changes or {})
-    node = {"node": "servo"}
-    return study_from_mapping(
-        {
-            "name": "servo",
-            "nodes": {"servo": node},
-            "parameters": {"gain": node | {"type": "double", "bounds": [0, 1], "default": 0.5}},
-            "objective": {"metric": "error"},
-            "budget": {"trials": 1, "initial_trials": 1},
-        }
-        | sections
-    )
-
-
-@pytest.fixture
-def backend(system, tmp_path, monkeypatch):
-    """Function that opens a backend for a study."""
-    monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
-    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
-    opened = []
-
-    def make(**changes):
-        made = RosBackend(study(**changes), Path(tmp_path), attach=True)
-        opened.append(made)
-        made.open()
-        return made
-
-    yield make
-    for made in opened:
-        made.close()
-
-
-def run(backend, gain=0.5):
-    return backend.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": gain}, {}, 1))
 
 
 def test_a_run_and_its_metrics(backend, system):
     made = backend(
         signals={
-            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 0.3},
+            "plain": {"topic": "plain", "field": "data[1]", "largest_gap": 3.0},
             "limit": {"topic": "limit", "field": "data", "minimum_messages": 0},
         },
         run={
@@ -261,12 +107,6 @@ def test_a_step_that_cannot_be_done(backend, step, complaint):
     assert str(caught.value).startswith(f"run.before[0].{complaint}")
 
 
-def failure(outcome):
-    assert outcome.state is EvaluationState.FAILED, outcome
-    assert outcome.metrics == {}
-    return outcome.reason
-
-
 def test_a_signal_that_is_not_a_number(backend, system):
     made = backend(run={"before": [{"wait": 0.05}]})
     system.angle = float("nan")
@@ -315,7 +155,7 @@ def test_a_run_is_aborted_and_the_steps_after_it_are_done(backend, system):
         }
     )
     assert failure(run(made)).startswith("aborted at 0.")
-    assert system.setpoint == -0.25
+    wait_until(lambda: system.setpoint == -0.25, "the steps after the run")
 
 
 def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monkeypatch):
@@ -324,7 +164,7 @@ def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monke
         run={"before": []},
         signals={"angle": {"topic": "limit", "field": "data", "minimum_messages": 0}},
     )
-    monkeypatch.setattr(study_client, "CALL_TIMEOUT", 1.0)
+    monkeypatch.setattr(tuner_node, "CALL_TIMEOUT", 1.0)
     system.hang = 3.0
     found = run(made)
     assert found.state is EvaluationState.LOST
@@ -337,9 +177,8 @@ def test_a_service_that_refuses(backend):
     assert failure(run(made)) == "/servo/enable refused: the brake is on"
 
 
-def test_a_service_that_hangs(backend, monkeypatch):
-    made = backend(run={"before": [{"call": {"service": "hang"}}]})
-    monkeypatch.setattr(study_client.StudyClient.call, "__defaults__", (0.5,))
+def test_a_service_that_hangs(backend):
+    made = backend(run={"before": [{"call": {"service": "hang", "timeout": 0.5}}]})
     found = run(made)
     assert found.state is EvaluationState.LOST
     assert found.reason.startswith(

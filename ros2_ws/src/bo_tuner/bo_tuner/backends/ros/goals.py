@@ -1,0 +1,148 @@
+"""Goals of actions: sent, watched, and cancelled when a run ends before them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient, get_action_names_and_types
+from rclpy.task import Future
+
+from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.messages import interface_class, make_message
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
+from bo_tuner.errors import StudyError
+from bo_tuner.metrics.collect import one_line
+from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.study import checks
+from bo_tuner.study.steps import SendGoal
+
+ENDS = {
+    GoalStatus.STATUS_ABORTED: "aborted the goal",
+    GoalStatus.STATUS_CANCELED: "cancelled the goal, which the tuner did not ask for",
+}
+
+
+class Goal:
+    """A goal that is sent in each run.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node.
+    spec
+        What the study says of it.
+    timeout
+        Time [s] to find the server.
+
+    Raises
+    ------
+    StudyError
+        If there is no such action, or its goals do not have the fields.
+    """
+
+    def __init__(self, tuner: TunerNode, spec: SendGoal, timeout: float) -> None:
+        self._tuner = tuner
+        self._spec = spec
+        self.name = tuner.node.resolve_service_name(spec.action)
+        cls = self._find(timeout)
+        try:
+            self._message = make_message(cls.Goal, spec.goal)
+        except StudyError as error:
+            raise error.under("goal") from None
+        self._client = ActionClient(tuner.node, cls, self.name)
+        if not tuner.wait_until(self._client.server_is_ready, timeout):
+            raise StudyError(f"{self.name} has no server that is complete", ("action",))
+        self._handle: Any = None
+        self._result: Future | None = None
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the goal was accepted and there is no result yet."""
+        return self._result is not None and not self._result.done()
+
+    def send(self) -> None:
+        """Send the goal, and wait until it is accepted.
+
+        Raises
+        ------
+        FailedRunError
+            If it is refused.
+        LostError
+            If the server does not answer.
+        """
+        self._handle = self._result = None
+        future = self._client.send_goal_async(self._message)
+        if not self._tuner.wait_until(future.done, CALL_TIMEOUT):
+            raise LostError(f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s")
+        handle = future.result()
+        if not handle.accepted:
+            raise FailedRunError(f"{self.name} refused the goal")
+        self._handle, self._result = handle, handle.get_result_async()
+
+    def check(self) -> None:
+        """Look how it is.
+
+        Raises
+        ------
+        FailedRunError
+            If it was aborted, or cancelled by someone else.
+        LostError
+            If its server is gone.
+        """
+        if self._result is None:
+            return
+        if not self._result.done():
+            if not self._client.server_is_ready():
+                raise LostError(f"the server of {self.name} is lost")
+            return
+        answer = self._result.result()
+        if answer.status in ENDS:
+            raise FailedRunError(f"{self.name} {ENDS[answer.status]}{_reason(answer.result)}")
+
+    def wait(self) -> None:
+        """Wait for the result; raises as `check`."""
+
+        def ended() -> bool:
+            self.check()
+            return not self.is_active
+
+        if not self._tuner.wait_until(ended, self._spec.timeout):
+            raise FailedRunError(f"{self.name} has no result within {self._spec.timeout:g} s")
+
+    def cancel(self, timeout: float = CALL_TIMEOUT) -> str:
+        """Cancel the goal if it is active; returns what went wrong, in a line."""
+        if not self.is_active:
+            return ""
+        self._handle.cancel_goal_async()
+        # The result tells that the server has come to rest.
+        if self._tuner.wait_until(lambda: not self.is_active, timeout):
+            return ""
+        return f"{self.name} does not end its goal within {timeout:g} s of the request to cancel it"
+
+    def close(self) -> None:
+        """Let go of the server."""
+        self._client.destroy()
+
+    def _find(self, timeout: float) -> Any:
+        node = self._tuner.node
+
+        def known() -> Mapping[str, list[str]]:
+            return dict(get_action_names_and_types(node))
+
+        if not self._tuner.wait_until(lambda: self.name in known(), timeout):
+            raise StudyError(
+                f"there is no action {self.name}; {checks.suggestion(self.name, sorted(known()))}",
+                ("action",),
+            )
+        try:
+            return interface_class(known()[self.name][0])
+        except StudyError as error:
+            raise error.under("action") from None
+
+
+def _reason(result: Any) -> str:
+    """Tell what an action says of its end, if it has one of the usual fields."""
+    fields = ("error_msg", "error_string", "message", "error_code")
+    said = [one_line(str(getattr(result, name, ""))) for name in fields]
+    found = [text for text in said if text and text != "0"]
+    return f": {found[0]}" if found else ""

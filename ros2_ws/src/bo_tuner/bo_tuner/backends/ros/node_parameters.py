@@ -1,0 +1,247 @@
+"""Sets and reads the parameters of a study's nodes."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.client import Client
+
+from bo_tuner.backends.ros.errors import DisturbedError, RefusedError
+from bo_tuner.backends.ros.parameters import (
+    Difference,
+    ParameterWatch,
+    differences,
+    read_values,
+    to_messages,
+)
+from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.study import checks
+
+Values = Mapping[str, Mapping[str, object]]
+"""Parameters by node key, then by name."""
+
+
+class NodeParameters:
+    """The parameters of some nodes: each is told only what it does not have already.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node.
+    nodes
+        Names of the nodes by their keys in the study.
+    """
+
+    def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
+        self._tuner = tuner
+        self._nodes = nodes
+        self._known: dict[str, dict[str, object]] = {}
+        self._names: dict[str, list[str]] = {}
+        self._watch = ParameterWatch(tuner.node, nodes)
+        self._setters: dict[str, Client] = {}
+        self._getters: dict[str, Client] = {}
+        self._listers: dict[str, Client] = {}
+        for key, node in nodes.items():
+            for clients, kind, name in (
+                (self._setters, SetParametersAtomically, "set_parameters_atomically"),
+                (self._getters, GetParameters, "get_parameters"),
+                (self._listers, ListParameters, "list_parameters"),
+            ):
+                clients[key] = tuner.node.create_client(kind, f"{node}/{name}")
+
+    def calls(self, key: str) -> list[tuple[Client, Any]]:
+        """List the services of a node's parameters, each with a request that changes nothing."""
+        return [
+            (self._setters[key], SetParametersAtomically.Request()),
+            (self._getters[key], GetParameters.Request()),
+            (self._listers[key], ListParameters.Request()),
+        ]
+
+    def servers(self, key: str) -> int:
+        """Count the nodes that take parameters under a node's name."""
+        return self._tuner.node.count_services(self._setters[key].srv_name)
+
+    def forget(self, key: str) -> None:
+        """Forget what a node has, so that it is asked, and told, again."""
+        self._known.pop(key, None)
+
+    def forget_all(self) -> None:
+        """Forget what all nodes have."""
+        self._known.clear()
+
+    def read_anew(self, key: str) -> None:
+        """Read what a node has that was started anew, and forget what it said of it meanwhile."""
+        self._known[key] = self.read(key)
+        self._watch.forget(key)
+
+    def expect(self, values: Values) -> None:
+        """Expect these values of the nodes from now on: another one that they tell of is noted."""
+        self._watch.expect(values)
+
+    def overlook(self) -> None:
+        """Overlook what was changed by others up to now."""
+        self._watch.take_seen()
+
+    def assign(
+        self, key: str, values: Mapping[str, object], timeout: float | None = None
+    ) -> list[str]:
+        """Set those parameters of a node that it does not have already, all of them or none.
+
+        Returns
+        -------
+        list of str
+            The names of those that were set.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them.
+        LostError
+            If it does not answer within `timeout` seconds.
+        """
+        if key not in self._known:
+            self._known[key] = self.read(key, timeout)
+        known = self._known[key]
+        changes = {name: v for name, v in values.items() if _differs(known, name, v)}
+        if not changes:
+            return []
+        request = SetParametersAtomically.Request(parameters=to_messages(changes))
+        result = self._call(self._setters[key], request, key, timeout).result
+        if not result.successful:
+            raise RefusedError(f"{key} refused its parameters: {result.reason}")
+        known.update(changes)
+        # A node may take what it has not declared.
+        self._names[key] += [name for name in changes if name not in self._names[key]]
+        return list(changes)
+
+    def assign_and_read_back(
+        self, key: str, values: Mapping[str, object], timeout: float | None = None
+    ) -> None:
+        """Set parameters of a node, which must then have these values.
+
+        Raises
+        ------
+        RefusedError
+            If the node refuses them, or has others then.
+        LostError
+            If it does not answer within `timeout` seconds.
+        """
+        # Once more if somebody else has changed what the node was told before.
+        for _ in range(2):
+            self.assign(key, values, timeout)
+            self._known |= self._read([key], timeout)
+            wrong = differences(key, self._known[key], values)
+            if not wrong:
+                return
+        raise _not_taken(wrong[0])
+
+    def read(self, key: str, timeout: float | None = None) -> dict[str, object]:
+        """Read all parameters of a node.
+
+        Raises
+        ------
+        LostError
+            If it does not answer within `timeout` seconds.
+        """
+        request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+        listed = self._call(self._listers[key], request, key, timeout).result.names
+        self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
+        return self._read([key], timeout)[key]
+
+    def tell(self, wanted: Values) -> dict[str, list[str]]:
+        """Set parameters of nodes; returns the names of those that were set, by node key.
+
+        Raises
+        ------
+        RefusedError
+            If a node refuses them.
+        DisturbedError
+            If it does so since somebody else changed another one.
+        LostError
+            If it does not answer.
+        """
+        return {key: self._tell(key, values) for key, values in wanted.items()}
+
+    def check(self, wanted: Values, told: Mapping[str, Sequence[str]]) -> None:
+        """Compare what the nodes have, and had since the last check, with what they should.
+
+        Raises
+        ------
+        RefusedError
+            If one has another value right after it was `told` one.
+        DisturbedError
+            If somebody else changed one.
+        LostError
+            If a node does not answer.
+        """
+        found = self._read(wanted)
+        self._known |= found
+        seen = self._watch.take_seen()
+        for key, values in wanted.items():
+            for difference in differences(key, found[key], values):
+                if difference.name in told.get(key, ()):
+                    raise _not_taken(difference)
+                raise _disturbed(difference)
+        if seen:
+            raise _disturbed(seen[0])
+
+    def expect_answer(self, key: str) -> None:
+        """Ask a node to change no parameter.
+
+        Raises
+        ------
+        SilentError
+            If it does not answer.
+        """
+        self._call(self._setters[key], SetParametersAtomically.Request(), key)
+
+    def _tell(self, key: str, values: Mapping[str, object]) -> list[str]:
+        before = dict(self._known.get(key, {}))
+        try:
+            return self.assign(key, values)
+        except RefusedError:
+            # What was changed by somebody else may be what the values do not go with.
+            self._known[key] = self._read([key])[key]
+            changed = differences(key, self._known[key], before) + self._watch.take_seen()
+            if changed:
+                raise _disturbed(changed[0]) from None
+            raise
+
+    def _read(
+        self, keys: Iterable[str], timeout: float | None = None
+    ) -> dict[str, dict[str, object]]:
+        """Read the parameters of nodes side by side, by key."""
+        calls = {
+            key: self._getters[key].call_async(GetParameters.Request(names=self._names[key]))
+            for key in keys
+        }
+        found = {}
+        for key, future in calls.items():
+            name = self._nodes[key]
+            values = self._tuner.answer(self._getters[key], future, name, timeout).values
+            if len(values) != len(self._names[key]):
+                # A node leaves out all if it lacks one.
+                values = [self._value(key, name) for name in self._names[key]]
+            found[key] = read_values(self._names[key], values)
+        return found
+
+    def _value(self, key: str, name: str) -> ParameterValue:
+        request = GetParameters.Request(names=[name])
+        values = self._call(self._getters[key], request, key).values
+        return values[0] if values else ParameterValue()
+
+    def _call(self, client: Client, request: Any, key: str, timeout: float | None = None) -> Any:
+        return self._tuner.call(client, request, self._nodes[key], timeout)
+
+
+def _differs(known: Mapping[str, object], name: str, value: object) -> bool:
+    return name not in known or not checks.same_value(known[name], value)
+
+
+def _not_taken(difference: Difference) -> RefusedError:
+    return RefusedError(f"{difference} (not taken by the node)")
+
+
+def _disturbed(difference: Difference) -> DisturbedError:
+    return DisturbedError(f"{difference} (changed by someone else)")

@@ -1,0 +1,161 @@
+"""Which of a study's nodes are there, were started anew, or run more than once."""
+
+import time
+
+from rclpy.client import Client
+from rclpy.expand_topic_name import expand_topic_name
+
+from bo_tuner.backends.ros.errors import LostError, SilentError
+from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
+from bo_tuner.backends.ros.trigger import of_node
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode
+from bo_tuner.study.study import Study
+
+ANSWER_TIMEOUT = 1.0
+NAME_TIMEOUT = 1.0
+"""Time [s] that the graph has to tell which node a new publisher belongs to."""
+
+
+class Presence:
+    """Tells of the nodes of a study what the graph says of them.
+
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    parameters
+        The nodes' parameters.
+    trigger
+        Client of the service that starts an evaluation, if there is one.
+    """
+
+    def __init__(
+        self, study: Study, tuner: TunerNode, parameters: NodeParameters, trigger: Client | None
+    ) -> None:
+        self._study = study
+        self._tuner = tuner
+        self._node = tuner.node
+        self._parameters = parameters
+        self._trigger = trigger
+        self._publishers: dict[str, set[bytes]] = {}
+        self._anonymous: set[bytes] = set()
+        self._twins: list[str] = []
+
+    def absent(self) -> list[str]:
+        """Return the study's keys of the nodes that are not discovered, or not in full."""
+        triggered = self._study.trigger.node if self._study.trigger else None
+        return [
+            key
+            for key in self._study.nodes
+            if not all(client.service_is_ready() for client, _ in self._parameters.calls(key))
+            or self._node.count_publishers(self._sign_of_life(key)) == 0
+            or (key == triggered and self._trigger and not self._trigger.service_is_ready())
+        ]
+
+    def wait_for_nodes(self, timeout: float) -> None:
+        """Wait until every node is discovered and answers.
+
+        Raises
+        ------
+        LostError
+            If one does not within `timeout` seconds.
+        """
+        deadline = time.monotonic() + timeout
+        while absent := self.absent():
+            if time.monotonic() > deadline:
+                name = self._study.nodes[absent[0]].node
+                raise LostError(
+                    f"{name}: no such node in ROS domain {self._tuner.domain} after {timeout:g} s"
+                )
+            self._tuner.spin_once()
+        for key, spec in self._study.nodes.items():
+            for client, request in self._parameters.calls(key):
+                # A node that was killed looks discovered until its lease ends.
+                while True:
+                    try:
+                        self._tuner.call(client, request, spec.node, ANSWER_TIMEOUT)
+                        break
+                    except SilentError:
+                        if time.monotonic() > deadline:
+                            raise
+        self.restarted()
+
+    def wait_until_gone(self, timeout: float) -> None:
+        """Wait until no node of the study is discovered any more, at most `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while len(self.absent()) < len(self._study.nodes) and time.monotonic() < deadline:
+            self._tuner.spin_once()
+
+    def restarted(self) -> list[str]:
+        """Return the keys of nodes that were started anew since this was last asked.
+
+        Such a node has forgotten its parameters, and is to be told them again.
+        """
+        self._wait_for_names()
+        found = []
+        for key in self._study.nodes:
+            present = self._publishers_of(key)
+            # One that was killed stays in the graph for a while; what counts is what is new.
+            if present - self._publishers.get(key, set()):
+                found.append(key)
+            self._publishers[key] = present
+        return found
+
+    def twins(self, timeout: float) -> str:
+        """Tell in a line of nodes that run more than once; empty if none does.
+
+        A node that was killed and is back counts twice until its lease ends, which is waited for at
+        most `timeout` seconds, and once only.
+        """
+        deadline = time.monotonic() + timeout
+        while twins := self._repeated():
+            if time.monotonic() > deadline or twins == self._twins:
+                self._twins = twins
+                return f"{twins[0]} runs more than once in ROS domain {self._tuner.domain}"
+            self._tuner.spin_once()
+        self._twins = []
+        return ""
+
+    def _repeated(self) -> list[str]:
+        """Name the nodes and services that more than one process gives."""
+        found = [
+            spec.node
+            for key, spec in self._study.nodes.items()
+            if self._parameters.servers(key) > 1
+        ]
+        if self._trigger and self._node.count_services(self._trigger.srv_name) > 1:
+            found.append(self._trigger.srv_name)
+        return found
+
+    def _publishers_of(self, key: str) -> set[bytes]:
+        """Find the publishers of a node's sign of life that the graph says are of the node."""
+        name = expand_topic_name(self._study.nodes[key].node, NODE_NAME, self._node.get_namespace())
+        infos = self._node.get_publishers_info_by_topic(self._sign_of_life(key))
+        return {
+            bytes(info.endpoint_gid)
+            for info in infos
+            if f"{info.node_namespace.rstrip('/')}/{info.node_name}" == name
+        }
+
+    def _wait_for_names(self) -> None:
+        """Wait until the graph tells whose the new signs of life are."""
+        deadline = time.monotonic() + NAME_TIMEOUT
+        while nameless := self._nameless() - self._anonymous:
+            if time.monotonic() > deadline:
+                # Not of a ROS node, or else it is noticed once it has a name.
+                self._anonymous |= nameless
+                return
+            self._tuner.spin_once()
+
+    def _nameless(self) -> set[bytes]:
+        topics = {self._sign_of_life(key) for key in self._study.nodes}
+        infos = [i for topic in topics for i in self._node.get_publishers_info_by_topic(topic)]
+        return {bytes(info.endpoint_gid) for info in infos if info.node_name == UNKNOWN_NODE}
+
+    def _sign_of_life(self, key: str) -> str:
+        """Topic on which a node has a publisher from its start on, and anew when it restarts."""
+        spec = self._study.nodes[key]
+        return of_node(spec.node, spec.result) if spec.result else PARAMETER_EVENTS

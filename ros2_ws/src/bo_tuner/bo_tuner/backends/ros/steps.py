@@ -1,0 +1,249 @@
+"""The steps of a run, found in the graph beforehand so that mistakes show before the first run."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rclpy.client import Client
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+
+from bo_tuner.backends.ros.clock import RunClock, to_stamp
+from bo_tuner.backends.ros.messages import interface_class, make_message
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.metrics.collect import one_line
+from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.study import checks
+from bo_tuner.study.steps import Call, Lifecycle, Publish
+
+CONNECT_TIMEOUT = 5.0
+"""Time [s] to find a topic, a service, an action, or the subscribers of a message."""
+UNDONE = {"deactivate": ("inactive", "unconfigured"), "cleanup": ("unconfigured",)}
+"""States in which a transition that takes something back has nothing to do."""
+
+
+class PreparedStep(Protocol):
+    """A step, ready to be performed."""
+
+    def perform(self) -> None:
+        """Perform it.
+
+        Raises
+        ------
+        FailedRunError
+            If it is refused.
+        LostError
+            If a node does not answer.
+        """
+
+
+def where(path: KeyPath) -> str:
+    """Name a step by its path in the study."""
+    section, phase, index = path
+    return f"{section}.{phase}[{index}]"
+
+
+@dataclass(frozen=True)
+class ServiceCall:
+    """A call of a service."""
+
+    tuner: TunerNode
+    service: Client
+    request: Any
+    path: KeyPath
+    timeout: float
+
+    @classmethod
+    def prepare(cls, tuner: TunerNode, call: Call, path: KeyPath) -> "ServiceCall":
+        """Find the service, and make the request.
+
+        Raises
+        ------
+        StudyError
+            If there is no such service, or its requests do not have the fields.
+        """
+        kind, client = _service(tuner, call.service)
+        try:
+            request = make_message(kind.Request, call.request)
+        except StudyError as error:
+            raise error.under("call", "request") from None
+        return cls(tuner, client, request, path, call.timeout)
+
+    def perform(self) -> None:
+        """Call it."""
+        response = self.tuner.call(
+            self.service, self.request, f"the node that {where(self.path)} calls", self.timeout
+        )
+        if getattr(response, "success", True) is False:
+            reason = one_line(getattr(response, "message", "")) or "no reason given"
+            raise FailedRunError(f"{self.service.srv_name} refused: {reason}")
+
+
+@dataclass(frozen=True)
+class Publication:
+    """A message for a topic."""
+
+    tuner: TunerNode
+    publisher: Publisher
+    others: Callable[[], list[Any]]
+    publish: Publish
+    kind: Any
+    clock: RunClock
+
+    @classmethod
+    def prepare(
+        cls,
+        tuner: TunerNode,
+        publish: Publish,
+        clock: RunClock,
+        publishers: dict[str, Publisher],
+    ) -> "Publication":
+        """Find the subscribers and make the publisher, unless it is in `publishers`.
+
+        Raises
+        ------
+        StudyError
+            If nothing subscribes, or the messages do not have the fields.
+        """
+        node = tuner.node
+        topic = node.resolve_topic_name(publish.topic)
+
+        def others() -> list[Any]:
+            found = node.get_subscriptions_info_by_topic(topic)
+            # The tuner's own nodes, which record the topic, do not count.
+            return [info for info in found if not info.node_name.startswith(NODE_NAME)]
+
+        if not tuner.wait_until(lambda: bool(others()), CONNECT_TIMEOUT):
+            names = sorted(n for n, _ in node.get_topic_names_and_types() if n != topic)
+            raise StudyError(
+                f"nothing subscribes to {topic}; {checks.suggestion(topic, names)}",
+                ("publish", "topic"),
+            )
+        found = others()
+        if publish.type not in ("", found[0].topic_type):
+            raise StudyError(
+                f"{topic} carries {found[0].topic_type}, expected {publish.type}",
+                ("publish", "type"),
+            )
+        try:
+            kind = interface_class(found[0].topic_type)
+        except StudyError as error:
+            raise error.under("publish", "topic") from None
+        try:
+            make_message(kind, publish.message)
+        except StudyError as error:
+            raise error.under("publish", "message") from None
+        if topic not in publishers:
+            durability = QoSDurabilityPolicy.VOLATILE
+            if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
+                durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
+            qos = QoSProfile(depth=10, durability=durability)
+            publishers[topic] = node.create_publisher(kind, topic, qos)
+        made = cls(tuner, publishers[topic], others, publish, kind, clock)
+        try:
+            made.wait()
+        except FailedRunError as error:
+            raise StudyError(str(error), ("publish", "topic")) from None
+        return made
+
+    def wait(self) -> None:
+        """Wait until those who subscribe are connected, as what is published earlier is lost."""
+
+        def connected() -> bool:
+            count = len(self.others())
+            return 0 < count <= self.publisher.get_subscription_count()
+
+        if not self.tuner.wait_until(connected, CONNECT_TIMEOUT):
+            raise FailedRunError(f"nothing subscribes to {self.publisher.topic_name}")
+
+    def perform(self) -> None:
+        """Publish it."""
+        self.wait()
+        stamp = to_stamp(self.clock.now)
+        self.publisher.publish(make_message(self.kind, self.publish.message, stamp))
+
+
+@dataclass(frozen=True)
+class LifecycleChange:
+    """A transition of a lifecycle node."""
+
+    tuner: TunerNode
+    spec: Lifecycle
+    change: Client
+    state: Client
+    transitions: Client
+
+    @classmethod
+    def prepare(cls, tuner: TunerNode, spec: Lifecycle) -> "LifecycleChange":
+        """Find the node.
+
+        Raises
+        ------
+        StudyError
+            If it is not there, or is no lifecycle node.
+        """
+        clients = [
+            tuner.node.create_client(kind, f"{spec.node}/{name}")
+            for kind, name in (
+                (ChangeState, "change_state"),
+                (GetState, "get_state"),
+                (GetAvailableTransitions, "get_available_transitions"),
+            )
+        ]
+
+        def ready() -> bool:
+            return all(client.service_is_ready() for client in clients)
+
+        if not tuner.wait_until(ready, CONNECT_TIMEOUT):
+            ends = "/change_state"
+            others = [n.removesuffix(ends) for n in _services(tuner) if n.endswith(ends)]
+            near = checks.suggestion(spec.node, sorted(others))
+            raise StudyError(
+                f"there is no lifecycle node {spec.node}; {near}", ("lifecycle", "node")
+            )
+        return cls(tuner, spec, *clients)
+
+    def perform(self) -> None:
+        """Change the state.
+
+        A transition that the node does not have in its state ends a node of rclpy: it is not asked
+        for one.
+        """
+        spec, name = self.spec, self.spec.node
+        state = self._call(self.state, GetState.Request()).current_state.label
+        found = self._call(self.transitions, GetAvailableTransitions.Request())
+        possible = {d.transition.label: d.transition for d in found.available_transitions}
+        if spec.transition not in possible:
+            if state in UNDONE.get(spec.transition, ()):
+                return
+            raise FailedRunError(
+                f"{name} cannot {spec.transition}: it is {state}, "
+                f"and can {', '.join(possible) or 'nothing'}"
+            )
+        request = ChangeState.Request(transition=possible[spec.transition])
+        if not self._call(self.change, request).success:
+            raise FailedRunError(f"{name} refused to {spec.transition}; it was {state}")
+
+    def _call(self, client: Client, request: Any) -> Any:
+        return self.tuner.call(client, request, self.spec.node, self.spec.timeout)
+
+
+def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
+    node = tuner.node
+    name = node.resolve_service_name(service)
+    if not tuner.wait_until(lambda: name in _services(tuner), CONNECT_TIMEOUT):
+        near = checks.suggestion(name, sorted(_services(tuner)))
+        raise StudyError(f"there is no service {name}; {near}", ("call", "service"))
+    try:
+        cls = interface_class(_services(tuner)[name][0])
+    except StudyError as error:
+        raise error.under("call", "service") from None
+    return cls, node.create_client(cls, name)
+
+
+def _services(tuner: TunerNode) -> dict[str, list[str]]:
+    """Return the types of services by name; the graph also tells those that only clients name."""
+    found = tuner.node.get_service_names_and_types()
+    return {name: types for name, types in found if tuner.node.count_services(name)}

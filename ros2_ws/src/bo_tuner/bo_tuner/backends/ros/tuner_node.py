@@ -1,0 +1,148 @@
+"""The tuner's ROS node: it is served while the tuner waits, and calls services with a deadline."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import rclpy
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.errors import BackendError
+
+NODE_NAME = "bo_tuner"
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""What the graph calls the node of a publisher that it has only just discovered."""
+CALL_TIMEOUT = 5.0
+SPIN_PERIOD = 0.1
+POLL_PERIOD = 0.01
+"""Time [s] between two looks at a condition that is waited for."""
+
+
+class TunerNode:
+    """The tuner's ROS node.
+
+    Parameters
+    ----------
+    domain
+        The ROS domain.
+    ros_arguments
+        ``--ros-args`` of the node.
+    watch
+        Called at least every `SPIN_PERIOD` seconds while waiting; raises what shall end the wait.
+
+    Attributes
+    ----------
+    context : Context
+        ROS context of the node.
+    node : Node
+        The node, which is served by `spin_once`.
+
+    Raises
+    ------
+    BackendError
+        If ROS does not take the arguments.
+    """
+
+    def __init__(self, domain: int, ros_arguments: list[str], watch: Callable[[], None]) -> None:
+        self._watch = watch
+        self.context = Context()
+        try:
+            rclpy.init(
+                args=ros_arguments,
+                context=self.context,
+                domain_id=domain,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            # It has no parameters to set, and rclpy's services for them can be made to raise.
+            self.node = Node(NODE_NAME, context=self.context, start_parameter_services=False)
+        except (RuntimeError, ValueError) as error:
+            self.context.try_shutdown()
+            # rcl adds where in its own sources it found the mistake.
+            raise BackendError(f"cannot use --ros-args: {str(error).split(', at /')[0]}") from error
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    @property
+    def domain(self) -> int:
+        """The ROS domain."""
+        return self.context.get_domain_id()
+
+    @property
+    def full_name(self) -> str:
+        """Name of the node, with its namespace."""
+        return self.node.get_fully_qualified_name()
+
+    def is_alone(self) -> bool:
+        """Whether no other node has this one's name."""
+        me = (self.node.get_name(), self.node.get_namespace())
+        return self.node.get_node_names_and_namespaces().count(me) <= 1
+
+    def warn(self, text: str) -> None:
+        """Say something on the log of the node."""
+        self.node.get_logger().warning(text)
+
+    @contextlib.contextmanager
+    def watched_by(self, watch: Callable[[], None]) -> Iterator[None]:
+        """Ask another function than `watch` within, for what must be done in any case."""
+        watch, self._watch = self._watch, watch
+        try:
+            yield
+        finally:
+            self._watch = watch
+
+    def spin_once(self, period: float = SPIN_PERIOD) -> None:
+        """Take one message or answer, if one comes within `period` seconds."""
+        self._watch()
+        self._executor.spin_once(timeout_sec=period)
+
+    def spin_for(self, period: float) -> None:
+        """Take what comes within `period` seconds."""
+        deadline = time.monotonic() + period
+        while (left := deadline - time.monotonic()) > 0.0:
+            self.spin_once(min(SPIN_PERIOD, left))
+
+    def wait_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Wait until a condition holds; returns whether it did within `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.spin_once(POLL_PERIOD)
+        return True
+
+    def call(self, client: Client, request: Any, name: str, timeout: float | None = None) -> Any:
+        """Call a service and return its answer; `name` is that of its node, for a complaint.
+
+        Raises
+        ------
+        SilentError
+            If it does not answer within `timeout` seconds, `CALL_TIMEOUT` unless given.
+        """
+        return self.answer(client, client.call_async(request), name, timeout)
+
+    def answer(
+        self, client: Client, future: Future, name: str, timeout: float | None = None
+    ) -> Any:
+        """Wait for the answer to a call that was made; as `call`."""
+        timeout = CALL_TIMEOUT if timeout is None else timeout
+        deadline = time.monotonic() + timeout
+        while not future.done():
+            # A dead server looks ready until its lease ends, and the call would never return.
+            if time.monotonic() > deadline:
+                client.remove_pending_request(future)
+                raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
+            self.spin_once()
+        return future.result()

@@ -1,0 +1,189 @@
+"""The verdict on the result of a run, by its latest certificate if there is one."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import inf, nan
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.certificate.certificate import DEFAULT, TUNED
+from bo_tuner.certificate.evaluations_file import Row, read_evaluations
+from bo_tuner.certificate.store import certificate_problem, latest_certificate, read_certificate
+from bo_tuner.certificate.verdict import PASS
+from bo_tuner.errors import RunRecordError
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.trials import EvaluationState, Stage, Trial
+from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.observed import Observed, WorstMean
+from bo_tuner.verdict.quantities import quantities
+from bo_tuner.verdict.validated import open_verdict, validated
+from bo_tuner.verdict.verdict import State, Verdict
+
+
+def run_verdict(record: RunRecord) -> Verdict:
+    """Return the verdict on the result of a run.
+
+    Raises
+    ------
+    RunRecordError
+        If the summary of the run is not one of `tune`.
+    """
+    by_validation = _by_validation(record)
+    if by_validation is None:
+        return open_verdict(record.study, record.trials)
+    (trial,) = [trial for trial in record.trials if trial.number == by_validation.trial]
+    try:
+        path = latest_certificate(record, trial)
+        return by_validation if path is None else certified(record, trial, path)
+    except RunRecordError as error:
+        return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
+
+
+def _by_validation(record: RunRecord) -> Verdict | None:
+    """Return the verdict by the validation of `tune`; None if the run has no result."""
+    summary = record.summary
+    trials = {trial.number: trial for trial in record.trials}
+    if summary is None:
+        return None
+    try:
+        trial = trials[summary["trial"]]  # type: ignore[index]
+        default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
+        # Later, "feasible" is that of a certificate.
+        passed_check = bool(summary.get("passed_check", summary["feasible"]))
+        return validated(
+            record.study,
+            trial.number,
+            default,
+            tuned,
+            record.evaluations,
+            passed_check=passed_check,
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunRecordError(
+            f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
+        ) from error
+
+
+def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
+    """Return the verdict on a trial by a certificate of it.
+
+    Raises
+    ------
+    RunRecordError
+        If the certificate cannot be read.
+    """
+    content = read_certificate(path)
+    remarks = []
+    try:
+        rows = read_evaluations(path)
+    except RunRecordError as error:
+        rows, remarks = [], [f"{error}."]
+    study = record.study
+    passed = content["verdict"] == PASS
+    if passed and (problem := certificate_problem(record, trial)):
+        remarks.append(f"apply refuses it all the same: {problem}.")
+    try:
+        draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
+        tuned, default = content[TUNED], content[DEFAULT]
+        reasons = tuple(str(reason) for reason in content["reasons"])
+        of_tuned = {c["name"]: c for c in tuned["constraints"]}
+        of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
+        if default is None:
+            observed, default_reasons = _beside_validation(record, trial, of_trial)
+        else:
+            observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
+            default_reasons = _reasons(default)
+        numbers = quantities(
+            study,
+            *observed,
+            {name: bool(of_tuned[name]["passed"]) for name in study.constraints},
+            {name: _remark(of_tuned[name], draws, confidence) for name in study.constraints},
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
+    return Verdict(
+        state=State.CERTIFIED if passed else State.REFUSED,
+        trial=trial.number,
+        evidence=f"{'' if default is None else 'the same '}{draws} fresh draws of context and "
+        f"noise, with {100.0 * confidence:.4g} % confidence in each bound"
+        + (", the default in those of the validation" if default is None else ""),
+        reasons=reasons,
+        default_reasons=default_reasons,
+        quantities=numbers,
+        remarks=tuple(remarks),
+        observed=observed,
+        default_certified=default is not None,
+    )
+
+
+def _beside_validation(
+    record: RunRecord, trial: Trial, tuned: Observed
+) -> tuple[tuple[Observed, Observed], tuple[str, ...]]:
+    """Return what was observed of both sides if the certificate leaves the default out.
+
+    The pairs are those of the validation of `tune`, with negative numbers. Also returns why the
+    default was not feasible there.
+    """
+    by_validation = _by_validation(record)
+    if by_validation is None or by_validation.trial != trial.number or not by_validation.observed:
+        return (Observed({}, 0), tuned), ("it was not evaluated",)
+    default, own = by_validation.observed
+    before = {-1 - k: metrics for k, metrics in own.drawn.items()}
+    return (
+        replace(default, drawn={-1 - k: metrics for k, metrics in default.drawn.items()}),
+        replace(tuned, drawn=before | dict(tuned.drawn)),
+    ), by_validation.default_reasons
+
+
+def _observed(
+    findings: Mapping[str, Any],
+    rows: Sequence[Row],
+    name: str,
+    draws: int,
+    others: Sequence[Mapping[str, float]],
+) -> Observed:
+    """Return what was observed of a parameter set: in its certificate, and before."""
+    own = [row for row in rows if row.parameter_set == name and row.metrics]
+    return Observed(
+        drawn={row.index: row.metrics for row in own if row.stage is Stage.VALIDATION},
+        draws=draws,
+        others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
+        worst={
+            constraint["name"]: WorstMean(
+                value=_number(mean["value"], nan),
+                standard_error=_number(mean["standard_error"], nan),
+                upper=_number(mean["upper"], inf),
+                count=int(constraint["worst"][0]["evaluations"]),
+            )
+            for constraint in findings["constraints"]
+            if constraint["worst"]
+            for mean in (constraint["worst"][0]["mean"],)
+        },
+    )
+
+
+def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
+    """Return the metrics that the run itself has of a trial's parameter set."""
+    return [
+        evaluation.outcome.metrics
+        for evaluation in record.evaluations
+        if evaluation.outcome.state is EvaluationState.COMPLETE
+        and dict(evaluation.parameters) == dict(trial.parameters)
+    ]
+
+
+def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str:
+    bound = _number(constraint["violation_bound"], nan)
+    return (
+        f"{constraint['violations']} of {draws} draws above the limit; probability at most "
+        f"{bound:.3g} with {100.0 * confidence:g} % confidence"
+    )
+
+
+def _reasons(findings: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(reason) for reason in findings["reasons"])
+
+
+def _number(value: object, missing: float) -> float:
+    """Read a number of a certificate, where null stands for one that is not finite."""
+    return missing if value is None else float(str(value))

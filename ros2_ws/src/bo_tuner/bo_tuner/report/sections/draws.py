@@ -1,0 +1,85 @@
+"""The draws of the verdict against each limit, default beside tuned."""
+
+from math import isfinite, isnan
+
+import numpy as np
+
+from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, Line, Panel
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, quantity
+from bo_tuner.study.parts import Constraint
+
+LOOKS = (("default", Color.ORANGE, Dash.DASHED), ("tuned", Color.BLUE, Dash.SOLID))
+"""As in the trajectories."""
+
+
+def draws(analysis: Analysis) -> Section | None:
+    """Show the distribution of each limited metric; None without a result or limits."""
+    verdict = analysis.verdict
+    study = analysis.study
+    if verdict.observed is None or not study.constraints:
+        return None
+    panels = [_panel(analysis, constraint) for constraint in study.constraints.values()]
+    sentences = [
+        f"{q.label}: {q.remark}" for q in verdict.quantities if q.holds is not None and q.remark
+    ]
+    return Section(
+        name="draws",
+        title="The draws against each limit",
+        lead=f"Default and tuned parameter set in {verdict.evidence}.",
+        figures=[
+            Figure(
+                name="draws",
+                title="Share of the draws up to each value",
+                caption="A line that reaches 100 % left of the limit kept it in all draws; the "
+                "part above the limit is the share that exceeded it. Dotted: upper confidence "
+                "bound of the tuned worst-case mean, by the certificate.",
+                alternative="; ".join(sentences) or "Empirical distributions of the draws.",
+                panels=panels,
+                columns=min(2, len(panels)),
+                panel_height=300,
+            )
+        ],
+    )
+
+
+def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
+    verdict, metric = analysis.verdict, analysis.study.metrics[constraint.metric]
+    elements: list[Element] = [Limit(value=constraint.upper, name="limit", vertical=True)]
+    for q in verdict.quantities:
+        if q.holds is not None and q.metric == metric.name and isfinite(q.bound):
+            elements.append(
+                Limit(
+                    value=q.bound,
+                    name="bound of the tuned worst case",
+                    vertical=True,
+                    color=Color.BLUE,
+                    dash=Dash.DOTTED,
+                )
+            )
+    for (name, color, dash), found in zip(LOOKS, verdict.observed or (), strict=True):
+        values = np.sort([m[metric.name] for m in found.drawn.values() if metric.name in m])
+        if not len(values) or isnan(values[0]):
+            continue
+        # A failed draw has no value, so the line ends below 100 %.
+        shares = 100.0 * np.arange(1, len(values) + 1) / max(found.draws, len(values))
+        elements.append(
+            Line(
+                x=np.concatenate([values[:1], values]),
+                y=np.concatenate([[0.0], shares]),
+                name=name,
+                color=color,
+                dash=dash,
+                step=True,
+                hover=[
+                    f"{name}: {share:.3g} % up to {quantity(value, metric.unit)}"
+                    for value, share in zip([values[0], *values], [0.0, *shares], strict=True)
+                ],
+            )
+        )
+    return Panel(
+        title=constraint.name,
+        x=Axis(label=metric.name, unit=metric.unit),
+        y=Axis(label="draws", unit="%", limits=(0.0, 101.0)),
+        elements=elements,
+    )

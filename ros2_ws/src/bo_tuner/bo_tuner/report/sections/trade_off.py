@@ -1,0 +1,169 @@
+"""The trade-off between the objective and the worst case, over all trials."""
+
+import math
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Axis,
+    Color,
+    Dash,
+    Element,
+    Figure,
+    Limit,
+    Line,
+    Marker,
+    Panel,
+    Points,
+    Scale,
+)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.content import Section, Table, change, number, quantity
+from bo_tuner.report.sections.convergence import LOOKS, describe
+from bo_tuner.study.parts import LOG
+from bo_tuner.trials import Trial
+
+LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
+"""Other limits to look at, as factors on the study's."""
+
+
+def trade_off(analysis: Analysis) -> Section | None:
+    """Show what a lower worst case costs; None without a worst case or complete trials."""
+    study = analysis.study
+    constraint = study.worst_case_constraint
+    trials = [
+        trial
+        for trial in analysis.trials
+        if trial.worst_case is not None
+        and analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
+    ]
+    if constraint is None or not trials:
+        return None
+    objective = study.metrics[study.objective.metric]
+    limited = study.metrics[constraint.metric]
+    means = np.array([analysis.mean_objective(trial) for trial in trials])
+    worst = np.array([t.worst_case.value if t.worst_case else math.nan for t in trials])
+    front = pareto_front(study.objective.sign * means, worst)
+    rows = _other_limits(analysis, trials, means, worst, constraint.upper)
+    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    return Section(
+        name="trade-off",
+        title=f"What a lower {limited.name} costs",
+        lead=f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
+        "Pareto front of what was seen: no other trial has both a better "
+        "objective and a lower worst case.",
+        figures=[
+            Figure(
+                name="trade-off",
+                title=f"Mean {objective.name} against worst {limited.name}, all trials",
+                caption="Estimates of the trials themselves, with the noise of a few evaluations "
+                "each; the lowest ones were also lucky.",
+                alternative="; ".join(
+                    f"trial {trials[k].number}: {number(float(means[k]))} at worst "
+                    f"{number(float(worst[k]))}"
+                    for k in front
+                ),
+                panels=[
+                    Panel(
+                        x=Axis(label=f"worst {limited.name}", unit=limited.unit),
+                        y=Axis(label=f"mean {objective.name}", unit=objective.unit, scale=scale),
+                        elements=[
+                            Limit(value=constraint.upper, name="limit", vertical=True),
+                            Line(
+                                x=worst[front],
+                                y=means[front],
+                                name="Pareto front of what was seen",
+                                color=Color.INK,
+                                dash=Dash.DOTTED,
+                                hover=[f"front: trial {trials[k].number}" for k in front],
+                            ),
+                            *_points(analysis, trials, means, worst),
+                        ],
+                    )
+                ],
+            )
+        ],
+        tables=[
+            Table(
+                caption=f"Best mean {objective.name} seen within other limits of {limited.name}",
+                header=["limit", "trial", f"mean {objective.name}", "relative to the limit's"],
+                rows=rows,
+                numeric=[0, 1, 2, 3],
+            )
+        ],
+    )
+
+
+def pareto_front(cost: Array, worst: Array) -> list[int]:
+    """Return the indices of points that no other one dominates, by increasing `worst`.
+
+    Parameters
+    ----------
+    cost, worst
+        Both (n,); smaller is better.
+    """
+    front: list[int] = []
+    best = math.inf
+    for k in np.lexsort((cost, worst)):
+        if cost[k] < best:
+            front.append(int(k))
+            best = float(cost[k])
+    return front
+
+
+def _other_limits(
+    analysis: Analysis, trials: list[Trial], means: Array, worst: Array, limit: float
+) -> list[list[str]]:
+    """Return the best trial within each of several limits."""
+    study = analysis.study
+    unit = study.metrics[study.objective.metric].unit
+    cost = study.objective.sign * means
+    best: dict[float, int] = {}
+    for factor in LIMITS:
+        within = np.flatnonzero(worst <= factor * limit)
+        if len(within):
+            best[factor] = int(within[np.argmin(cost[within])])
+    return [
+        [
+            f"{factor * limit:.4g}",
+            str(trials[best[factor]].number) if factor in best else "none",
+            quantity(float(means[best[factor]]), unit) if factor in best else "–",
+            change(float(means[best[factor]]), float(means[best[1.0]]))
+            if factor in best and 1.0 in best
+            else "–",
+        ]
+        for factor in LIMITS
+    ]
+
+
+def _points(analysis: Analysis, trials: list[Trial], means: Array, worst: Array) -> list[Element]:
+    outcomes = np.array([analysis.outcome(trial) for trial in trials])
+    drawn: list[Element] = [
+        Points(
+            x=worst[outcomes == kind],
+            y=means[outcomes == kind],
+            name=kind,
+            color=color,
+            marker=marker,
+            filled=filled,
+            hover=[describe(analysis, trials[k]) for k in np.flatnonzero(outcomes == kind)],
+        )
+        for kind, (color, marker, filled) in LOOKS.items()
+        if (outcomes == kind).any()
+    ]
+    answer = analysis.answer
+    for k, trial in enumerate(trials):
+        if answer is not None and trial.number == answer.number:
+            drawn.append(
+                Points(
+                    x=[worst[k]],
+                    y=[means[k]],
+                    name="tuned",
+                    color=Color.BLUE,
+                    marker=Marker.STAR,
+                    size=11,
+                    hover=[describe(analysis, trial)],
+                )
+            )
+    return drawn

@@ -1,0 +1,79 @@
+"""Parameter sets that a user knows, from a YAML file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from bo_tuner.errors import KeyPath, ParameterError, StudyError
+from bo_tuner.storage.parameter_file import SECTION
+from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import read_text
+from bo_tuner.trials import Value
+
+
+def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
+    """Return the values of the study's parameters that a file holds, by their names in the study.
+
+    Parameters
+    ----------
+    path
+        A file of values by name, ``gain: 0.4``, or a parameter file of ROS nodes. Of the latter
+        everything else that the nodes have is ignored. A node counts in any namespace.
+    study
+        The study.
+
+    Raises
+    ------
+    StudyError
+        If it is no such file, or is not a parameter set of the study. One line.
+    """
+    source = str(path)
+    lines: Mapping[KeyPath, int] = {}
+    try:
+        document = strict_yaml.parse(read_text(path, source))
+        lines, found = document.lines, document.value
+        if not isinstance(found, dict) or not found:
+            raise StudyError(f"expected values by name, found {checks.show(found)}")
+        of_nodes = any(isinstance(item, dict) and SECTION in item for item in found.values())
+        values = _of_nodes(found, study) if of_nodes else found
+        for name in values:
+            checks.reference(name, "parameter", study.parameters, name)
+        if not values:
+            raise StudyError("has none of the study's parameters")
+        space = study.search_space()
+        try:
+            complete = space.permitted(space.defaults | values)
+        except ParameterError as error:
+            raise StudyError(str(error)) from None
+        for name, value in values.items():
+            if complete[name] != value:
+                raise StudyError(
+                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
+                    (name,),
+                )
+    except StudyError as error:
+        line = lines.get(error.path) if error.line is None else error.line
+        raise error.located(source, line) from None
+    return {name: complete[name] for name in values}
+
+
+def _of_nodes(document: Mapping[str, object], study: Study) -> dict[str, Value]:
+    values: dict[str, Value] = {}
+    for name, item in study.parameters.items():
+        node = study.nodes[item.node].node.rpartition("/")[2]
+        for key, section in document.items():
+            given = section.get(SECTION) if isinstance(section, dict) else None
+            if isinstance(given, dict) and key.rpartition("/")[2] in (node, "**"):
+                found = _nested(given, item.parameter)
+                if isinstance(found, (int, float)):
+                    values[name] = found
+    return values
+
+
+def _nested(values: Mapping[str, object], name: str) -> object:
+    """Return a parameter, whose dots may be levels of the file; None if it is not there."""
+    if name in values:
+        return values[name]
+    first, _, rest = name.partition(".")
+    below = values.get(first)
+    return _nested(below, rest) if rest and isinstance(below, dict) else None

@@ -1,0 +1,48 @@
+"""Objects of a study out of the dictionaries of its file."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+
+T = TypeVar("T")
+
+
+@contextmanager
+def under(*keys: str | int) -> Iterator[None]:
+    """Prefix the key path of an error raised inside with `keys`."""
+    try:
+        yield
+    except StudyError as error:
+        raise error.under(*keys) from None
+
+
+def build(cls: type[T], value: object, **given: object) -> T:
+    """Build an object from the fields in `value`; those in `given` are not keys of the file."""
+    return cls(**arguments(cls, value, skip=tuple(given)), **given)
+
+
+def arguments(
+    cls: type[Any], value: object, skip: Sequence[str] = (), also: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Return the mapping `value` if its keys are fields of `cls` and none is missing.
+
+    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one.
+    """
+    if not isinstance(value, dict):
+        raise StudyError(f"expected a mapping, found {checks.show(value)}")
+    fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
+    names = [field.name for field in fields]
+    for key in value:
+        if not isinstance(key, str):
+            raise StudyError(f"expected text as a key, found {checks.show(key)}")
+        if key not in names:
+            raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
+    for field in fields:
+        needed = field.default is field.default_factory is dataclasses.MISSING
+        if needed and field.name not in value:
+            raise StudyError("missing", (field.name,))
+    return dict(value)

@@ -1,0 +1,100 @@
+"""The nodes of a study."""
+
+import re
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+
+VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeSpec:
+    """A node that takes parameters or reports metrics.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    node : str
+        Name of the ROS node, relative to the namespace.
+    result : str, optional
+        Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
+        a node that is triggered or reports metrics.
+    package, executable : str, optional
+        Executable to start. A node that does not run already needs these, `command` or `launch`.
+    command : str, optional
+        Program to start, with its arguments as in a shell, but without one.
+    launch : str, optional
+        Arguments of ``ros2 launch`` to start.
+    env : mapping from str to str
+        Environment variables of what is started.
+    object : str, optional
+        `module:name` of the same system without ROS; required for the in-process backend.
+    parameters : mapping from str to value
+        Set once, before the first trial.
+    inprocess_parameters : mapping from str to value
+        Override `parameters` on the in-process backend.
+    """
+
+    name: str
+    node: str
+    result: str = ""
+    package: str | None = None
+    executable: str | None = None
+    command: str | None = None
+    launch: str | None = None
+    env: Mapping[str, str] = field(default_factory=dict)
+    object: str | None = None
+    parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+    inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
+        checks.matching(
+            self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
+        )
+        if self.result != "":
+            checks.matching(
+                self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"
+            )
+        for key, pattern, expected in (
+            ("package", checks.PACKAGE_NAME, "the name of a ROS package"),
+            ("executable", checks.EXECUTABLE_NAME, "the name of an executable"),
+            ("object", checks.OBJECT_PATH, "module:name such as axis.simulation:Axis"),
+        ):
+            if getattr(self, key) is not None:
+                checks.matching(getattr(self, key), pattern, expected, key)
+        for key, other in (("package", "executable"), ("executable", "package")):
+            if getattr(self, key) is None and getattr(self, other) is not None:
+                raise StudyError(f"missing; {other} alone does not start a node", (key,))
+        self._check_start()
+        for key in ("parameters", "inprocess_parameters"):
+            object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
+
+    def _check_start(self) -> None:
+        """Refuse two ways to start the node, and lines that no shell would take."""
+        for key in ("command", "launch"):
+            if getattr(self, key) is None:
+                continue
+            try:
+                words = shlex.split(checks.text(getattr(self, key), key))
+            except ValueError as error:
+                raise StudyError(f"expected words as in a shell: {error}", (key,)) from None
+            if not words:
+                raise StudyError("expected a program", (key,))
+        ways = [key for key in ("executable", "command", "launch") if getattr(self, key)]
+        if len(ways) > 1:
+            raise StudyError(f"{ways[0]} starts the node already; leave one out", (ways[1],))
+        if not isinstance(self.env, Mapping):
+            raise StudyError(f"expected texts by name, found {checks.show(self.env)}", ("env",))
+        for name, value in self.env.items():
+            checks.matching(name, VARIABLE_NAME, "the name of a variable such as HOME", "env")
+            if "\0" in checks.text(value, "env", name):
+                raise StudyError("expected text without null characters", ("env", name))
+        if self.env and not ways:
+            raise StudyError("belongs to a node that is started; add command", ("env",))

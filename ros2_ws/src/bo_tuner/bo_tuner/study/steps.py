@@ -1,0 +1,195 @@
+"""The steps of a run on a system that knows nothing of the tuner."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
+
+TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Publish:
+    """A `message` for a `topic`: its fields by name; those that are left out are zero.
+
+    A header without a stamp gets the present time. The message's `type` is that of the topic's
+    subscribers unless given.
+    """
+
+    topic: str
+    message: Mapping[str, object] = field(default_factory=dict)
+    type: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
+        _check_message(self.message, "message")
+        if self.type != "":
+            checks.matching(
+                self.type, MESSAGE_TYPE, "a message type such as std_msgs/msg/Float64", "type"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Call:
+    """A call of a `service` with the fields of its `request`, of any type that is installed.
+
+    It must answer within `timeout` [s]; an answer that has a field `success` must have it true.
+    """
+
+    service: str
+    request: Mapping[str, object] = field(default_factory=dict)
+    timeout: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
+        _check_message(self.request, "request")
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SendGoal:
+    """A goal for an `action`, with the fields of the `goal`, of any type that is installed.
+
+    In `start` the run goes on while the goal is executed, and the goal is cancelled when the run
+    ends before it; elsewhere the step waits for its result, at most `timeout` [s].
+    """
+
+    action: str
+    goal: Mapping[str, object] = field(default_factory=dict)
+    timeout: float = 30.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.action, GRAPH_NAME, "an action name such as /follow_path", "action")
+        _check_message(self.goal, "goal")
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lifecycle:
+    """A `transition` of a lifecycle `node`, which may take `timeout` [s].
+
+    To deactivate a node that is not active, or to clean one up that is not configured, is no
+    mistake.
+    """
+
+    node: str
+    transition: str
+    timeout: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.matching(self.node, GRAPH_NAME, "a node name such as /camera", "node")
+        checks.choice(self.transition, TRANSITIONS, "transition")
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaitUntil:
+    """A wait until a `condition` on signals has held for `hold` [s], at most `timeout` [s]."""
+
+    condition: str
+    hold: float = 0.1
+    timeout: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.text(self.condition, "condition")
+        object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
+        object.__setattr__(self, "hold", checks.positive(self.hold, "hold"))
+        if self.hold > self.timeout:
+            raise StudyError(
+                f"{self.hold:g} s are more than the timeout, {self.timeout:g} s", ("hold",)
+            )
+
+
+_KINDS: dict[str, type[Any]] = {
+    "call": Call,
+    "publish": Publish,
+    "send_goal": SendGoal,
+    "lifecycle": Lifecycle,
+    "wait_until": WaitUntil,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of a procedure; exactly one field is given.
+
+    Attributes
+    ----------
+    call : Call, optional
+        Calls a service.
+    publish : Publish, optional
+        Publishes a message.
+    send_goal : SendGoal, optional
+        Sends a goal to an action server.
+    lifecycle : Lifecycle, optional
+        Changes the state of a lifecycle node.
+    restart : str
+        Node of the study, started by the tuner, that is ended and started anew.
+    wait_until : WaitUntil, optional
+        Waits for a condition on signals.
+    wait : float, optional
+        Waits for a time [s].
+    """
+
+    call: Call | None = None
+    publish: Publish | None = None
+    send_goal: SendGoal | None = None
+    lifecycle: Lifecycle | None = None
+    restart: str = ""
+    wait_until: WaitUntil | None = None
+    wait: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the fields."""
+        checks.text(self.restart, "restart")
+        given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]
+        if len(given) + bool(self.restart) != 1:
+            raise StudyError(f"expected one of {', '.join((*_KINDS, 'restart'))} and wait")
+        if self.wait is not None:
+            object.__setattr__(self, "wait", checks.timeout(self.wait, "wait"))
+
+
+def build_steps(value: object) -> tuple[Step, ...]:
+    """Return the steps that a list of a study file describes.
+
+    Raises
+    ------
+    StudyError
+        If it is none, or one of its items is no step.
+    """
+    steps = checks.sequence(value, "a list of steps")
+    return tuple(_build_step(index, step) for index, step in enumerate(steps))
+
+
+def _build_step(index: int, value: object) -> Step:
+    with under(index):
+        fields = arguments(Step, value)
+        for key, cls in _KINDS.items():
+            if key in fields:
+                with under(key):
+                    fields[key] = build(cls, fields[key])
+        return Step(**fields)
+
+
+def _check_message(value: object, *path: str | int) -> None:
+    """Refuse what no message can hold."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            checks.text(key, *path)
+            if not isinstance(item, (bool, int, float, str)):
+                _check_message(item, *path, key)
+    elif isinstance(value, (list, tuple)) and len(path) > 1:
+        for index, item in enumerate(value):
+            if not isinstance(item, (bool, int, float, str)):
+                _check_message(item, *path, index)
+    else:
+        raise StudyError(f"expected the fields of a message, found {checks.show(value)}", path)

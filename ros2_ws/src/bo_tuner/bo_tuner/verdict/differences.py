@@ -1,0 +1,102 @@
+"""Whether two parameter sets differ by more than chance.
+
+Default and tuned parameter set are evaluated in the same draws of context and noise, so the spread
+between draws cancels from the difference of each pair; a Student interval of the mean of these
+differences is the paired t interval (Box, Hunter and Hunter 2005, Sec. 3.2). Where the contexts
+differ, as in the worst contexts of two parameter sets, the interval is Welch's (1947).
+
+References
+----------
+Box, Hunter and Hunter (2005). Statistics for Experimenters, 2nd ed. Wiley.
+Welch (1947). The generalization of "Student's" problem when several different population variances
+are involved. Biometrika 34.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import inf, isfinite, nan, sqrt
+
+import numpy as np
+from scipy.special import stdtrit
+
+CONFIDENCE = 0.95
+"""Two-sided confidence of every interval of a difference."""
+
+
+class Change(StrEnum):
+    """A change in words; `LOWER` and `HIGHER` of a metric that is neither objective nor limited."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    LOWER = "lower"
+    HIGHER = "higher"
+    NONE = "no measurable difference"
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A difference tuned minus default, in the metric's unit.
+
+    Attributes
+    ----------
+    mean
+        Estimate of the difference.
+    low, high
+        Ends of its interval with `CONFIDENCE`; infinite for fewer than two values.
+    count
+        Number of pairs, or the smaller of two samples.
+    """
+
+    mean: float
+    low: float
+    high: float
+    count: int
+
+    def change(self, sign: float) -> Change:
+        """Return the difference in words.
+
+        Parameters
+        ----------
+        sign
+            1 if smaller values are better, -1 if larger ones are, 0 if neither.
+        """
+        if not (isfinite(self.low) and isfinite(self.high)):
+            return Change.UNKNOWN
+        if self.low <= 0.0 <= self.high:
+            return Change.NONE
+        falls = self.high < 0.0
+        if sign == 0.0:
+            return Change.LOWER if falls else Change.HIGHER
+        return Change.BETTER if falls == (sign > 0.0) else Change.WORSE
+
+
+def paired(default: Sequence[float], tuned: Sequence[float]) -> Difference:
+    """Return the mean difference of pairs, both of shape (n,)."""
+    found = np.asarray(tuned, dtype=np.float64) - np.asarray(default, dtype=np.float64)
+    n = len(found)
+    if n < 2:
+        return Difference(float(found[0]) if n else nan, -inf, inf, n)
+    mean = float(found.mean())
+    half = float(stdtrit(n - 1, 0.5 * (1.0 + CONFIDENCE))) * float(found.std(ddof=1)) / sqrt(n)
+    return Difference(mean, mean - half, mean + half, n)
+
+
+def unpaired(default: tuple[float, float, int], tuned: tuple[float, float, int]) -> Difference:
+    """Return the difference of two means, each given with its standard error and sample size.
+
+    The degrees of freedom are those of Welch (1947) and Satterthwaite.
+    """
+    (theirs, their_error, m), (ours, our_error, n) = default, tuned
+    mean, count = ours - theirs, min(m, n)
+    if count < 2:
+        return Difference(mean, -inf, inf, count)
+    variance = their_error**2 + our_error**2
+    freedom = (
+        variance**2 / (their_error**4 / (m - 1) + our_error**4 / (n - 1))
+        if variance > 0.0
+        else float(m + n - 2)
+    )
+    half = float(stdtrit(freedom, 0.5 * (1.0 + CONFIDENCE))) * sqrt(variance)
+    return Difference(mean, mean - half, mean + half, count)

@@ -1,0 +1,45 @@
+"""What to do after a verdict, as commands."""
+
+import shlex
+from dataclasses import dataclass
+
+from bo_tuner.verdict.verdict import State, Verdict
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command, and what it is for."""
+
+    command: str
+    purpose: str
+
+
+def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
+    """Return the commands that come next, the most useful one first.
+
+    Parameters
+    ----------
+    verdict
+        The verdict on the result of the run.
+    run
+        Path of the run folder.
+    """
+    where = shlex.quote(run)
+    report = Step(f"report {where}", "write the report again")
+    again = Step(f"tune --resume {where}", "continue the run")
+    more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
+    validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
+    replay = Step(f"replay {where}", "repeat its worst evaluation, bit for bit")
+    apply = Step(f"apply {where}", "show the difference, ask, set it on the live nodes")
+    rollback = Step(f"apply {where} --rollback", "restore the previous values")
+    match verdict.state:
+        case State.OPEN:
+            return (again, report)
+        case State.INFEASIBLE:
+            return (more, replay) if verdict.trial is not None else (more,)
+        case State.VALIDATED:
+            return (validate, replay, more)
+        case State.CERTIFIED:
+            return (apply, rollback, replay)
+        case State.REFUSED:
+            return (more, replay)

@@ -1,0 +1,67 @@
+"""What was observed of a parameter set: the evidence that a verdict rests on."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import nan
+
+Metrics = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class WorstMean:
+    """The mean of a metric over noise in the worst context that was found.
+
+    Attributes
+    ----------
+    value, standard_error
+        The mean and its standard error, in the metric's unit.
+    upper
+        Upper confidence bound of the mean.
+    count
+        Number of evaluations.
+    """
+
+    value: float
+    standard_error: float
+    upper: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What was observed of one parameter set.
+
+    Attributes
+    ----------
+    drawn
+        Metrics of the complete evaluations in common draws, by the number of the draw.
+    draws
+        Number of draws, with the failed ones.
+    others
+        Metrics of all other complete evaluations of the parameter set on record.
+    worst
+        By the name of a worst-case constraint, the mean in the worst context, if it was searched.
+    """
+
+    drawn: Mapping[int, Metrics]
+    draws: int
+    others: Sequence[Metrics] = ()
+    worst: Mapping[str, WorstMean] = field(default_factory=dict)
+
+    def mean(self, metric: str) -> float:
+        """Return the mean of a metric over the draws; NaN without any."""
+        found = [metrics[metric] for metrics in self.drawn.values() if metric in metrics]
+        return sum(found) / len(found) if found else nan
+
+    def largest(self, metric: str) -> float:
+        """Return the largest value of a metric in the draws; NaN without any."""
+        return _largest(self.drawn.values(), metric)
+
+    def largest_on_record(self, metric: str) -> tuple[float, int]:
+        """Return the largest value of a metric in all evaluations, and their number."""
+        everything = [*self.drawn.values(), *self.others]
+        return _largest(everything, metric), len(everything)
+
+
+def _largest(evaluations: Iterable[Metrics], metric: str) -> float:
+    return max((metrics[metric] for metrics in evaluations if metric in metrics), default=nan)

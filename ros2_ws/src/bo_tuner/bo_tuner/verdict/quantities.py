@@ -1,0 +1,114 @@
+"""The numbers of a verdict, from evaluations of the default and of the tuned parameter set."""
+
+from collections.abc import Mapping
+from math import isnan, nan
+
+from bo_tuner.study.parts import WORST_CASE, Constraint
+from bo_tuner.study.study import Study
+from bo_tuner.verdict.differences import Change, Difference, paired, unpaired
+from bo_tuner.verdict.observed import Observed
+from bo_tuner.verdict.verdict import Quantity, ordered, shown
+
+
+def quantities(
+    study: Study,
+    default: Observed,
+    tuned: Observed,
+    holds: Mapping[str, bool],
+    remarks: Mapping[str, str],
+) -> tuple[Quantity, ...]:
+    """Return the numbers of a verdict: of each constraint, and the mean of each other metric.
+
+    Parameters
+    ----------
+    study
+        The study.
+    default, tuned
+        What was observed of the two parameter sets, in the same draws.
+    holds
+        Whether the tuned parameter set keeps each constraint, by its name.
+    remarks
+        A remark on each constraint, by its name.
+    """
+    found = [
+        _of_constraint(study, constraint, default, tuned, holds[name], remarks.get(name, ""))
+        for name, constraint in study.constraints.items()
+    ]
+    compared = {q.metric for q in found if q.difference is not None}
+    limited = {constraint.metric for constraint in study.constraints.values()}
+    for name, metric in study.metrics.items():
+        if name in compared:
+            continue
+        sign = 1.0 if name in limited else 0.0
+        if name == study.objective.metric:
+            sign = study.objective.sign
+        difference = _paired(default, tuned, name)
+        found.append(
+            Quantity(
+                label=f"mean {name}",
+                metric=name,
+                unit=metric.unit,
+                default=default.mean(name),
+                tuned=tuned.mean(name),
+                difference=difference,
+                change=difference.change(sign),
+                limit=nan,
+                bound=nan,
+                holds=None,
+                remark="",
+            )
+        )
+    return ordered(found, study.objective.metric)
+
+
+def _of_constraint(
+    study: Study,
+    constraint: Constraint,
+    default: Observed,
+    tuned: Observed,
+    holds: bool,
+    remark: str,
+) -> Quantity:
+    """Return the worst case if it was searched, or else the largest value in the draws."""
+    metric, name = constraint.metric, constraint.name
+    label = f"largest {metric}"
+    values = default.largest(metric), tuned.largest(metric)
+    difference: Difference | None = None
+    change, bound = Change.UNKNOWN, nan
+    if constraint.kind == WORST_CASE and name in default.worst and name in tuned.worst:
+        theirs, ours = default.worst[name], tuned.worst[name]
+        label = f"worst-case {metric}"
+        values = theirs.value, ours.value
+        bound = ours.upper
+        difference = unpaired(
+            (theirs.value, theirs.standard_error, theirs.count),
+            (ours.value, ours.standard_error, ours.count),
+        )
+        change = difference.change(1.0)
+    largest, count = tuned.largest_on_record(metric)
+    parts = [remark] if remark else []
+    if not isnan(largest):
+        parts.append(f"largest of {count} evaluations on record {shown(largest)}")
+    return Quantity(
+        label=label,
+        metric=metric,
+        unit=study.metrics[metric].unit,
+        default=values[0],
+        tuned=values[1],
+        difference=difference,
+        change=change,
+        limit=constraint.upper,
+        bound=bound,
+        holds=holds,
+        remark="; ".join(parts),
+    )
+
+
+def _paired(default: Observed, tuned: Observed, metric: str) -> Difference:
+    """Return the difference over the draws that both parameter sets completed."""
+    both = [
+        (default.drawn[k][metric], tuned.drawn[k][metric])
+        for k in default.drawn.keys() & tuned.drawn.keys()
+        if metric in default.drawn[k] and metric in tuned.drawn[k]
+    ]
+    return paired([pair[0] for pair in both], [pair[1] for pair in both])

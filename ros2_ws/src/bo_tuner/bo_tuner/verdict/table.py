@@ -1,0 +1,96 @@
+"""A verdict in the terminal: its words, a table of its numbers, and what to do next."""
+
+from collections.abc import Iterator, Mapping
+from math import isfinite, isnan
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bo_tuner import text
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
+from bo_tuner.verdict.differences import CONFIDENCE
+from bo_tuner.verdict.next_steps import next_steps
+from bo_tuner.verdict.verdict import Quantity, Verdict, shown
+
+
+def print_verdict(
+    console: Console, study: Study, verdict: Verdict, tuned: Mapping[str, Value]
+) -> None:
+    """Print the verdict with its numbers.
+
+    Parameters
+    ----------
+    console
+        Where to print.
+    study, verdict
+        The study, and the verdict on its result.
+    tuned
+        The tuned parameter set.
+    """
+    console.print(verdict.headline)
+    for sentence in verdict.sentences:
+        console.print(f"  {sentence}", soft_wrap=True)
+    console.print(verdict_table(study, verdict, tuned))
+    for line in verdict_notes(verdict):
+        console.print(line, soft_wrap=True)
+
+
+def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
+    """Print the commands that come next, aligned."""
+    steps = next_steps(verdict, str(run))
+    width = max((len(step.command) for step in steps), default=0)
+    for step in steps:
+        console.print(f"  {step.command:<{width}}  {step.purpose}", soft_wrap=True)
+
+
+def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:
+    """Make a table of the parameters and of the numbers of a verdict."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), show_edge=False)
+    table.add_column("")
+    for name in ("default", "tuned", "difference", "limit"):
+        table.add_column(name, justify="right")
+    defaults = study.search_space().defaults
+    for name, item in study.parameters.items():
+        now, new = defaults[name], tuned[name]
+        table.add_row(_with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
+    table.add_section()
+    for quantity in verdict.quantities:
+        table.add_row(
+            _with_unit(quantity.label, quantity.unit),
+            shown(quantity.default),
+            shown(quantity.tuned),
+            _difference(quantity),
+            "" if isnan(quantity.limit) else f"{quantity.limit:g}",
+        )
+    table.add_section()
+    both = (verdict.default_keeps, verdict.feasible)
+    table.add_row("keeps all limits", *("yes" if keeps else "NO" for keeps in both), "", "")
+    return table
+
+
+def verdict_notes(verdict: Verdict) -> Iterator[str]:
+    """Yield what the table needs to be read: the limits in detail, and what ± means."""
+    for quantity in verdict.quantities:
+        if quantity.remark:
+            bound = quantity.bound
+            upper = f"upper bound {shown(bound)}; " if isfinite(bound) else ""
+            yield f"{quantity.label}: {upper}{quantity.remark}"
+    yield (
+        f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "
+        "confidence interval"
+    )
+
+
+def _difference(quantity: Quantity) -> str:
+    found = quantity.difference
+    if found is None or not isfinite(found.mean):
+        return "–"
+    half = 0.5 * (found.high - found.low)
+    return f"{found.mean:+.3g} ± {half:.2g}" if isfinite(half) else f"{found.mean:+.3g}"
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name

@@ -1,0 +1,135 @@
+"""The verdict of a run by its validation, and that of a run without a result."""
+
+from collections.abc import Mapping, Sequence
+
+from bo_tuner.study.parts import EXPECTATION
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
+from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.observed import Observed
+from bo_tuner.verdict.quantities import quantities
+from bo_tuner.verdict.verdict import State, Verdict
+
+DEFAULT, TUNED = 0, 1
+"""Number of a parameter set in the validation, in place of that of a trial."""
+
+
+def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
+    """Return the verdict of a run that has no result, or none yet."""
+    done, planned = len(trials), study.budget.trials
+    failed = sum(trial.state is TrialState.FAILED for trial in trials)
+    if done >= planned and failed == done:
+        reasons = (f"All {failed} trials failed",)
+        return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
+    evidence = f"{done} of {planned} trials"
+    if done >= planned:
+        evidence = f"all {planned} trials are done but not validated"
+    return Verdict(state=State.OPEN, trial=None, evidence=evidence)
+
+
+def validated(
+    study: Study,
+    trial: int,
+    default: Validation,
+    tuned: Validation,
+    evaluations: Sequence[Evaluation],
+    *,
+    passed_check: bool,
+) -> Verdict:
+    """Return the verdict of a run by its validation.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trial
+        Number of the recommended trial.
+    default, tuned
+        Validation of the hand-tuned parameter set and of the recommended one.
+    evaluations
+        All evaluations on record.
+    passed_check
+        Whether the recommended trial passed the check of candidates.
+    """
+    reasons = [] if passed_check else ["It did not pass the check of the best candidates"]
+    reasons += _problems(study, tuned)
+    observed_sides = (
+        observed(evaluations, DEFAULT, default.parameters, default.draws),
+        observed(evaluations, TUNED, tuned.parameters, tuned.draws),
+    )
+    return Verdict(
+        state=State.INFEASIBLE if reasons else State.VALIDATED,
+        trial=trial,
+        evidence=f"the same {tuned.draws} fresh draws of context and noise",
+        reasons=tuple(reasons),
+        default_reasons=tuple(_problems(study, default)),
+        quantities=quantities(
+            study,
+            *observed_sides,
+            {name: sample.holds for name, sample in tuned.constraints.items()},
+            {
+                name: f"{sample.violations} of {sample.count} draws above the limit"
+                for name, sample in tuned.constraints.items()
+            },
+        ),
+        remarks=_load(study, tuned),
+        observed=observed_sides,
+    )
+
+
+def observed(
+    evaluations: Sequence[Evaluation], side: int, parameters: Mapping[str, Value], draws: int
+) -> Observed:
+    """Return what a run has on record of a parameter set.
+
+    Parameters
+    ----------
+    evaluations
+        All evaluations on record.
+    side
+        `DEFAULT` or `TUNED`.
+    parameters
+        The parameter set. A run that was extended may have validated another one before.
+    draws
+        Number of draws of its validation.
+    """
+    drawn: dict[int, Mapping[str, float]] = {}
+    others = []
+    for evaluation in evaluations:
+        if (
+            dict(evaluation.parameters) != dict(parameters)
+            or evaluation.outcome.state is not EvaluationState.COMPLETE
+        ):
+            continue
+        if evaluation.stage is Stage.VALIDATION and evaluation.trial == side:
+            drawn[evaluation.index] = evaluation.outcome.metrics
+        else:
+            others.append(evaluation.outcome.metrics)
+    return Observed(drawn, draws, others)
+
+
+def _problems(study: Study, found: Validation) -> list[str]:
+    """Return why a parameter set is not feasible in the validation."""
+    problems = [_broken(study, s) for s in found.constraints.values() if not s.holds]
+    if found.failures:
+        problems.append(f"{found.failures} of {found.draws} evaluations failed")
+    return problems
+
+
+def _broken(study: Study, sample: Sample) -> str:
+    constraint = study.constraints[sample.name]
+    if constraint.statistic == EXPECTATION:
+        return f"{sample.name}: the mean over the draws is above {constraint.upper:g}"
+    limit = f"{constraint.upper:g} {study.metrics[constraint.metric].unit}".rstrip()
+    return f"{sample.name}: {sample.violations} of {sample.count} draws above {limit}"
+
+
+def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
+    """Return a remark if only measured times exceed their limits."""
+    broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
+    metrics = [study.metrics[constraint.metric] for constraint in broken]
+    if not metrics or any(metric.reproducible for metric in metrics):
+        return ()
+    names = ", ".join(metric.name for metric in metrics)
+    return (f"Only {names} exceeded a limit, which other load on this machine can also cause.",)

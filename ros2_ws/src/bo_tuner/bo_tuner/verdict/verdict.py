@@ -1,0 +1,258 @@
+"""The verdict on the result of a run.
+
+Terminal, report, summary, topics, certificate and bundle show this one object, and the exit code
+follows from it, so no two of them can say different things. The words are those of this module.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from math import isfinite, isnan
+
+from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
+from bo_tuner.verdict.observed import Observed
+
+PASS, FAIL = "PASS", "FAIL"
+
+
+class State(StrEnum):
+    """What is known of a result."""
+
+    OPEN = "open"
+    INFEASIBLE = "infeasible"
+    VALIDATED = "validated"
+    CERTIFIED = "certified"
+    REFUSED = "not certified"
+
+
+class Status(StrEnum):
+    """How good that is, as a mark."""
+
+    GOOD = "good"
+    WARNING = "warning"
+    BAD = "bad"
+    OPEN = "open"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A number of the default and of the tuned parameter set.
+
+    Attributes
+    ----------
+    label
+        What it is, such as ``mean tracking_error``.
+    metric, unit
+        Name of its metric, and the unit.
+    default, tuned
+        The values; NaN if not known.
+    difference
+        Their difference, with an interval unless the values are single extremes.
+    change
+        The difference in words.
+    limit
+        Upper limit of the study; NaN without one.
+    bound
+        Upper confidence bound of the tuned value by a certificate; NaN without one.
+    holds
+        Whether the tuned parameter set is shown to keep the limit, or kept it in the validation;
+        None without a limit.
+    remark
+        What else to know, such as the number of draws above the limit.
+    """
+
+    label: str
+    metric: str
+    unit: str
+    default: float
+    tuned: float
+    difference: Difference | None
+    change: Change
+    limit: float
+    bound: float
+    holds: bool | None
+    remark: str
+
+    @property
+    def change_in_words(self) -> str:
+        """The change with its interval, in the unit of the quantity."""
+        found = self.difference
+        if found is None or not isfinite(found.mean):
+            return "–"
+        if not (isfinite(found.low) and isfinite(found.high)):
+            return f"{found.mean:+.3g}"
+        return f"{found.mean:+.3g} ({found.low:+.3g} to {found.high:+.3g})"
+
+    @property
+    def gain_in_words(self) -> str:
+        """The two values, with the change in percent where the default is positive."""
+        text = f"{self.label} {shown(self.default)} → {shown(self.tuned)} {self.unit}".rstrip()
+        if self.default > 0.0 and isfinite(self.tuned):
+            text += f" ({100.0 * (self.tuned / self.default - 1.0):+.0f} %)"
+        return text
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What was found about the result of a run, beside the default.
+
+    Attributes
+    ----------
+    state
+        What is known.
+    trial
+        Number of the trial with the tuned parameter set; None without any complete trial.
+    evidence
+        What the verdict rests on, in a few words.
+    reasons
+        Why the tuned parameter set is not shown to keep all limits; empty if it is.
+    default_reasons
+        The same for the default.
+    quantities
+        The numbers, those with a limit first, then recorded ones, then the objective.
+    remarks
+        What else to know, in sentences.
+    observed
+        What was observed of the default and of the tuned parameter set; None without a result.
+    default_certified
+        Whether a certificate covers the default, too; else its validation tells.
+    """
+
+    state: State
+    trial: int | None
+    evidence: str
+    reasons: tuple[str, ...] = ()
+    default_reasons: tuple[str, ...] = ()
+    quantities: tuple[Quantity, ...] = ()
+    remarks: tuple[str, ...] = ()
+    observed: tuple[Observed, Observed] | None = None
+    default_certified: bool = True
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the result may be used: the exit code is 0 if so, and 3 if not."""
+        return self.state in (State.VALIDATED, State.CERTIFIED)
+
+    @property
+    def default_keeps(self) -> bool:
+        """Whether the default keeps all limits by the same evidence."""
+        return self.trial is not None and not self.default_reasons
+
+    @property
+    def gained(self) -> bool:
+        """Whether tuning gained something beyond chance: a limit that now holds, or a number."""
+        improved = any(q.change in (Change.BETTER, Change.LOWER) for q in self.quantities)
+        return self.feasible and (not self.default_keeps or improved)
+
+    @property
+    def status(self) -> Status:
+        """The mark of the result."""
+        if self.state is State.OPEN:
+            return Status.OPEN
+        if not self.feasible:
+            return Status.BAD
+        return Status.GOOD if self.gained else Status.WARNING
+
+    @property
+    def certificate(self) -> str:
+        """`PASS`, `FAIL`, or empty without a certificate."""
+        return {State.CERTIFIED: PASS, State.REFUSED: FAIL}.get(self.state, "")
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        match self.state:
+            case State.OPEN:
+                return f"No result yet: {self.evidence}"
+            case State.INFEASIBLE:
+                return "No feasible parameter set was found"
+            case State.VALIDATED:
+                return "The tuned parameter set kept all limits; not certified yet"
+            case State.CERTIFIED:
+                return f"{PASS}: the tuned parameter set is shown to keep all limits"
+            case State.REFUSED:
+                return f"{FAIL}: the tuned parameter set is not shown to keep all limits"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The explanation: evidence, reasons, the default, and what changed beyond chance."""
+        if self.state is State.OPEN:
+            return self.remarks
+        if self.trial is None:
+            return (*(f"{reason}." for reason in self.reasons), *self.remarks)
+        found = [f"Trial {self.trial} against the default, in {self.evidence}."]
+        found += [f"{reason}." for reason in self.reasons]
+        if self.state is State.INFEASIBLE:
+            found.append("best.yaml holds the least violating parameter set; do not use it.")
+        found.append(self.default_in_words)
+        found += self._changes()
+        return (*found, *self.remarks)
+
+    @property
+    def default_in_words(self) -> str:
+        """What the same evidence says of the default."""
+        certified = self.certificate != "" and self.default_certified
+        if self.default_keeps:
+            return (
+                "The default is shown to keep all limits, too."
+                if certified
+                else "The default kept all limits, too."
+            )
+        verb = "is not shown to keep all limits" if certified else "did not keep all limits"
+        return f"The default {verb}: {'; '.join(self.default_reasons)}."
+
+    def _changes(self) -> list[str]:
+        """Return the changes, by what they are: what improved first."""
+        by_change = {
+            change: [q for q in self.quantities if q.change is change] for change in Change
+        }
+        better, lower = by_change[Change.BETTER], by_change[Change.LOWER]
+        found = [
+            f"{title}: {', '.join(q.gain_in_words for q in chosen)}."
+            for title, chosen in (
+                ("Better", better),
+                ("Lower", lower),
+                ("Worse", by_change[Change.WORSE]),
+                ("Higher", by_change[Change.HIGHER]),
+            )
+            if chosen
+        ]
+        if same := by_change[Change.NONE]:
+            found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
+        if self.feasible and not self.gained:
+            found.append("Tuning gained nothing that can be told from chance.")
+        return found
+
+    def to_mapping(self) -> dict[str, object]:
+        """Return the verdict as it stands in files and events; a number not known is None."""
+        return {
+            "state": str(self.state),
+            "feasible": self.feasible,
+            "headline": self.headline,
+            "sentences": list(self.sentences),
+            "trial": self.trial,
+            "evidence": self.evidence,
+            "keeps_limits": {"default": self.default_keeps, "tuned": self.feasible},
+            "reasons": {"default": list(self.default_reasons), "tuned": list(self.reasons)},
+            "confidence_of_differences": CONFIDENCE,
+            "quantities": [_plain(asdict(q) | {"change": str(q.change)}) for q in self.quantities],
+        }
+
+
+def shown(value: float) -> str:
+    """Format a number with four digits; a dash for NaN."""
+    return "–" if isnan(value) else f"{value:.4g}"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value
+
+
+def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:
+    """Order quantities: what improved first, the objective's mean after the others alike."""
+    rank = {Change.BETTER: 0, Change.LOWER: 0, Change.WORSE: 1, Change.HIGHER: 1}
+    return tuple(sorted(quantities, key=lambda q: (rank.get(q.change, 2), q.metric == objective)))

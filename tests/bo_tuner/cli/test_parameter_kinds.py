@@ -1,0 +1,78 @@
+"""A run with parameters of all kinds, from the study to report, certificate and replay."""
+
+import csv
+
+import pytest
+import yaml
+from axis import node, write_axis
+from commands import run
+
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+
+NODE = {"node": "axis"}
+MODES = {"slow": 1.0, "fast": 0.0, "wild": 2.0}
+PARAMETERS = {
+    "gain": NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5},
+    "mode": NODE | {"type": "string", "choices": list(MODES), "default": "slow"},
+    "smooth": NODE | {"type": "boolean", "default": False},
+    "weights[1]": NODE | {"type": "double", "bounds": [0.0, 1.0], "step": 0.25, "default": 1.0},
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, make_study):
+    folder = tmp_path_factory.mktemp("kinds")
+    costs = f"{MODES!r}[self.mode] + (not self.smooth) + self.weights[1]"
+    error = f"25 * (self.gain - 0.3) ** 2 + self.load + {costs}"
+    write_axis(folder, "kinds_axis", error=error, peak="0.2 * self.load")
+    nodes = node("kinds_axis")
+    nodes["axis"]["parameters"] = {"weights": [0.5, 1.0]}
+    seed = {"node": "axis", "parameter": "seed"}
+    budget = {"trials": 14, "initial_trials": 6, "drawn_contexts": 2, "search_evaluations": 2}
+    study = make_study(
+        nodes=nodes,
+        parameters=PARAMETERS,
+        seed_parameter=seed,
+        budget=budget | {"validation_draws": 5},
+        start=["default"],
+        constraints={
+            "peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.5}
+        },
+        certificate={"draws": 5, "confidence": 0.5},
+    )
+    (folder / "kinds.yaml").write_text(study_to_yaml(study))
+    code, _, err = run(
+        "tune", "--study", "kinds.yaml", "--backend", "inprocess", "--quiet", folder=folder
+    )
+    assert code == 0, err
+    return folder
+
+
+def test_the_search_finds_the_best_choice(folder):
+    record = read_run(folder / "runs" / "latest")
+    assert record.trials[0].parameters == {
+        "gain": 0.5, "mode": "slow", "smooth": False, "weights[1]": 1.0,
+    }  # fmt: skip
+    best = yaml.safe_load((folder / "runs/latest/best.yaml").read_text())
+    values = best["/**/axis"]["ros__parameters"]
+    assert (values["mode"], values["smooth"]) == ("fast", True)
+    assert values["weights"][0] == 0.5
+    assert values["weights"][1] in (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def test_the_other_commands_take_them(folder):
+    for command in (
+        ["report", "latest"],
+        ["validate", "latest", "--draws", "5"],
+        ["replay", "latest"],
+        ["tune", "--resume", "latest", "--trials", "15", "--quiet"],
+    ):
+        code, out, err = run(*command, folder=folder)
+        assert code == 0, (command, out, err)
+    page = (folder / "runs/latest/report.html").read_text()
+    assert "Without an axis of numbers: mode, smooth" in page
+    with (folder / "runs/latest/trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 15
+    assert {row["parameters.mode"] for row in rows} <= set(MODES)

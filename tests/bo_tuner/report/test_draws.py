@@ -1,0 +1,29 @@
+"""The draws of the verdict as empirical distributions."""
+
+import numpy as np
+import pytest
+
+from bo_tuner.figures.figure import Limit, Line
+from bo_tuner.report.sections.draws import draws
+from bo_tuner.trials import Stage
+
+
+def test_the_share_above_the_limit_is_that_of_the_record(analysis):
+    section = draws(analysis)
+    assert section is not None
+    (panel,) = section.figures[0].panels
+    (limit,) = [e for e in panel.elements if isinstance(e, Limit)]
+    assert (limit.value, limit.vertical) == (1.0, True)
+    lines = {e.name: e for e in panel.elements if isinstance(e, Line)}
+    for side, name in enumerate(("default", "tuned")):
+        values = [
+            e.outcome.metrics["peak"]
+            for e in analysis.record.evaluations
+            if e.stage is Stage.VALIDATION and e.trial == side and e.outcome.metrics
+        ]
+        line = lines[name]
+        assert sorted(values) == pytest.approx(list(line.x[1:]))
+        within = np.asarray(line.y)[np.asarray(line.x) <= 1.0]
+        share = within[-1] if len(within) else 0.0
+        budget = analysis.study.budget.validation_draws
+        assert share == pytest.approx(100.0 * sum(v <= 1.0 for v in values) / budget)

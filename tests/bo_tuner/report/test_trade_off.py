@@ -1,0 +1,35 @@
+"""The Pareto front of what was seen, and what other limits would cost."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bo_tuner.report.sections.trade_off import pareto_front, trade_off
+
+numbers = st.integers(-3, 3).map(float)
+
+
+@given(st.lists(st.tuples(numbers, numbers), min_size=1, max_size=12))
+def test_the_front_is_what_no_other_point_dominates(points):
+    cost, worst = np.array(points).T
+    front = pareto_front(cost, worst)
+
+    def dominated(k):
+        no_worse = (cost <= cost[k]) & (worst <= worst[k])
+        return bool(np.any(no_worse & ((cost < cost[k]) | (worst < worst[k]))))
+
+    # Of equal points one stands for all.
+    expected = {points[k] for k in range(len(points)) if not dominated(k)}
+    assert {points[k] for k in front} == expected
+    assert len(front) == len(expected)
+    assert list(worst[front]) == sorted(worst[front])
+
+
+def test_a_looser_limit_costs_nothing(analysis):
+    section = trade_off(analysis)
+    assert section is not None
+    (table,) = section.tables
+    found = [float(row[2].split()[0]) for row in table.rows if row[1] != "none"]
+    assert found == sorted(found, reverse=True)
+    (study,) = [row for row in table.rows if row[0] == "1"]
+    assert study[3] == "+0.0 %"

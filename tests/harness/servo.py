@@ -1,0 +1,131 @@
+"""A system that knows nothing of the tuner: a servo at 100 Hz, and a study of it."""
+
+import contextlib
+import math
+import time
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+
+BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class System(Node):
+    """Follows /setpoint by `gain` at 100 Hz, from its start on."""
+
+    def __init__(self, context):
+        super().__init__("servo", context=context)
+        self.declare_parameter("gain", 0.5)
+        self.add_on_set_parameters_callback(self.judge)
+        self.received = []
+        self.begin()
+        self.states = self.create_publisher(JointState, "joint_states", BEST_EFFORT)
+        self.plain = self.create_publisher(Float64MultiArray, "plain", 10)
+        self.text = self.create_publisher(String, "text", 10)
+        self.limit = self.create_publisher(Float64, "limit", LATCHED)
+        self.limit.publish(Float64(data=2.5))
+        self.create_subscription(Float64, "setpoint", self.follow, 10)
+        self.create_subscription(JointState, "wanted", self.received.append, 10)
+        self.create_service(Trigger, "~/reset", self.reset)
+        self.create_service(SetBool, "~/enable", self.enable)
+        self.create_timer(0.01, self.step)
+
+    def begin(self):
+        """Be as at first."""
+        self.angle = self.setpoint = 0.0
+        self.names = ["other", "motor"]
+        self.silent = False
+        self.hang = 0.0
+        self.refusal = ""
+        self.refuses_beyond = math.inf
+        self.gains_at_reset = []
+        self.received.clear()
+        self.set_gain(0.5)
+
+    def set_gain(self, value):
+        self.set_parameters([Parameter("gain", value=value)])
+
+    @contextlib.contextmanager
+    def refusing(self, reason):
+        """Refuse parameters meanwhile."""
+        self.refusal = reason
+        yield
+        self.refusal = ""
+
+    def judge(self, parameters):
+        reason = "the key is out" if abs(self.angle) > self.refuses_beyond else self.refusal
+        return SetParametersResult(successful=not reason, reason=reason)
+
+    def follow(self, message):
+        self.setpoint = message.data
+        hang, self.hang = self.hang, 0.0
+        time.sleep(hang)
+
+    def reset(self, request, response):
+        self.gains_at_reset.append(self.get_parameter("gain").value)
+        self.angle = self.setpoint = 0.0
+        response.success = True
+        return response
+
+    def enable(self, request, response):
+        response.success = request.data
+        response.message = "the brake is on"
+        return response
+
+    def step(self):
+        self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
+        if self.silent:
+            return
+        message = JointState(name=self.names, position=[7.0, self.angle])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.states.publish(message)
+        self.plain.publish(Float64MultiArray(data=[1.0, self.angle]))
+
+
+def study(signals=None, run=None, metrics=None, **others):
+    """A study of the system, with changes within sections, and `others` in place of whole ones."""
+    sections = {
+        "signals": {
+            "setpoint": {"topic": "setpoint", "field": "data"},
+            "angle": {"topic": "/joint_states", "field": "position[motor]"},
+        },
+        "run": {
+            "before": [{"call": {"service": "servo/reset"}}],
+            "start": [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}],
+            "end": {"after": 0.3},
+        },
+        "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
+    }
+    for section, changes in (("signals", signals), ("run", run), ("metrics", metrics)):
+        sections[section] = sections[section] | (changes or {})
+    node = {"node": "servo"}
+    return study_from_mapping(
+        {
+            "name": "servo",
+            "nodes": {"servo": node},
+            "parameters": {"gain": node | {"type": "double", "bounds": [0, 3], "default": 0.5}},
+            "objective": {"metric": "error"},
+            "budget": {"trials": 1, "initial_trials": 1},
+        }
+        | sections
+        | others
+    )
+
+
+def run(backend, gain=0.5):
+    return backend.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": gain}, {}, 1))
+
+
+def failure(outcome):
+    assert outcome.state is EvaluationState.FAILED, outcome
+    assert outcome.metrics == {}
+    return outcome.reason

@@ -1,0 +1,93 @@
+"""The servo, at work in a thread, and a backend that is attached to it."""
+
+import contextlib
+import os
+import threading
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from servo import System, study
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from bo_tuner.backends.ros import procedure, steps
+from bo_tuner.backends.ros.backend import RosBackend
+
+
+@pytest.fixture(scope="module")
+def machine():
+    """The system, at work in a thread, and a node whose services nobody serves."""
+    context = Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    system, idle = System(context), Node("idle", context=context)
+    idle.create_service(Trigger, "hang", lambda request, response: response)
+    idle.create_publisher(Float64, "twice", 10)
+    system.create_publisher(Float64, "twice", 10)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(system)
+    stop = threading.Event()
+
+    def spin():
+        while not stop.is_set():
+            # An answer to a client that has gone is an error to rclpy.
+            with contextlib.suppress(RCLError):
+                executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    system.executor_of_thread = executor
+    yield system
+    stop.set()
+    thread.join()
+    executor.shutdown()
+    for node in (system, idle):
+        node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.fixture
+def system(machine):
+    """The system as it is at first."""
+    machine.begin()
+    return machine
+
+
+@pytest.fixture
+def join(machine):
+    """Function that makes a node and lets it work beside the system."""
+    executor, nodes = machine.executor_of_thread, []
+
+    def make(cls, *arguments):
+        nodes.append(cls(*arguments, context=machine.context))
+        executor.add_node(nodes[-1])
+        executor.wake()
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        executor.remove_node(node)
+        node.destroy_node()
+
+
+@pytest.fixture
+def backend(system, tmp_path, monkeypatch):
+    """Function that opens a backend for a study."""
+    monkeypatch.setattr(steps, "CONNECT_TIMEOUT", 2.0)
+    monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
+    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
+    opened = []
+
+    def make(**changes):
+        made = RosBackend(study(**changes), Path(tmp_path), attach=True)
+        opened.append(made)
+        made.open()
+        return made
+
+    yield make
+    for made in opened:
+        made.close()

@@ -1,0 +1,150 @@
+"""Runs that are the goal of an action."""
+
+import pytest
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from rclpy.task import Future
+from servo import failure, run
+from test_msgs.action import Fibonacci
+
+from bo_tuner.backends.ros import goals
+from bo_tuner.errors import StudyError
+from bo_tuner.trials import EvaluationState
+
+pytestmark = pytest.mark.ros
+
+GOAL = {"send_goal": {"action": "fibonacci", "goal": {"order": 5}}}
+TO_ITS_RESULT = {"before": [], "start": [GOAL], "end": "result", "timeout": 20.0}
+FEW = {"setpoint": {"topic": "limit", "field": "data", "minimum_messages": 0}}
+
+
+class Counter(Node):
+    """Counts 20 ms by 20 ms up to the order of the goal, and ends as it is told to."""
+
+    def __init__(self, context):
+        super().__init__("counter", context=context)
+        self.orders, self.ends = [], []
+        self.accepts = self.succeeds = True
+        self._ticks = []
+        self.create_timer(0.02, self._tick)
+        self._server = ActionServer(
+            self,
+            Fibonacci,
+            "fibonacci",
+            self._execute,
+            goal_callback=lambda goal: GoalResponse.ACCEPT if self.accepts else GoalResponse.REJECT,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )
+
+    def stop(self):
+        """Answer no more."""
+        server, self._server = self._server, None
+        if server is not None:
+            server.destroy()
+
+    def _tick(self):
+        ticks, self._ticks = self._ticks, []
+        for tick in ticks:
+            tick.set_result(None)
+
+    async def _execute(self, goal):
+        self.orders.append(goal.request.order)
+        for _ in range(goal.request.order):
+            tick = Future()
+            self._ticks.append(tick)
+            await tick
+            if goal.is_cancel_requested:
+                self.ends.append("cancelled")
+                goal.canceled()
+                return Fibonacci.Result()
+        self.ends.append("succeeded" if self.succeeds else "aborted")
+        (goal.succeed if self.succeeds else goal.abort)()
+        return Fibonacci.Result()
+
+
+@pytest.fixture
+def counter(join):
+    made = join(Counter)
+    yield made
+    made.stop()
+
+
+def test_a_run_ends_at_the_result(backend, counter):
+    made = backend(
+        run=TO_ITS_RESULT,
+        signals=FEW,
+        metrics={"time": {"of": "angle", "measure": "duration"}},
+    )
+    outcomes = [run(made) for _ in range(2)]
+    assert [o.state for o in outcomes] == [EvaluationState.COMPLETE] * 2, outcomes
+    assert (counter.orders, counter.ends) == ([5, 5], ["succeeded"] * 2)
+    # Five periods of 20 ms.
+    assert all(o.metrics["time"] > 0.06 for o in outcomes)
+
+
+def test_a_goal_that_is_refused(backend, counter):
+    made = backend(run=TO_ITS_RESULT, signals=FEW)
+    counter.accepts = False
+    assert failure(run(made)) == "/fibonacci refused the goal"
+
+
+@pytest.mark.parametrize("end", ["result", {"after": 5.0}])
+def test_a_goal_that_is_aborted(backend, counter, end):
+    made = backend(run={**TO_ITS_RESULT, "end": end}, signals=FEW)
+    counter.succeeds = False
+    assert failure(run(made)) == "/fibonacci aborted the goal"
+
+
+def test_a_goal_without_result_is_cancelled(backend, counter):
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    made = backend(run={**TO_ITS_RESULT, "start": [long], "timeout": 0.5}, signals=FEW)
+    assert failure(run(made)) == ("the run does not end: /fibonacci has no result within 0.5 s")
+    assert counter.ends == ["cancelled"]
+
+
+def test_a_goal_is_cancelled_when_a_run_is_aborted(backend, counter, system):
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    made = backend(run={**TO_ITS_RESULT, "start": [long, move], "abort_when": "angle > 0.5"})
+    assert failure(run(made)).startswith("aborted at 0.")
+    assert counter.ends == ["cancelled"]
+
+
+def test_a_goal_is_cancelled_when_a_run_ends_before_it(backend, counter):
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    made = backend(run={**TO_ITS_RESULT, "start": [long], "end": {"after": 0.2}}, signals=FEW)
+    assert run(made).state is EvaluationState.COMPLETE
+    assert counter.ends == ["cancelled"]
+
+
+def test_a_server_that_is_lost(backend, counter, monkeypatch):
+    monkeypatch.setattr(goals, "CALL_TIMEOUT", 1.0)
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    made = backend(run={**TO_ITS_RESULT, "start": [long, {"wait": 0.1}]}, signals=FEW)
+    counter.create_timer(0.5, counter.stop)
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.reason.startswith("the server of /fibonacci is lost")
+
+
+def test_a_goal_may_bring_the_machine_home(backend, counter, system):
+    made = backend(run={"before": [GOAL], "abort_when": "angle > 0.5", "recover": [GOAL]})
+    assert failure(run(made)).startswith("aborted at 0.")
+    assert counter.ends == ["succeeded"] * 2
+    counter.succeeds = False
+    assert failure(run(made)).startswith("/fibonacci aborted the goal; not recovered: /fibonacci")
+
+
+@pytest.mark.parametrize(
+    ("goal", "complaint"),
+    [
+        ({"action": "fibonaci"}, "action: there is no action /fibonaci; did you mean '/fibonacci'"),
+        ({"goal": {"odrer": 5}}, "goal.odrer: test_msgs/action/Fibonacci_Goal has no field"),
+        ({"goal": {"order": 0.5}}, "goal.order: expected an integer, found 0.5"),
+    ],
+)
+def test_a_goal_that_cannot_be_sent(backend, counter, goal, complaint):
+    step = {"send_goal": GOAL["send_goal"] | goal}
+    with pytest.raises(StudyError) as caught:
+        backend(run={**TO_ITS_RESULT, "start": [step]})
+    assert str(caught.value).startswith(f"run.start[0].send_goal.{complaint}")

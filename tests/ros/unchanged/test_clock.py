@@ -1,0 +1,101 @@
+"""Runs by the clock of a simulation, and clocks that are not to be trusted."""
+
+import threading
+
+import pytest
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from servo import failure, run
+from std_srvs.srv import Trigger
+
+from bo_tuner.backends.ros import clock
+from bo_tuner.backends.ros.clock import WallClock, to_stamp
+from bo_tuner.backends.ros.errors import DisturbedError
+from bo_tuner.errors import StudyError
+from bo_tuner.trials import DISTURBED, EvaluationState
+
+pytestmark = pytest.mark.ros
+
+# The servo stamps by the machine's clock.
+ANGLE = {"topic": "/joint_states", "field": "position[motor]", "time": "reception"}
+SIM = {"clock": "sim", "end": {"after": 1.0}}
+
+
+class Simulation(Node):
+    """Publishes the time, `speed` times as fast as it passes."""
+
+    def __init__(self, context):
+        super().__init__("simulation", context=context)
+        self.speed = 5
+        self.now = 100_000_000_000
+        self.stops_at = None
+        self._publisher = self.create_publisher(Clock, "/clock", 10)
+        self.create_service(Trigger, "simulation/reset", self._reset)
+        self.create_timer(0.002, self._tick)
+
+    def _reset(self, request, response):
+        self.now = 0
+        response.success = True
+        return response
+
+    def _tick(self):
+        if self.stops_at is None or self.now < self.stops_at:
+            self.now += 2_000_000 * self.speed
+        self._publisher.publish(Clock(clock=to_stamp(self.now)))
+
+
+@pytest.fixture
+def simulation(join):
+    return join(Simulation)
+
+
+def test_times_of_a_run_are_those_of_the_simulation(backend, simulation):
+    reset = {"call": {"service": "simulation/reset"}}
+    made = backend(
+        signals={"angle": ANGLE},
+        run={**SIM, "before": [{"call": {"service": "servo/reset"}}, reset, {"wait": 0.1}]},
+        metrics={"time": {"of": "angle", "measure": "duration"}},
+    )
+    for _ in range(2):
+        outcome = run(made)
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+        assert outcome.metrics["time"] == pytest.approx(1.0)
+        # The servo publishes 100 times in a second of the machine.
+        messages = int(outcome.details["signals.angle"].split()[0])
+        assert 5 < messages < 70
+
+
+def test_a_simulation_that_stands_still(backend, simulation, monkeypatch):
+    monkeypatch.setattr(clock, "LONGEST_STANDSTILL", 0.5)
+    made = backend(signals={"angle": ANGLE}, run=SIM)
+    simulation.stops_at = simulation.now + 2_000_000_000
+    found = [run(made) for _ in range(3)]
+    lost = [o for o in found if o.state is EvaluationState.LOST]
+    assert lost
+    assert lost[0].reason.startswith("/clock stands still at 10")
+    assert " for 0.5 s" in lost[0].reason
+
+
+def test_a_simulation_that_jumps_back_in_a_run(backend, simulation):
+    made = backend(signals={"angle": ANGLE}, run={**SIM, "end": {"after": 20.0}})
+    timer = threading.Timer(0.5, lambda: simulation._reset(None, Trigger.Response()))
+    timer.start()
+    outcome = run(made)
+    timer.join()
+    assert failure(outcome).startswith("/clock jumped back from 1")
+    assert DISTURBED in outcome.details
+
+
+def test_no_simulation(backend):
+    with pytest.raises(StudyError, match=r"run\.clock: nothing publishes /clock; expected a sim"):
+        backend(signals={"angle": ANGLE}, run=SIM)
+
+
+def test_a_clock_of_the_machine_that_is_set_in_a_run(monkeypatch):
+    wall = WallClock()
+    wall.begin()
+    wall.look()
+    began = wall.now
+    monkeypatch.setattr(clock.time, "time_ns", lambda: began - 3_600_000_000_000)
+    with pytest.raises(DisturbedError, match=r"jumped by -3\.6e\+03 s in the run"):
+        wall.look()

@@ -1,0 +1,142 @@
+"""Between runs, in a pause and at the end the machine runs with safe parameters, and comes home."""
+
+import time
+
+import pytest
+from servo import failure, run, study
+from waiting import wait_until
+
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interrupted
+from bo_tuner.trials import EvaluationState
+
+pytestmark = pytest.mark.ros
+
+SAFE, GOOD, UNSTABLE = 0.25, 0.5, 2.5
+HOME = {"publish": {"topic": "setpoint", "message": {"data": 0.0}}}
+ROOM = {"abort_when": "abs(angle) > 3"}
+
+
+def gain(system):
+    return system.get_parameter("gain").value
+
+
+def test_after_a_bad_trial_the_machine_is_safe_and_home(backend, system):
+    """The step response grows without bounds: |1 - 2.5| > 1, and nothing else brings it back."""
+    home = {"wait_until": {"condition": "abs(angle) < 0.01", "timeout": 5.0}}
+    made = backend(
+        run={"before": [], **ROOM, "recover": [HOME, home]}, park={"parameters": {"gain": SAFE}}
+    )
+    assert gain(system) == SAFE, "as soon as the backend is open"
+    assert failure(run(made, UNSTABLE)).startswith("aborted at 0.")
+    assert gain(system) == SAFE
+    assert abs(system.angle) < 0.01
+    assert run(made, GOOD).state is EvaluationState.COMPLETE
+    assert gain(system) == GOOD
+
+
+def test_without_safe_ones_the_defaults_are_safe(backend, system):
+    made = backend(run=ROOM)
+    failure(run(made, UNSTABLE))
+    assert gain(system) == 0.5
+
+
+def test_in_a_pause(backend, system):
+    made = backend(run={"before": []}, park={"parameters": {"gain": SAFE}})
+    run(made, 0.75)
+    assert gain(system) == 0.75
+    assert made.park() == []
+    assert gain(system) == SAFE
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+
+
+def test_between_two_runs_and_while_one_is_prepared(backend, system):
+    made = backend(park={"parameters": {"gain": SAFE}, "between_runs": True})
+    outcome = run(made, 0.75)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert (system.gains_at_reset, gain(system)) == ([SAFE], SAFE)
+
+
+def test_a_node_that_refuses_a_trial(backend, system):
+    made = backend(run=ROOM)
+    with system.refusing("the key is out"):
+        reason = failure(run(made, UNSTABLE))
+    assert reason.startswith("servo refused its parameters: the key is out")
+
+
+def test_a_node_that_does_not_take_its_safe_values_is_named_at_once(backend, system):
+    with system.refusing("the key is out"), pytest.raises(StudyError) as caught:
+        backend(park={"parameters": {"gain": SAFE}})
+    assert str(caught.value) == (
+        "park: as safe values: servo refused its parameters: the key is out"
+    )
+
+
+def test_a_failure_to_park_is_told(backend, system):
+    made = backend(run={"before": [], **ROOM, "end": {"after": 5.0}})
+    system.refuses_beyond = 2.0
+    reason = failure(run(made, UNSTABLE))
+    assert reason.startswith("aborted at 0.")
+    assert "; servo is not parked: servo refused its parameters: the key is out" in reason
+
+
+def test_a_machine_that_does_not_come_home(backend, system):
+    home = {"wait_until": {"condition": "angle > 9", "timeout": 0.3}}
+    made = backend(run={**ROOM, "recover": [HOME, {"wait": 0.3}, home]})
+    reason = failure(run(made, UNSTABLE))
+    assert reason.startswith("aborted at 0.")
+    assert (
+        "; not recovered: run.recover[2]: 'angle > 9' does not hold for 0.1 s within 0.3 s (angle "
+    ) in reason
+
+
+def test_at_the_end_the_steps_after_a_run_are_done_and_the_node_has_what_it_had(backend, system):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    made.close()
+    assert gain(system) == 0.375
+
+
+def test_safe_values_that_the_study_names_stay(backend, system):
+    system.set_gain(0.375)
+    made = backend(run={"before": []}, park={"parameters": {"gain": SAFE}})
+    run(made, 0.75)
+    made.close()
+    assert gain(system) == SAFE
+
+
+@pytest.mark.parametrize("phase", ["before", "start"])
+def test_an_interrupted_run_stops_the_machine(system, tmp_path, phase):
+    """As Ctrl-C does: the wait ends, and the backend is closed."""
+    asked = []
+
+    def interrupted():
+        if asked and time.monotonic() > asked[0]:
+            raise Interrupted(2)
+
+    moving = [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}, {"wait": 20.0}]
+    steps = {
+        "before": [],
+        "start": [],
+        "end": {"after": 25.0},
+        "after": [
+            {"call": {"service": "servo/enable", "request": {"data": False}}},
+            {"publish": {"topic": "setpoint", "message": {"data": -0.5}}},
+        ],
+    }
+    made = RosBackend(
+        study(run=steps | {phase: moving}), tmp_path, attach=True, interrupted=interrupted
+    )
+    try:
+        made.open()
+        asked.append(time.monotonic() + 0.5)
+        with pytest.raises(Interrupted):
+            run(made, 0.75)
+        assert gain(system) == 0.75
+    finally:
+        made.close()
+    # The first of the steps is refused, which does not keep the next one from being done.
+    wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+    assert gain(system) == 0.5

@@ -1,0 +1,179 @@
+"""Nodes that are started by any command, restarted in a step, or killed in the middle of a run."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import StudyError
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+
+pytestmark = pytest.mark.ros
+
+FOLDER = Path(__file__).parents[3] / "examples" / "unchanged_system"
+TRIAL = {"kp": 2.0, "ki": 0.0, "kd": 0.375}
+
+
+def command(node):
+    return f"'{sys.executable}' '{FOLDER / f'{node}_node.py'}'"
+
+
+def position(**changes):
+    """The study of the example, with changes of `run` and `nodes`."""
+    mapping = study_to_mapping(load_study(str(FOLDER / "study.yaml")))
+    mapping["run"] = mapping["run"] | changes.get("run", {})
+    mapping["nodes"] = changes.get("nodes", mapping["nodes"])
+    return study_from_mapping(mapping)
+
+
+def run(backend):
+    return backend.outcome(Evaluation(0, 0, Stage.DRAWN, TRIAL, {}, 1))
+
+
+@pytest.fixture
+def backend(tmp_path):
+    """Function that opens a backend."""
+    opened = []
+
+    def make(study, attach=False):
+        opened.append(RosBackend(study, tmp_path, attach=attach))
+        opened[-1].open()
+        return opened[-1]
+
+    yield make
+    for made in opened:
+        made.close()
+
+
+def test_any_command_with_its_environment_and_a_restart_before_each_run(backend, tmp_path):
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid"), "env": {"GREETING": "good day"}},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    before = [
+        {"restart": "pid"},
+        {"publish": {"topic": "/setpoint", "message": {"data": 0.0}}},
+        {"call": {"service": "/motor/reset"}},
+        {"wait": 0.1},
+    ]
+    made = backend(position(nodes=nodes, run={"before": before}))
+    pids = []
+    for _ in range(2):
+        outcome = run(made)
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+        pids.append(made._started.processes["pid"].pid)
+    assert pids[0] != pids[1]
+    environment = Path(f"/proc/{pids[1]}/environ").read_bytes().split(b"\0")
+    assert b"GREETING=good day" in environment
+    assert "ready" in (tmp_path / "motor.log").read_text()
+
+
+@pytest.fixture
+def running(ros_environment, tmp_path):
+    """Function that starts a node of the example."""
+    started = []
+
+    def start(node):
+        with (tmp_path / f"{node}{len(started)}.txt").open("w") as log:
+            program = [sys.executable, FOLDER / f"{node}_node.py"]
+            started.append(subprocess.Popen(program, stdout=log, stderr=log))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM])
+def test_a_controller_that_restarts_in_mid_run(backend, running, signum):
+    """It has no result topic; with its own gains it goes on as if nothing had happened."""
+    running("motor")
+    pid = running("pid")
+    made = backend(position(run={"end": {"after": 4.0}}), attach=True)
+
+    def restart():
+        pid.send_signal(signum)
+        pid.wait()
+        running("pid")
+
+    timer = threading.Timer(1.0, restart)
+    timer.start()
+    found = run(made)
+    timer.join()
+    assert found.state is not EvaluationState.COMPLETE
+    assert "pid" in found.reason.split(";")[0]
+    assert "motor" not in found.reason.split(";")[0]
+    # It is told its parameters again.
+    outcomes = [run(made) for _ in range(3)]
+    assert EvaluationState.COMPLETE in [outcome.state for outcome in outcomes], outcomes
+
+
+def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(backend):
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid")},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    made = backend(position(nodes=nodes))
+    pid = made._started.processes["pid"].pid
+    timer = threading.Timer(1.0, os.kill, (pid, signal.SIGKILL))
+    timer.start()
+    found = run(made)
+    timer.join()
+    assert found.state is EvaluationState.LOST
+    assert found.reason == "pid was ended by SIGKILL"
+    assert run(made).state is EvaluationState.COMPLETE
+
+
+@pytest.mark.parametrize(
+    ("nodes", "run_changes", "attach", "complaint"),
+    [
+        ({"pid": {"node": "pid", "command": "no_such_program -x"}}, {}, False,
+         "nodes.pid.command: there is no program no_such_program"),
+        ({"pid": {"node": "pid"}}, {}, False, "nodes.pid: no package and executable; add them, or"),
+        ({"pid": {"node": "pid"}}, {"before": [{"restart": "pid"}]}, True,
+         "run.before[0].restart: pid is attached; only a node that the tuner has started can be"),
+    ],
+)  # fmt: skip
+def test_nodes_that_cannot_be_started(backend, running, nodes, run_changes, attach, complaint):
+    if attach:
+        running("motor")
+        running("pid")
+    with pytest.raises(StudyError) as caught:
+        backend(position(nodes=nodes, run=run_changes), attach=attach)
+    assert str(caught.value).startswith(complaint)
+
+
+def test_a_launch_file_needs_a_ros_installation(backend, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert shutil.which("ros2") is None
+    nodes = {"pid": {"node": "pid", "launch": "my_robot bringup.launch.py"}}
+    with pytest.raises(StudyError) as caught:
+        backend(position(nodes=nodes))
+    assert str(caught.value).startswith("nodes.pid.launch: there is no 'ros2 launch' here; source")
+
+
+def test_a_launch_file_is_started_by_ros2_launch(backend, monkeypatch, tmp_path):
+    """A program of the test stands in for the installation: it starts both nodes."""
+    ros2 = tmp_path / "bin" / "ros2"
+    ros2.parent.mkdir()
+    ros2.write_text(
+        f"#!/bin/sh\necho \"$@\" > '{tmp_path}/arguments'\n{command('motor')} &\n{command('pid')}\n"
+    )
+    ros2.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{ros2.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr("sys.prefix", str(tmp_path / "none"))
+    nodes = {
+        "pid": {"node": "pid", "launch": "my_robot bringup.launch.py gains:='a b'"},
+        "motor": {"node": "motor"},
+    }
+    made = backend(position(nodes=nodes))
+    assert (tmp_path / "arguments").read_text() == "launch my_robot bringup.launch.py gains:=a b\n"
+    assert run(made).state is EvaluationState.COMPLETE
