@@ -238,6 +238,7 @@ class Session:
             self._options.record,
             None if ros is None else partial(TopicListener, ros.context, ros.nodes, ros.topics),
             self._display.warn,
+            *(() if ros is None else (lambda: ros.recording,)),
         )
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)

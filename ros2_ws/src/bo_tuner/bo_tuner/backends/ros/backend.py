@@ -120,7 +120,7 @@ class RosBackend(SequentialBackend):
             metrics cannot be imported.
         """
         check_wall_clock()
-        signals = signal_sources(self._study, lambda: self._recording)
+        signals = signal_sources(self._study, lambda: self.recording)
         self._collector = Collector(self._study, {**signals, **self._sources})
         given = domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
@@ -236,7 +236,7 @@ class RosBackend(SequentialBackend):
                 run = partial(self._run, self._procedure, client, prepared)
             result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
-            counts = self._recording.counts()
+            counts = self.recording.counts()
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
         except DisturbedError as error:
             reason = one_line(str(error))
@@ -245,7 +245,7 @@ class RosBackend(SequentialBackend):
             return Outcome(EvaluationState.LOST, {}, one_line(str(loss)))
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(
-            result, details={**result.details, **ignored, **self._recording.counts()}
+            result, details={**result.details, **ignored, **self.recording.counts()}
         )
 
     def _prepare(self, procedure: Procedure) -> None:
@@ -299,7 +299,7 @@ class RosBackend(SequentialBackend):
         return self._tuner, self._client
 
     @property
-    def _recording(self) -> Recording:
+    def recording(self) -> Recording:
         """What was recorded of the last run."""
         return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
 
