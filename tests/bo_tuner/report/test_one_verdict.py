@@ -225,7 +225,7 @@ def test_the_links_of_the_report_lead_into_the_run_from_the_bundle_as_well(tuned
     write_deliverables(tmp_path / "run", lambda text: None, pytest.fail)
     for page, up in (("report.html", "."), ("deploy/report.html", "..")):
         text = (tmp_path / "run" / page).read_text(encoding="utf-8")
-        links = re.findall(r'<a href="([^"#]+)"', text)
+        links = re.findall(r'<a href="(\.[^"#]+)"', text)
         assert f"{up}/best.yaml" in links
         for link in links:
             assert (tmp_path / "run" / page).parent.joinpath(link).exists()

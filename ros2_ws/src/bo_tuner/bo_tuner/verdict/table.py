@@ -48,7 +48,7 @@ def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
 
 def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:
     """Make a table of the parameters and of the numbers of a verdict."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), show_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("")
     for name in ("default", "tuned", "difference", "limit"):
         table.add_column(name, justify="right")
