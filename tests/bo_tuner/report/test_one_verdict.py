@@ -88,13 +88,13 @@ def certify(run, default, tuned):
             ("tuned", trial.parameters, tuned),
         ]
     ):
-        of_worst = evaluations(side, parameters, [v for v in values if v][:2], Stage.CHECK_WORST)
+        of_worst = evaluations(side, parameters, [v for v in values if v][:20], Stage.CHECK_WORST)
         evidence[name] = Evidence(
             parameters,
             evaluations(side, parameters, values),
             repeated=(of_worst,) if of_worst else (),
         )
-    certificate = make_certificate(run, trial, evidence, 0.95, "inprocess", None)
+    certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
     write_certificate(run.path, certificate, evidence)
     return certificate
 
@@ -209,12 +209,12 @@ def test_a_certificate_brings_summary_and_bundle_up_to_date(tuned, tmp_path, pea
 
 
 def test_the_largest_value_on_record_is_not_hidden(tuned):
-    """A peak of 0.95 in the tuning is named beside the 0.5 of a validation."""
+    """A peak of 0.99 in the tuning is named beside the 0.5 of a validation."""
     trial = tuned.trials[tuned.summary["trial"]]
     run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
-    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.95)], Stage.SEARCH)
+    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.99)], Stage.SEARCH)
     verdict = run_verdict(dataclasses.replace(run, evaluations=(*run.evaluations, *seen)))
     (peak,) = [q for q in verdict.quantities if q.label == "largest peak"]
     assert peak.tuned == 0.5
-    assert "on record 0.95" in peak.remark
+    assert "on record 0.99" in peak.remark
     assert "gained nothing" in verdict.sentences[-1]
