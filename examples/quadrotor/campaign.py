@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 import yaml
 from classical import ziegler_nichols
-from judge import DEFAULT, Gains, Judgement, grid, judge_all
+from judge import DEFAULT, Conditions, Gains, Judgement, grid, judge_all
 
 HERE = Path(__file__).parent
 STUDY = HERE / "study.yaml"
 COMPLETE = (0, 3)
 """Exit codes of `tune` and `validate` that do not mean that something went wrong."""
-REPEATS = 10  # flights in the worst condition, each with gusts and noise of its own
+REPEATS = 5  # flights in the worst condition, each with gusts and noise of its own
 
 
 def command(name: str, *arguments: object) -> tuple[int, float]:
@@ -65,9 +65,8 @@ def result(run: Path) -> dict[str, Any]:
     }
 
 
-def compare(gains: Gains, executor: Executor) -> dict[str, Any]:
-    """Judge gains on the grid, and again with fresh noise where they overshoot most."""
-    conditions = grid()
+def compare(gains: Gains, conditions: list[Conditions], executor: Executor) -> dict[str, Any]:
+    """Judge gains in all conditions, and again with fresh noise where they overshoot most."""
     flights = judge_all(gains, conditions, executor)
     crashes = sum(flight.crashed for flight in flights)
     k = int(np.argmax([flight.overshoot for flight in flights]))
@@ -129,6 +128,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, nargs="+", metavar="RUN", help="judge these only")
     parser.add_argument("--output", type=Path, default=Path("runs"), metavar="DIR")
     parser.add_argument("--result", type=Path, metavar="FILE", help="JSON file of the comparison")
+    parser.add_argument("--sparse", action="store_true", help="judge on a sparser grid")
     arguments, options = parser.parse_known_args()
     found = provenance()
     if arguments.runs:
@@ -140,8 +140,9 @@ def main() -> None:
             runs.append(result(arguments.output / "latest") | seconds)
     sets = {"default": DEFAULT, "Ziegler-Nichols": ziegler_nichols()}
     sets |= {f"tuned, seed {run['seed']}": run["gains"] for run in runs}
+    conditions = grid(arguments.sparse)
     with ProcessPoolExecutor() as executor:
-        judged = {name: compare(gains, executor) for name, gains in sets.items()}
+        judged = {name: compare(gains, conditions, executor) for name, gains in sets.items()}
     path = arguments.result or (arguments.output / "latest").resolve() / "comparison.json"
     path.write_text(json.dumps({**found, "runs": runs, "judged": judged}, indent=1) + "\n")
     print(table(judged), f"\nwritten to {path}", sep="\n")

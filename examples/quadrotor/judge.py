@@ -92,11 +92,15 @@ def judge(gains: Gains, conditions: Conditions) -> Judgement:
     )
 
 
-def grid() -> list[Conditions]:
-    """Return the conditions: every combination, each with gusts and noise of its own."""
+def grid(sparse: bool = False) -> list[Conditions]:
+    """Return the conditions: every combination, each with gusts and noise of its own.
+
+    A `sparse` one has the extremes of wind speed and motors only, still from all directions.
+    """
+    step = 2 if sparse else 1
     calm = [(0.0, 0.0)]
-    windy = list(itertools.product(WIND_SPEEDS[1:], WIND_DIRECTIONS))
-    combinations = itertools.product(calm + windy, PAYLOADS, MOTOR_TIME_CONSTANTS)
+    windy = list(itertools.product(WIND_SPEEDS[step::step], WIND_DIRECTIONS))
+    combinations = itertools.product(calm + windy, PAYLOADS, MOTOR_TIME_CONSTANTS[::step])
     return [
         Conditions(
             wind_speed=speed,

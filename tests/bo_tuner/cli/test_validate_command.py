@@ -111,7 +111,7 @@ class TestVerdict:
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
         code, out, err = runs.run("validate", folder, "--draws", "120")
         assert code == 0, err
-        assert "PASS: the tuned parameter set is shown to keep all limits" in out
+        assert out.startswith("PASS: the tuned parameter set is shown to keep all limits\n")
         assert f"certificate: {folder}/certificates/0001.json" in out
         # One line for each phase, since this is no terminal.
         assert [line.split(":")[0] for line in err.splitlines()] == [
@@ -147,6 +147,11 @@ class TestVerdict:
             for name, content in before.items()
             if name not in (".lock", "report.html", "summary.json")
         )
+        # The summary has the verdict by this certificate.
+        earlier = json.loads(before["summary.json"])
+        assert summary["verdict"]["state"] == "certified"
+        assert summary["verdict"]["headline"] == out.splitlines()[0]
+        assert summary | {"verdict": None} == earlier | {"verdict": None}
 
     def test_the_numbers(self, here, folder):
         """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
@@ -199,7 +204,7 @@ class TestVerdict:
         monkeypatch.setenv("PEAK", "2")
         code, out, err = here(folder, "--draws", "120")
         assert code == 3, err
-        assert "FAIL: the tuned parameter set is not shown to keep all limits" in out
+        assert out.startswith("FAIL: the tuned parameter set is not shown to keep all limits\n")
         found = certificate(folder)
         assert found["verdict"] == "FAIL"
         # It is clear after a few draws.

@@ -15,6 +15,7 @@ from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
@@ -71,7 +72,7 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
         If it is none that `validate` has written. One line.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise RunRecordError(
             f"{path}: not a readable certificate: {one_line(str(error))}; run validate"

@@ -86,7 +86,13 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""
-        self.exit(EXIT_USAGE, f"error: {message} (see {self.prog} --help)\n")
+        say_error(f"error: {message} (see {self.prog} --help)")
+        self.exit(EXIT_USAGE)
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        # Help and version; argparse itself passes over what cannot be written, and exits with 0.
+        sys.stdout.write(message)
+        sys.stdout.flush()
 
 
 def guarded(run: Run) -> Run:
@@ -220,7 +226,7 @@ def read_result(given: Path) -> RunRecord:
     RunRecordError
         As in `read_run`.
     """
-    return with_summary(read_run(run_folder(given)), lambda text: print(text, file=sys.stderr))
+    return with_summary(read_run(run_folder(given)), say_error)
 
 
 def trial_of(record: RunRecord, number: object) -> Trial:
