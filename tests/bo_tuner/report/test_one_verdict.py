@@ -88,13 +88,13 @@ def certify(run, default, tuned):
             ("tuned", trial.parameters, tuned),
         ]
     ):
-        of_worst = evaluations(side, parameters, [v for v in values if v][:2], Stage.CHECK_WORST)
+        of_worst = evaluations(side, parameters, [v for v in values if v][:20], Stage.CHECK_WORST)
         evidence[name] = Evidence(
             parameters,
             evaluations(side, parameters, values),
             repeated=(of_worst,) if of_worst else (),
         )
-    certificate = make_certificate(run, trial, evidence, 0.95, "inprocess", None)
+    certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
     write_certificate(run.path, certificate, evidence)
     return certificate
 
