@@ -10,9 +10,7 @@ told their parameters, and the next whole cut. Of a killed tuner it is the time 
 a cut of the next one is on record, which begins with the surrogates. A run that has come to its end
 makes place for the next one.
 
-Then runs in process are killed in the second after the summary, the certificate or the bundle has
-begun to be there. Each must be resumed and reported afterwards as if nothing had been, and
-certified again if it was the certificate.
+`command_kills.py` kills at what is written at the end of a run, and the other commands.
 """
 
 import argparse
@@ -151,83 +149,6 @@ def missing(before: tuple, after: tuple) -> int:
     )
 
 
-MOMENTS = {
-    "summary": (("tune",), "summary.json"),
-    "bundle": (("tune",), "deploy"),
-    "certificate": (("validate",), "certificate.json"),
-}
-"""By what is awaited before a kill: the command, and the file or folder that it makes."""
-
-FINISHED = (0, 3)
-
-
-def kill_at_the_end(folder: Path, moment: str, delay: float) -> dict[str, object]:
-    """Kill a command so long [s] after what it writes at its end has begun to be there."""
-    folder.mkdir()
-    study = load_study("benchmark").replace(
-        trials=3, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_draws=1
-    )
-    (folder / "study.yaml").write_text(study_to_yaml(study))
-    tune = ["tune", "--study", "study.yaml", "--backend", "inprocess", "--quiet"]
-    run = folder / "runs" / "latest"
-    command, name = MOMENTS[moment]
-    if command != ("tune",):
-        call(folder, tune)
-        process = begin(folder, [*command, str(run), "--draws", "74"])
-    else:
-        process = begin(folder, tune)
-    deadline = time.monotonic() + LONGEST_WAIT
-    while not (run / name).exists() and process.poll() is None:
-        if time.monotonic() > deadline:
-            raise SystemExit(f"error: no {name} for {LONGEST_WAIT:g} s")
-        time.sleep(0.001)
-    # It may have come to its end by itself.
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(delay)
-    killed = process.poll() is None
-    process.kill()
-    process.wait()
-    after = [["tune", "--resume", str(run), "--quiet"], ["report", str(run)]]
-    if moment == "certificate":
-        after.append(["validate", str(run), "--draws", "74"])
-    codes = [call(folder, arguments) for arguments in after]
-    # A report has no verdict.
-    refused = [a[0] for a, code in zip(after, codes, strict=True) if code not in FINISHED]
-    return {"moment": moment, "delay": delay, "killed": killed, "refused": refused}
-
-
-def begin(folder: Path, arguments: list[str]) -> subprocess.Popen:
-    """Start a command."""
-    with (folder / "output").open("a") as output:
-        return subprocess.Popen(
-            [sys.executable, "-m", "bo_tuner", *arguments],
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
-        )
-
-
-def call(folder: Path, arguments: list[str]) -> int:
-    """Run a command; returns its exit code."""
-    return begin(folder, arguments).wait()
-
-
-def kills_at_the_end(count: int, rng: np.random.Generator) -> dict[str, object]:
-    """Kill so often, at each of `MOMENTS` in turn."""
-    with tempfile.TemporaryDirectory() as name:
-        found = []
-        for number, moment in enumerate(np.resize(list(MOMENTS), count).tolist()):
-            found.append(kill_at_the_end(Path(name) / str(number), moment, rng.uniform(0.0, 1.0)))
-            print(found[-1], flush=True)
-    return {
-        "kills": sum(bool(each["killed"]) for each in found),
-        "ended_before_the_kill": sum(not each["killed"] for each in found),
-        "refused": sum(bool(each["refused"]) for each in found),
-        "each": found,
-    }
-
-
 def summary(times: list[float]) -> dict[str, object]:
     """All of them [s], their median and the longest."""
     if not times:
@@ -239,16 +160,10 @@ def main() -> None:
     """Kill and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--kills", type=int, default=100, help="(default: %(default)s)")
-    parser.add_argument("--at-the-end", type=int, default=30, help="(default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "kill_soak.json")
     arguments = parser.parse_args()
     origin = provenance()
     rng = np.random.default_rng(SEED)
-    at_the_end = kills_at_the_end(arguments.at_the_end, np.random.default_rng(SEED + 1))
-    if not arguments.kills:
-        result = {"provenance": origin, "seed": SEED, "at_the_end": at_the_end}
-        write_result(arguments.result, result)
-        return
     order = rng.permutation(np.resize(VICTIMS, arguments.kills)).tolist()
     until_next_evaluation: dict[str, list[float]] = {victim: [] for victim in VICTIMS}
     recovery: dict[str, list[float]] = {victim: [] for victim in VICTIMS[1:]}
@@ -296,7 +211,6 @@ def main() -> None:
         "lost_cuts": lost_evaluations,
         "lost_trials": lost_trials,
         "damaged_journals": damaged,
-        "at_the_end": at_the_end,
         "load_average": os.getloadavg(),
         "recovery": {victim: summary(times) for victim, times in recovery.items()},
         "until_next_cut": {

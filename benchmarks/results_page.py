@@ -131,6 +131,23 @@ def kill_section(result: Result) -> str:
     )
 
 
+def command_kill_section(result: Result) -> str:
+    """Refusals to go on after kills of whole commands."""
+    return "\n\n".join(
+        [
+            "## Commands killed, and begun again",
+            origin(result),
+            f"{sum(result['kills'].values())} times `kill -9` of a command over ROS in "
+            f"{result['runs']} runs, seed {result['seed']}: {len(result['refused'])} times "
+            f"`tune --resume`, `validate` or `report` refused to go on, and {result['wrong_rows']} "
+            f"of {result['rows_compared']} evaluations differ from those of a run without a kill. "
+            "After summary, bundle and certificate means in the second after they have begun to "
+            "be there.",
+            table(["killed", "times"], result["kills"].items()),
+        ]
+    )
+
+
 def fuzz_section(result: Result) -> str:
     """Failures by hostile input."""
     kinds = ", ".join(f"{r['inputs']} of {kind}" for kind, r in result["hypothesis"].items())
@@ -194,6 +211,7 @@ def main() -> None:
         ("report.json", report_section),
         ("soak.json", soak_section),
         ("kill_soak.json", kill_section),
+        ("command_kills.json", command_kill_section),
         ("fuzz.json", fuzz_section),
     ):
         if (result := load(name)) is not None:

@@ -12,6 +12,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.errors import BackendError
+from bo_tuner.study import maxima
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import DISTURBED, EvaluationState
 
@@ -218,6 +219,36 @@ class TestOthers:
             attached.meanwhile = publish
             assert attached.run().metrics == before.metrics
             assert attached.meanwhile is None
+
+    @pytest.mark.parametrize(
+        ("topic", "kind"),
+        [("milling_plant/cut_result", DiagnosticArray), ("/parameter_events", ParameterEvent)],
+        ids=["result", "event"],
+    )
+    def test_a_message_that_cannot_be_read(self, attach, peer, topic, kind):
+        """One that is too large is not decoded, and of nobody knows what."""
+        attached = attach()
+        before = attached.run()
+        publisher = peer.node.create_publisher(kind, topic, 10)
+        peer.spin_until(lambda: publisher.get_subscription_count() > 0, "the tuner")
+        named = "milling_plant: a result" if kind is DiagnosticArray else f"a message on {topic}"
+        too_large = bytes(maxima.MESSAGE_BYTES + 1)
+
+        def say(data):
+            publisher.publish(data)
+            peer.spin_for(0.3)
+
+        for data, complaint in (
+            (too_large, "has 10000001 bytes, expected at most 10000000"),
+            (b"\0\1\0\0" + b"\xff" * 50, f"cannot be read as {kind.__name__}"),
+        ):
+            attached.meanwhile = lambda data=data: say(data)
+            outcome = attached.run()
+            assert attached.meanwhile is None
+            assert outcome.state is EvaluationState.FAILED
+            assert outcome.reason == f"{named} {complaint}"
+            assert outcome.spoilt
+            assert attached.run().metrics == before.metrics
 
     def test_a_value_of_unknown_type(self, attach, peer):
         attached = attach()

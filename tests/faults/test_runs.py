@@ -195,7 +195,7 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
     last = run.said.splitlines()[-1]
     assert last.startswith("error: ")
     assert "journal.sqlite" in last
-    assert "go on by: tune --resume" in last
+    assert "resume it with: tune --resume" in last
     assert starts_with(run.record(), before)
     run.resume()
     run.wait_for_trials(4)

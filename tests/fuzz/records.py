@@ -77,9 +77,9 @@ def make_whole_run(folder):
         writer.write_json(SUMMARY, summary)
     record = read_run(folder)
     subjects = [Subject(DEFAULT, study.search_space().defaults), Subject(TUNED, trial.parameters)]
-    found = Certification(study, backend).collect(subjects, 10)
+    found = Certification(study, backend, confidence=0.9).collect(subjects, 10)
     evidence = {s.name: item for s, item in zip(subjects, found, strict=True)}
-    certificate = make_certificate(record, trial, evidence, 0.9, "inprocess", None)
+    certificate = make_certificate(record, trial, evidence, 10, 0.9, 1, "inprocess", None)
     write_certificate(folder, certificate, evidence)
     write_bundle(record)
     return folder

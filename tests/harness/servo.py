@@ -4,7 +4,7 @@ import contextlib
 import math
 import time
 
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -25,6 +25,11 @@ class System(Node):
     def __init__(self, context):
         super().__init__("servo", context=context)
         self.declare_parameter("gain", 0.5)
+        self.declare_parameter("serial", 7.0, ParameterDescriptor(read_only=True))
+        self.declare_parameter("count", 3)
+        limits = FloatingPointRange(from_value=0.0, to_value=2.0)
+        limited = ParameterDescriptor(floating_point_range=[limits])
+        self.declare_parameter("limited", 1.0, limited)
         self.add_on_set_parameters_callback(self.judge)
         self.received = []
         self.begin()

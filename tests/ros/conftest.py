@@ -222,6 +222,17 @@ class Peer:
         self.node.create_subscription(message, topic, received.append, 10_000)
         return received
 
+    def meet(self, node):
+        """Wait until a node sends here whatever this one has subscribed to so far.
+
+        It hears of the ends of this node in the order of their making. So one that answers a new
+        client knows all earlier subscriptions; that publishers are seen here does not tell.
+        """
+        client = self._clients.pop(f"{node}/get_parameters", None)
+        if client is not None:
+            self.node.destroy_client(client)
+        self.get_parameters(node, ["use_sim_time"])
+
     def set_parameters(self, node, values):
         """Set parameters atomically; returns the result message."""
         from rcl_interfaces.srv import SetParametersAtomically
@@ -400,6 +411,7 @@ class StandInController:
         self.command = peer.node.create_publisher(JointState, "mpc_controller/command", 10)
         peer.node.create_subscription(JointState, "joint_states", self._on_measurement, 10)
         peer.spin_until(lambda: self.command.get_subscription_count() > 0, "the plant")
+        peer.meet("milling_plant")
 
     def _on_measurement(self, message):
         self.measurements.append(message)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from commands import environment
+from commands import environment, start
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 from waiting import DEADLINE
 
@@ -230,6 +230,49 @@ def test_in_a_terminal_it_asks(record, now):
         process.wait()
         os.close(leader)
     assert now() == tuned(record)
+
+
+@pytest.mark.parametrize("to_error", [False, True])
+@pytest.mark.parametrize(
+    ("gone", "code", "complaint"),
+    [
+        ("full", 1, "error: output: No space left on device"),
+        ("pipe", 141, "error: nobody reads the output any more"),
+    ],
+)
+def test_what_cannot_be_shown_is_not_set(record, now, gone, code, complaint, to_error):
+    before = now()
+    if gone == "full":
+        output = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reading, output = os.pipe()
+        os.close(reading)
+    process = start(
+        *("apply", record.path, "--yes"),
+        folder=record.path.parent,
+        stdout=output,
+        **({"stderr": output} if to_error else {}),
+    )
+    os.close(output)
+    _, err = process.communicate(timeout=DEADLINE)
+    assert process.returncode == code
+    if not to_error:
+        assert err == f"{complaint}\n"
+    assert now() == before
+
+
+def test_what_is_set_stays_set_when_the_output_goes_after_that(record, now, capsys, monkeypatch):
+    """The way back is saved, and the exit code tells to look."""
+    before = now()
+
+    def gone(text):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(command, "say", gone)
+    code, _, err = apply(capsys, record, "--yes")
+    assert (code, err) == (141, "error: nobody reads the output any more\n")
+    assert now() == tuned(record)
+    assert rollback_file(record) == before
 
 
 def test_what_changes_while_it_asks_is_not_overwritten(client, record, now, capsys, monkeypatch):

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros.backend import HELD
 from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import find_evaluation
@@ -95,6 +96,21 @@ def attached(shared_pair, tmp_path_factory):
             [str(folder), "--trial", "1", "--backend", "ros", "--attach"], Uninterrupted()
         )
     return record, code, lines
+
+
+def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsys):
+    """Of those that the study does not set."""
+    record, _, _ = attached
+    held = record.path / "log" / HELD
+    held.write_text(json.dumps({"plant": {"noise_variance": 0.5}, "controller": {}}))
+    try:
+        code = command.run([str(record.path), "1", "--backend", "ros", "--attach"], Uninterrupted())
+    finally:
+        held.unlink()
+    assert code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    expected = "parameter noise_variance is 0.001, expected 0.5, as when the run began; set it back"
+    assert last == f"error: plant: {expected}"
 
 
 def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attached):

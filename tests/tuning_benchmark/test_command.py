@@ -17,9 +17,11 @@ def benchmark(tmp_path, experiment_file):
     """Function that starts the command on the valley, into a folder of its own."""
     started = []
 
-    def begin(output, *arguments, experiment=experiment_file, environment=None):
+    def begin(output, *arguments, experiment=experiment_file, environment=None, **streams):
         arguments = ("--experiment", experiment, "--output", tmp_path / output, *arguments)
-        process = start(*arguments, folder=tmp_path, package="tuning_benchmark", env=environment)
+        process = start(
+            *arguments, folder=tmp_path, package="tuning_benchmark", env=environment, **streams
+        )
         started.append(process)
         return process
 
@@ -65,6 +67,34 @@ def wait_for_records(file, count, process):
     wait_until(
         lambda: file.exists() and file.read_bytes().count(b"\n") >= count, "records", process
     )
+
+
+@pytest.mark.parametrize(("gone", "code"), [("full", 1), ("pipe", 141)])
+def test_an_output_that_goes_away_leaves_the_records(benchmark, tmp_path, gone, code):
+    def nowhere():
+        if gone == "full":
+            return os.open("/dev/full", os.O_WRONLY)
+        reading, output = os.pipe()
+        os.close(reading)
+        return output
+
+    # A task that has ended is on record before it is told of.
+    output = nowhere()
+    process = benchmark("out", stderr=output)
+    os.close(output)
+    process.communicate(timeout=100)
+    assert process.returncode == code
+    before = records_of(tmp_path / "out")
+    assert before
+    output = nowhere()
+    process = benchmark("out", "--page-only", stdout=output)
+    os.close(output)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == code
+    assert "Traceback" not in err
+    code_without, _, err = finish(benchmark("out", "--page-only"))
+    assert code_without == 0, err
+    assert records_of(tmp_path / "out") == before
 
 
 def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, tmp_path):

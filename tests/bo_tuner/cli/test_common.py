@@ -9,7 +9,7 @@ import pytest
 from bo_tuner.cli.common import run_folder
 from bo_tuner.errors import RunRecordError
 
-COMMANDS = ("apply", "replay", "report", "tune", "validate")
+COMMANDS = ("apply", "recompute", "replay", "report", "tune", "validate")
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -120,15 +120,72 @@ def test_a_tuner_that_nobody_listens_to_stops_with_its_record_whole(runs, tmp_pa
     assert code == 0, err
 
 
+FULL = "error: output: No space left on device"
+
+
+@pytest.fixture
+def full():
+    """A device that takes no more."""
+    with open("/dev/full", "w") as device:  # noqa: PTH123
+        yield device
+
+
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
-def test_a_full_device(runs, command):
+@pytest.mark.parametrize("to_error", [False, True])
+def test_a_full_device(runs, full, command, to_error):
     name, *options = command
-    with open("/dev/full", "w") as full:  # noqa: PTH123
-        process = start(name, "runs/latest", *options, folder=runs, stdout=full)
-        _, err = process.communicate(timeout=100)
+    streams = {"stdout": full} | ({"stderr": full} if to_error else {})
+    process = start(name, "runs/latest", *options, folder=runs, **streams)
+    _, err = process.communicate(timeout=100)
     assert process.returncode == 1
-    assert err.splitlines()[-1] == "error: output: No space left on device"
-    assert "Traceback" not in err
+    if not to_error:
+        assert err.splitlines()[-1] == FULL
+        assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("to_error", [False, True])
+def test_a_tuner_whose_output_is_full_stops_with_its_record_whole(runs, tmp_path, full, to_error):
+    command = (*TUNE[:-1], str(tmp_path / "unwritten"))
+    streams = {"stdout": full} | ({"stderr": full} if to_error else {})
+    process = start(*command, folder=runs, **streams)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 1
+    if not to_error:
+        assert err.splitlines()[-1] == FULL
+        assert "Traceback" not in err
+    code, _, err = run("tune", "--resume", tmp_path / "unwritten" / "latest", folder=runs)
+    assert code == 0, err
+
+
+ALL = ("apply", "replay", "report", "tune", "validate", "benchmark")
+
+
+def started(name, *arguments, folder, **streams):
+    """Start one of all commands."""
+    package = "tuning_benchmark" if name == "benchmark" else "bo_tuner"
+    command = arguments if name == "benchmark" else (name, *arguments)
+    return start(*command, folder=folder, package=package, **streams)
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_help_that_cannot_be_written_is_not_given(runs, full, name, option):
+    process = started(name, option, folder=runs, stdout=full)
+    _, err = process.communicate(timeout=100)
+    assert (process.returncode, err) == (1, f"{FULL}\n")
+    reading, writing = os.pipe()
+    os.close(reading)
+    process = started(name, option, folder=runs, stdout=writing)
+    os.close(writing)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 128 + signal.SIGPIPE
+    assert err == "error: nobody reads the output any more\n"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_complaint_that_cannot_be_written_leaves_its_exit_code(runs, full, name):
+    process = started(name, "--unknown", folder=runs, stdout=full, stderr=full)
+    assert process.wait(100) == 2
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])

@@ -196,7 +196,7 @@ class TestFaults:
         last = err.splitlines()[-1]
         assert last.startswith("error: ")
         assert "journal.sqlite" in last
-        assert "go on by: tune --resume " in last
+        assert "resume it with: tune --resume " in last
         assert sum(line.startswith("error") for line in err.splitlines()) == 1
         # What was told as done is in the record.
         told = sum(line.startswith("trial ") for line in err.splitlines())

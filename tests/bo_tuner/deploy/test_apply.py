@@ -226,8 +226,8 @@ class TestCertificate:
         backend = function_backend(study, lambda gain, load, seed: {"error": 1.0, "peak": 0.5})
         record = make_run(tmp_path / "strict", study, backend, result=1)
         write_certificate(record, record.trials[1])
-        # 0.999^n <= 0.05 from n = 2995 on.
-        assert "300 draws, the study requires 2995" in certificate_problem(record, record.trials[1])
+        # The evidence of n draws without a violation reaches 20 at n = 3787.
+        assert "300 draws, the study requires 3787" in certificate_problem(record, record.trials[1])
         write_certificate(record, record.trials[1], draws=2995)
         assert certificate_problem(record, record.trials[1]) == ""
 

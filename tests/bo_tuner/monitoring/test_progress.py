@@ -59,7 +59,7 @@ class TestLines:
         lines = text(out).splitlines()
         assert len(lines) == 3
         assert lines[2] == (
-            "trial   2       gain 0.5        error 1.5        worst peak 0.5       <= 1"
+            "trial   2       gain 0.5        error 1.5        worst peak 0.5       limit 1"
             "  [2 evaluations]"
         )
         assert not ESCAPE.search(text(out))
@@ -73,7 +73,7 @@ class TestLines:
 
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
-        assert "worst peak 1.25      >  1  violates peak" in line.replace(JOIN, " ")
+        assert "worst peak 1.25      limit 1  violates peak" in line.replace(JOIN, " ")
 
     def test_a_new_best_is_marked(self, make_study, make_trial):
         out = console()
@@ -110,8 +110,8 @@ class TestTerminal:
         lines.append(shown[start + len(lines)])
         assert max(map(len, lines)) <= width
         whole = " ".join(" ".join(lines).split())
-        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 <= 1 [1 evaluations]")
-        ends = ("gain", "error", "worst", "peak", "<=")
+        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 evaluations]")
+        ends = ("gain", "error", "worst", "peak", "limit")
         assert not any(line.endswith(ends) for line in lines)
 
     @pytest.mark.parametrize("width", [40, 80, 200])

@@ -23,6 +23,7 @@ def findings(violations, passed):
             {
                 "context": {"load": 2.0},
                 "mean": {"value": 0.75, "standard_error": 0.01, "upper": 0.77},
+                "violation_bound": 0.11,
             }
         ],
         "passed": passed,
@@ -44,7 +45,10 @@ def content(verdict):
         "warnings": ["narrow optimum"],
         "trial": 3,
         "draws": 300,
+        "drawn": 112,
+        "attempt": 1,
         "confidence": 0.95,
+        "bound_confidence": 0.975,
         "tail_level": 0.95,
         "objective": {"metric": "error", "unit": "s"},
         "tuned": findings(0, verdict == "PASS"),
@@ -78,17 +82,25 @@ def test_a_run_without_a_certificate_has_none(tuned):
 def test_its_numbers_are_shown(certified):
     found = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
-    assert found.scope == "300 fresh draws, 95 % confidence"
+    assert found.scope == "112 fresh draws, 95 % confidence"
     limits, gaps = found.section.tables
     rows = {row[0].strip(): row[1:] for row in limits.rows}
     assert rows["mean error"] == ["1.5 ± 0.02", "1.5 ± 0.02", "s"]
     assert rows["draws above 1"] == ["8", "0", ""]
-    assert rows["probability of a violation, 95 % bound"] == ["0.0123", "0.0123", ""]
-    assert rows["95 % bound"] == ["0.77", "0.77", "N"]
+    assert rows["probability of a violation, 97.5 % bound"] == ["0.0123", "0.0123", ""]
+    assert rows["97.5 % bound"] == ["0.77", "0.77", "N"]
+    assert rows["probability of a violation there, 97.5 % bound"] == ["0.11", "0.11", ""]
     assert rows["at load"] == ["2", "2", ""]
     assert rows["peak"] == ["not shown", "shown to hold", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
     assert "narrow optimum" in found.section.notes
+
+
+def test_without_the_default_there_is_one_column(certified):
+    found = certificate(certified(json.dumps(content("PASS") | {"default": None})), None)
+    limits = found.section.tables[0]
+    assert limits.header == ["", "tuned", "unit"]
+    assert ["mean error", "1.5 ± 0.02", "s"] in limits.rows
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])

@@ -209,12 +209,35 @@ def test_a_certificate_brings_summary_and_bundle_up_to_date(tuned, tmp_path, pea
 
 
 def test_the_largest_value_on_record_is_not_hidden(tuned):
-    """A peak of 0.95 in the tuning is named beside the 0.5 of a validation."""
+    """A peak of 0.99 in the tuning is named beside the 0.5 of a validation."""
     trial = tuned.trials[tuned.summary["trial"]]
     run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
-    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.95)], Stage.SEARCH)
+    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.99)], Stage.SEARCH)
     verdict = run_verdict(dataclasses.replace(run, evaluations=(*run.evaluations, *seen)))
     (peak,) = [q for q in verdict.quantities if q.label == "largest peak"]
     assert peak.tuned == 0.5
-    assert "on record 0.95" in peak.remark
+    assert "on record 0.99" in peak.remark
     assert "gained nothing" in verdict.sentences[-1]
+
+
+def test_the_links_of_the_report_lead_into_the_run_from_the_bundle_as_well(tuned, tmp_path):
+    shutil.copytree(tuned.path, tmp_path / "run")
+    write_deliverables(tmp_path / "run", lambda text: None, pytest.fail)
+    for page, up in (("report.html", "."), ("deploy/report.html", "..")):
+        text = (tmp_path / "run" / page).read_text(encoding="utf-8")
+        links = re.findall(r'<a href="([^"#]+)"', text)
+        assert f"{up}/best.yaml" in links
+        for link in links:
+            assert (tmp_path / "run" / page).parent.joinpath(link).exists()
+
+
+@pytest.mark.parametrize("text", ["", "parameter_set,stage\ntuned,none\n", "\x00", None])
+def test_a_verdict_survives_evaluations_that_cannot_be_read(tuned, tmp_path, text):
+    shutil.copytree(tuned.path, tmp_path / "run")
+    run = read_run(tmp_path / "run")
+    certify(run, [(1.0, 0.5)] * 3, [(1.0, 2.0)] * 3)
+    path = run.path / "certificates" / "0001_evaluations.csv"
+    path.unlink() if text is None else path.write_text(text)
+    verdict = run_verdict(run)
+    assert verdict.certificate == FAIL
+    assert verdict.reasons == ("peak: 3 of 3 draws violate the limit or fail (none may)",)

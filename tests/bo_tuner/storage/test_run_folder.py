@@ -5,7 +5,9 @@ import hashlib
 import json
 import os
 import re
+import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,14 @@ def same_second(monkeypatch):
             return NOW
 
     monkeypatch.setattr(run_folder, "datetime", Frozen)
+
+
+@pytest.fixture
+def ended():
+    """Number of a process that has ended."""
+    process = subprocess.Popen(["true"])
+    process.wait()
+    return process.pid
 
 
 class TestFolder:
@@ -64,11 +74,49 @@ class TestFolder:
         RunFolder.create(tmp_path, make_study())
         assert (tmp_path / "latest").resolve() == first.path.resolve()
 
-    def test_latest_in_the_way(self, tmp_path, make_study):
-        (tmp_path / "latest").mkdir()
-        with pytest.raises(OutputError, match="latest: cannot point to the run"):
-            RunFolder.create(tmp_path, make_study()).link_latest()
-        assert not list(tmp_path.glob(".latest*"))
+    @pytest.mark.parametrize("kind", ["file", "folder", "link to a file", "link to nothing"])
+    @pytest.mark.parametrize("when", ["before the run", "meanwhile"])
+    def test_what_somebody_has_named_latest_stays_as_it_is(self, tmp_path, make_study, kind, when):
+        runs, latest = tmp_path / "runs", tmp_path / "runs" / "latest"
+        runs.mkdir()
+        (tmp_path / "notes").write_text("mine")
+        folder = RunFolder.create(runs, make_study()) if when == "meanwhile" else None
+        if kind == "file":
+            latest.write_text("mine")
+        elif kind == "folder":
+            latest.mkdir()
+        else:
+            latest.symlink_to(tmp_path / ("notes" if kind == "link to a file" else "gone"))
+        before = latest.lstat()
+        with pytest.raises(OutputError, match=r"latest: cannot point to the run: it is no link to"):
+            folder.link_latest() if folder else RunFolder.create(runs, make_study())
+        assert latest.lstat() == before
+        assert len(list(runs.iterdir())) == (2 if folder else 1)
+        assert (tmp_path / "notes").read_text() == "mine"
+
+    def test_what_a_killed_process_has_left_half_written_goes_with_the_next(
+        self, tmp_path, make_study, ended
+    ):
+        with closing(RunFolder.create(tmp_path, make_study())) as folder:
+            folder.link_latest()
+        left = [
+            folder.path / f".summary.json.{ended}.new",
+            folder.path / "log" / f".held_parameters.json.{ended}.new",
+            tmp_path / f".latest.{ended}.new",
+        ]
+        kept = [
+            # Of a process that runs, and of other programs.
+            folder.path / f".report.html.{os.getpid()}.new",
+            folder.path / "log" / ".cache.new",
+            folder.path / "log" / f"notes.{ended}.new",
+        ]
+        for path in [*left[:2], *kept]:
+            path.write_text("half")
+        left[2].symlink_to(folder.path.name)
+        with closing(RunFolder(folder.path)) as again:
+            again.link_latest()
+        assert not [path for path in left if os.path.lexists(path)]
+        assert all(path.read_text() == "half" for path in kept)
 
     @pytest.mark.parametrize("below", ["", "sub/folder"])
     def test_output_is_a_file(self, tmp_path, make_study, below):

@@ -383,7 +383,11 @@ class TestRefusedValues:
             ("parameters/window/default", None, "missing; expected the hand-tuned value"),
             ("parameters/window/default", 10, "10 lies outside the bounds [1, 9]"),
             ("parameters/window/bounds", [1, 2**60], "expected bounds of at most 2^53 in size"),
-            ("parameters/window/type", "float", "unknown 'float'; expected one of integer, double"),
+            (
+                "parameters/window/type",
+                "float",
+                "unknown 'float'; expected one of double, integer, boolean, string",
+            ),
             (
                 "parameters/window/minimum_correlation",
                 1.0,

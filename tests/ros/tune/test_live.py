@@ -91,7 +91,7 @@ def test_a_late_joiner_gets_all_trials_also_of_a_resumed_run(run, watch):
     assert answer.success
     assert command.finish() == 143, command.err
     last = command.err.splitlines()[-1]
-    assert last.startswith("interrupted by the service ~/abort; go on by: tune --resume ")
+    assert last.startswith("interrupted by the service ~/abort; resume it with: tune --resume ")
     assert answer.message.partition("tune --resume ")[2] == last.partition("tune --resume ")[2]
     done = command.trials()
 

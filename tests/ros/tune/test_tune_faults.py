@@ -158,7 +158,7 @@ class TestEvaluations:
         *lines, last = command.err.splitlines()
         assert sum(line.startswith("trial ") for line in lines) == 3
         assert last.startswith("error: 3 trials in a row were lost with their nodes: axis_drive")
-        assert "go on by: tune --resume" in last
+        assert "resume it with: tune --resume" in last
         assert len(command.trials()) == 3
         assert (command.run_folder / "trials.csv").read_text().count("\n") == 4
 

@@ -73,6 +73,26 @@ def test_a_node_that_does_not_take_its_safe_values_is_named_at_once(backend, sys
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "default", "complaint"),
+    [
+        ("gian", 0.5, "gian"),
+        ("serial", 8.0, "read-only"),
+        ("count", 2.5, "type"),
+        ("limited", 2.5, "limited"),
+    ],
+)
+def test_a_parameter_that_the_node_does_not_have_as_the_study_says(
+    backend, name, default, complaint
+):
+    """It is found before the first trial, and not once in each."""
+    parameter = {"node": "servo", "type": "double", "bounds": [0, 9], "default": default}
+    with pytest.raises(StudyError) as caught:
+        backend(parameters={name: parameter})
+    assert str(caught.value).startswith("parameters: as safe values: servo refused its parameters:")
+    assert complaint in str(caught.value)
+
+
 def test_a_failure_to_park_is_told(backend, system):
     made = backend(run={"before": [], **ROOM, "end": {"after": 5.0}})
     system.refuses_beyond = 2.0

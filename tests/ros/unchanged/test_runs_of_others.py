@@ -1,11 +1,14 @@
 """Runs on a system that knows nothing of the tuner: its topics, services and mistakes."""
 
+import re
+
 import pytest
 from servo import failure, run, study
 from waiting import wait_until
 
 from bo_tuner.backends.ros import tuner_node
 from bo_tuner.errors import StudyError
+from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -129,6 +132,16 @@ def test_a_joint_that_is_not_in_the_messages(backend, system):
     system.names = ["other", "engine"]
     expected = "a message on /joint_states has no 'motor' among its names other, engine"
     assert failure(run(made)) == expected
+
+
+def test_a_message_that_is_too_large(backend, monkeypatch):
+    made = backend()
+    with monkeypatch.context() as patch:
+        patch.setattr(maxima, "MESSAGE_BYTES", 10)
+        assert re.fullmatch(
+            "a message on /[a-z_]+ has [0-9]+ bytes, expected at most 10", failure(run(made))
+        )
+    assert run(made).state is EvaluationState.COMPLETE
 
 
 def test_a_condition_ends_a_run(backend):

@@ -4,7 +4,7 @@ import sys
 
 from bo_tuner.cli import executables
 
-COMMANDS = ("tune", "report", "validate", "replay", "apply")
+COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply")
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:

@@ -16,6 +16,7 @@ def make_backend(
     log_directory: Path,
     *,
     attach: bool = False,
+    run_log: Path | None = None,
     ros_arguments: Sequence[str] = (),
     interrupted: Callable[[], None] = lambda: None,
 ) -> Backend:
@@ -27,7 +28,7 @@ def make_backend(
         One of `bo_tuner.study.parts.BACKENDS`.
     study
         The study.
-    log_directory, attach, ros_arguments, interrupted
+    log_directory, attach, run_log, ros_arguments, interrupted
         As in `RosBackend`; of no meaning in process.
     """
     if name == IN_PROCESS:
@@ -36,6 +37,7 @@ def make_backend(
         study,
         log_directory,
         attach=attach,
+        run_log=run_log,
         ros_arguments=list(ros_arguments),
         interrupted=interrupted,
     )

@@ -4,7 +4,8 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from bo_tuner.certificate.context_tolerance import CREDIBLE, ContextTolerance, context_tolerance
 from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
 from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
+from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     FORMAT,
     evaluations_path,
@@ -28,6 +30,7 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import without_nan
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import csv_cell
 from bo_tuner.trials import Stage, Trial
@@ -48,9 +51,13 @@ class Certificate:
     best_sha256
         Digest of the ``best.yaml`` that holds it; None if that holds another trial's.
     draws, confidence
-        As requested.
+        Largest number of draws, and the confidence over all attempts, as requested.
+    drawn
+        Number of draws that were made.
+    attempt
+        Number of the attempt to certify a parameter set of the run, from 1.
     tuned, default
-        Findings for the parameter set and for the hand-tuned one.
+        Findings for the parameter set, and for the hand-tuned one if it was evaluated as well.
     gaps
         Training compared with validation.
     context, sensitivity
@@ -64,8 +71,10 @@ class Certificate:
     best_sha256: str | None
     draws: int
     confidence: float
+    drawn: int
+    attempt: int
     tuned: Findings
-    default: Findings
+    default: Findings | None
     gaps: Sequence[Gap]
     context: ContextTolerance | None
     sensitivity: ParameterSensitivity | None
@@ -80,7 +89,19 @@ class Certificate:
     def warnings(self) -> tuple[str, ...]:
         """Warnings that do not affect the verdict."""
         narrow = self.sensitivity.warning if self.sensitivity is not None else ""
-        return (narrow,) if narrow else ()
+        return (*((narrow,) if narrow else ()), *self._busy)
+
+    @property
+    def _busy(self) -> Iterator[str]:
+        """What to know of a limit on a measured time that was not shown."""
+        for constraint in self.tuned.constraints:
+            measured = not self.study.metrics[constraint.metric].reproducible
+            if measured and not constraint.passed and self.provenance["backend"] == ROS:
+                yield (
+                    f"{constraint.name}: {constraint.metric} depends on the load of the machine, "
+                    f"which was {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; measure it "
+                    "with nothing else running, on the computer that will control the machine"
+                )
 
     def to_mapping(self, evaluations_sha256: str) -> dict[str, object]:
         """Return the content of the certificate's file.
@@ -103,7 +124,10 @@ class Certificate:
             "best_yaml_sha256": self.best_sha256,
             "evaluations_sha256": evaluations_sha256,
             "draws": self.draws,
+            "drawn": self.drawn,
             "confidence": self.confidence,
+            "attempt": self.attempt,
+            "bound_confidence": spent(self.confidence, self.attempt),
             "tail_level": TAIL,
             "credible": CREDIBLE,
             "objective": {
@@ -112,7 +136,7 @@ class Certificate:
                 "direction": self.study.objective.direction,
             },
             "tuned": _findings(self.tuned),
-            "default": _findings(self.default),
+            "default": None if self.default is None else _findings(self.default),
             "training_gaps": [
                 asdict(gap) | {"gap": gap.value, "standard_error": gap.standard_error}
                 for gap in self.gaps
@@ -128,7 +152,9 @@ def make_certificate(
     record: RunRecord,
     trial: Trial,
     evidence: Mapping[str, Evidence],
+    draws: int,
     confidence: float,
+    attempt: int,
     backend: str,
     best_sha256: str | None,
 ) -> Certificate:
@@ -141,9 +167,13 @@ def make_certificate(
     trial
         The trial whose parameter set is judged.
     evidence
-        Evaluations of the parameter sets `TUNED` and `DEFAULT`.
+        Evaluations of the parameter set `TUNED` and, if it was evaluated, of `DEFAULT`.
+    draws
+        Largest number of draws.
     confidence
-        Confidence of all bounds.
+        Confidence over all attempts.
+    attempt
+        Number of this one, from 1.
     backend
         Backend on which the evaluations were run.
     best_sha256
@@ -151,7 +181,8 @@ def make_certificate(
     """
     study, models = record.study, ALGORITHMS[record.algorithm].models
     tuned = evidence[TUNED]
-    findings = judge(study, tuned, confidence)
+    level = spent(confidence, attempt)
+    findings = judge(study, tuned, level)
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(record.trials))
     surrogates = Surrogates.fit(study, record.trials, rng=rng, options=models)
     in_training = [e for e in record.evaluations if e.parameters == trial.parameters]
@@ -163,10 +194,12 @@ def make_certificate(
         study=study,
         trial=trial.number,
         best_sha256=best_sha256,
-        draws=len(tuned.drawn),
+        draws=draws,
         confidence=confidence,
+        drawn=len(tuned.drawn),
+        attempt=attempt,
         tuned=findings,
-        default=judge(study, evidence[DEFAULT], confidence),
+        default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
         gaps=training_gaps(study, trial, rank(study, record.trials, models), findings),
         context=context_tolerance(study, [*fresh, *in_training, *tuned.drawn]),
         sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),

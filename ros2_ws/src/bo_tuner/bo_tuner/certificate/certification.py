@@ -1,4 +1,7 @@
-"""The evaluations of a certificate: common fresh draws, then the worst contexts of each subject."""
+"""The evaluations of a certificate: common fresh draws, then the worst contexts of each subject.
+
+They end as soon as the verdict is clear.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,14 +13,18 @@ from bo_tuner.certificate.independent_search import (
     find_worst_contexts,
     most_evaluations,
 )
+from bo_tuner.certificate.verdict import decide_context, decide_draws
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
-REPEATS = 20
-"""Evaluations with fresh noise in each context that may be the worst."""
+LEAST_DRAWS = 30
+"""Draws behind the mean of the objective, even if fewer decide the verdict."""
+
+EXPECTED_REPEATS = 25
+"""Evaluations in each context that may be the worst, in a clear case; for the progress display."""
 
 DRAWN, SEARCHED, REPEATED = 0, 1, 2
 """Purpose of an evaluation, as part of the key of its noise seed."""
@@ -51,6 +58,10 @@ class Certification:
         The study.
     backend
         Runs the evaluations; open.
+    confidence
+        Confidence of each bound.
+    attempt
+        Number of the attempt to certify a parameter set of the run, from 1: each has own draws.
     observer
         Told of each phase, evaluation and step.
     """
@@ -60,10 +71,14 @@ class Certification:
         study: Study,
         backend: Backend,
         *,
+        confidence: float,
+        attempt: int = 1,
         observer: RunObserver = NOBODY,
     ) -> None:
         self._study = study
         self._backend = backend
+        self._confidence = confidence
+        self._attempt = attempt
         self._observer = observer
         self._contexts = study.context_space()
         self._losses = Losses("evaluations")
@@ -71,7 +86,15 @@ class Certification:
     def collect(self, subjects: Sequence[Subject], draws: int) -> list[Evidence]:
         """Evaluate all subjects in the same draws, then search for the worst contexts of each.
 
-        Without a worst-case constraint there is no search.
+        The draws end when they are clear for every subject. Without a worst-case constraint, or
+        for a subject that the draws let fail, there is no search.
+
+        Parameters
+        ----------
+        subjects
+            The parameter sets.
+        draws
+            Largest number of draws, and of evaluations in each context that may be the worst.
 
         Raises
         ------
@@ -80,32 +103,40 @@ class Certification:
         """
         drawn = self._draw(subjects, draws)
         return [
-            self._look_closely(number, subject, drawn[number])
+            self._look_closely(number, subject, drawn[number], draws)
             for number, subject in enumerate(subjects)
         ]
 
     def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
         self._observer.begin("draws", draws)
-        rows = self._contexts.draw(draws, generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS))
+        rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
         evaluations: list[list[Evaluation]] = [[] for _ in subjects]
-        for k, row in enumerate(rows):
-            seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, DRAWN, k)
+        for k, row in enumerate(self._contexts.draw(draws, rng)):
+            seed = self._noise_seed(DRAWN, k)
             context = self._contexts.to_dict(row)
             for number, subject in enumerate(subjects):
                 planned = Evaluation(number, k, Stage.VALIDATION, subject.parameters, context, seed)
                 evaluations[number].append(self._run(planned))
             self._observer.advance()
+            if all(self._clear(drawn, draws) for drawn in evaluations):
+                break
         return evaluations
 
-    def _look_closely(self, number: int, subject: Subject, drawn: Sequence[Evaluation]) -> Evidence:
+    def _clear(self, drawn: Sequence[Evaluation], most: int) -> bool:
+        decided = decide_draws(self._study, drawn, most, self._confidence)
+        return decided is False or (decided is True and len(drawn) >= min(LEAST_DRAWS, most))
+
+    def _look_closely(
+        self, number: int, subject: Subject, drawn: Sequence[Evaluation], most: int
+    ) -> Evidence:
         constraint = self._study.worst_case_constraint
-        if constraint is None:
+        if constraint is None or decide_draws(self._study, drawn, most, self._confidence) is False:
             return Evidence(subject.parameters, tuple(drawn))
         search: list[Evaluation] = []
 
         def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
             # The key does not depend on the subject: the same noise for all.
-            seed = noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, *key)
+            seed = self._noise_seed(*key)
             evaluation = self._run(
                 Evaluation(number, index, stage, subject.parameters, context, seed)
             )
@@ -119,7 +150,8 @@ class Certification:
 
         self._observer.begin(
             f"worst case of {subject.name}",
-            most_evaluations(self._contexts, len(subject.suspected)) + CANDIDATES * REPEATS,
+            most_evaluations(self._contexts, len(subject.suspected))
+            + CANDIDATES * EXPECTED_REPEATS,
         )
         candidates = find_worst_contexts(
             self._contexts,
@@ -130,13 +162,23 @@ class Certification:
                 if evaluation.outcome.state is EvaluationState.COMPLETE
             ],
             subject.suspected,
-            generator(self._study.seed, Stream.CERTIFICATE_SEARCH, number),
+            generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number),
         )
-        repeated = [
-            tuple(run(Stage.CHECK_WORST, context, k, REPEATED, place, k) for k in range(REPEATS))
-            for place, context in enumerate(candidates)
-        ]
+        repeated: list[tuple[Evaluation, ...]] = []
+        for place, context in enumerate(candidates):
+            here: list[Evaluation] = []
+            holds: bool | None = None
+            while holds is None and len(here) < most:
+                k = len(here)
+                here.append(run(Stage.CHECK_WORST, context, k, REPEATED, place, k))
+                holds = decide_context(constraint, here, most, self._confidence)
+            repeated.append(tuple(here))
+            if not holds:
+                break
         return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
+
+    def _noise_seed(self, *key: int) -> int:
+        return noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, self._attempt, *key)
 
     def _run(self, planned: Evaluation) -> Evaluation:
         evaluation = evaluate(self._study, self._backend, planned, self._observer)

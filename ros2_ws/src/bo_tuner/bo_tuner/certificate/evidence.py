@@ -55,6 +55,10 @@ class WorstContext:
         Largest single value.
     evaluations, above, failures
         Number of complete evaluations, of those above the limit, and of failed ones.
+    violation_bound
+        Upper confidence bound of the probability that a run in this context violates the limit.
+    shown
+        Whether the limit is shown to hold in this context.
     """
 
     context: Mapping[str, float]
@@ -63,6 +67,8 @@ class WorstContext:
     evaluations: int
     above: int
     failures: int
+    violation_bound: float
+    shown: bool
 
 
 @dataclass(frozen=True)
@@ -73,8 +79,10 @@ class ConstraintVerdict:
     ----------
     name, kind, metric, unit, limit
         As in the study; the limit in `unit`.
+    statistic
+        What the limit is on, as `Constraint.statistic`.
     allowed
-        Largest permitted probability of a violation; 0 for a worst case.
+        Largest permitted probability of a violation, as `Constraint.allowed`.
     draws, violations, failures
         Number of draws, of complete ones above the limit, and of failed ones.
     violation_bound
@@ -84,7 +92,8 @@ class ConstraintVerdict:
     tail
         Conditional value at risk of the draws at level `TAIL`.
     worst
-        For a worst case: the contexts that may be the worst, the largest mean first.
+        For a worst case: the contexts that may be the worst, first those where the limit is not
+        shown to hold, then by the largest mean.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """
@@ -94,6 +103,7 @@ class ConstraintVerdict:
     metric: str
     unit: str
     limit: float
+    statistic: str
     allowed: float
     draws: int
     violations: int

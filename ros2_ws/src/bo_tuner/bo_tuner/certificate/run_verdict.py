@@ -28,16 +28,29 @@ def run_verdict(record: RunRecord) -> Verdict:
     RunRecordError
         If the summary of the run is not one of `tune`.
     """
+    by_validation = _by_validation(record)
+    if by_validation is None:
+        return open_verdict(record.study, record.trials)
+    (trial,) = [trial for trial in record.trials if trial.number == by_validation.trial]
+    try:
+        path = latest_certificate(record, trial)
+        return by_validation if path is None else certified(record, trial, path)
+    except RunRecordError as error:
+        return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
+
+
+def _by_validation(record: RunRecord) -> Verdict | None:
+    """Return the verdict by the validation of `tune`; None if the run has no result."""
     summary = record.summary
     trials = {trial.number: trial for trial in record.trials}
     if summary is None:
-        return open_verdict(record.study, record.trials)
+        return None
     try:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
         # Later, "feasible" is that of a certificate.
         passed_check = bool(summary.get("passed_check", summary["feasible"]))
-        by_validation = validated(
+        return validated(
             record.study,
             trial.number,
             default,
@@ -49,11 +62,6 @@ def run_verdict(record: RunRecord) -> Verdict:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
         ) from error
-    try:
-        path = latest_certificate(record, trial)
-        return by_validation if path is None else certified(record, trial, path)
-    except RunRecordError as error:
-        return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
 
 
 def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
@@ -75,34 +83,56 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     if passed and (problem := certificate_problem(record, trial)):
         remarks.append(f"apply refuses it all the same: {problem}.")
     try:
-        draws, confidence = int(content["draws"]), float(content["confidence"])
+        draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
         tuned, default = content[TUNED], content[DEFAULT]
         reasons = tuple(str(reason) for reason in content["reasons"])
         of_tuned = {c["name"]: c for c in tuned["constraints"]}
-        observed = (
-            _observed(default, rows, DEFAULT, draws, []),
-            _observed(tuned, rows, TUNED, draws, _on_record(record, trial)),
-        )
+        of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
+        if default is None:
+            observed, default_reasons = _beside_validation(record, trial, of_trial)
+        else:
+            observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
+            default_reasons = _reasons(default)
         numbers = quantities(
             study,
             *observed,
             {name: bool(of_tuned[name]["passed"]) for name in study.constraints},
             {name: _remark(of_tuned[name], draws, confidence) for name in study.constraints},
         )
-        default_reasons = _reasons(default)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=f"the same {draws} fresh draws of context and noise, with "
-        f"{100.0 * confidence:g} % confidence in each bound",
+        evidence=f"{'' if default is None else 'the same '}{draws} fresh draws of context and "
+        f"noise, with {100.0 * confidence:.4g} % confidence in each bound"
+        + (", the default in those of the validation" if default is None else ""),
         reasons=reasons,
         default_reasons=default_reasons,
         quantities=numbers,
         remarks=tuple(remarks),
         observed=observed,
+        default_certified=default is not None,
     )
+
+
+def _beside_validation(
+    record: RunRecord, trial: Trial, tuned: Observed
+) -> tuple[tuple[Observed, Observed], tuple[str, ...]]:
+    """Return what was observed of both sides if the certificate leaves the default out.
+
+    The pairs are those of the validation of `tune`, with negative numbers. Also returns why the
+    default was not feasible there.
+    """
+    by_validation = _by_validation(record)
+    if by_validation is None or by_validation.trial != trial.number or not by_validation.observed:
+        return (Observed({}, 0), tuned), ("it was not evaluated",)
+    default, own = by_validation.observed
+    before = {-1 - k: metrics for k, metrics in own.drawn.items()}
+    return (
+        replace(default, drawn={-1 - k: metrics for k, metrics in default.drawn.items()}),
+        replace(tuned, drawn=before | dict(tuned.drawn)),
+    ), by_validation.default_reasons
 
 
 def _observed(

@@ -15,13 +15,14 @@ from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import read_text
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 2
+FORMAT = 3
 """Version of the files' format."""
 
 _NAME = re.compile(r"(\d{4,9})(_evaluations\.csv|\.json)", re.ASCII)
@@ -51,9 +52,15 @@ def next_path(folder: Path) -> Path:
         directory.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"{directory}: cannot be written: {error.strerror}") from error
-    # Evaluations alone, which a crash has left, take up a number, too.
-    number = 1 + max(map(_number, _numbered(folder)), default=0)
-    return directory / f"{number:04d}.json"
+    return directory / f"{next_attempt(folder):04d}.json"
+
+
+def next_attempt(folder: Path) -> int:
+    """Return the number of the next certificate, which is that of the attempt, from 1.
+
+    Evaluations alone, which a crash has left, take up a number, too.
+    """
+    return 1 + max(map(_number, _numbered(folder)), default=0)
 
 
 def read_certificate(path: Path) -> Mapping[str, Any]:
@@ -65,7 +72,7 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
         If it is none that `validate` has written. One line.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise RunRecordError(
             f"{path}: not a readable certificate: {one_line(str(error))}; run validate"

@@ -1,6 +1,6 @@
 """A certificate as a table in the terminal."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
@@ -13,32 +13,35 @@ from bo_tuner.certificate.context_tolerance import (
 )
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
 from bo_tuner.certificate.risk import Mean
+from bo_tuner.certificate.sequential import spent
+from bo_tuner.study.parts import CHANCE, SINGLE_RUN
 from bo_tuner.text import shown
 
 
 def certificate_table(certificate: Certificate) -> Table:
-    """Return a table that compares the default and the tuned parameter set."""
+    """Return a table of the tuned parameter set, beside the default if that was evaluated."""
     study = certificate.study
-    both = (certificate.default, certificate.tuned)
+    default = certificate.default
+    both = (certificate.tuned,) if default is None else (default, certificate.tuned)
+    same = "" if default is None else "the same "
     table = Table(
-        title=f"{study.name}, trial {certificate.trial}: the same {certificate.draws} fresh draws",
+        title=f"{study.name}, trial {certificate.trial}: {same}{certificate.drawn} fresh draws",
         title_justify="left",
     )
     table.add_column("")
     table.add_column("unit")
-    table.add_column("default", justify="right")
-    table.add_column("tuned", justify="right")
+    for name in ("tuned",) if default is None else ("default", "tuned"):
+        table.add_column(name, justify="right")
     for name, item in study.parameters.items():
         table.add_row(name, item.unit, *[shown(f.parameters[name]) for f in both])
     table.add_section()
     metric = study.metrics[study.objective.metric]
     table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])
     table.add_row(_tail(), metric.unit, *[f"{f.tail:.4g}" for f in both])
-    for default, tuned in zip(
-        certificate.default.constraints, certificate.tuned.constraints, strict=True
-    ):
+    level = spent(certificate.confidence, certificate.attempt)
+    for constraints in zip(*[f.constraints for f in both], strict=True):
         table.add_section()
-        for row in _constraint_rows(default, tuned, certificate.confidence):
+        for row in _constraint_rows(constraints, level):
             table.add_row(*row)
     table.add_section()
     table.add_row("failed evaluations", "", *[f"{f.failures} of {f.evaluations}" for f in both])
@@ -64,22 +67,24 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
         yield f"warning: {warning}"
 
 
-def _constraint_rows(
-    default: ConstraintVerdict, tuned: ConstraintVerdict, confidence: float
-) -> Iterator[list[str]]:
-    both = (default, tuned)
+def _constraint_rows(both: Sequence[ConstraintVerdict], confidence: float) -> Iterator[list[str]]:
+    tuned = both[-1]
     metric, unit = tuned.metric, tuned.unit
+    bound = f"{100.0 * confidence:.4g} % bound"
     yield [f"largest {metric}", unit, *[f"{c.largest:.4g}" for c in both]]
     yield [_tail(), unit, *[f"{c.tail:.4g}" for c in both]]
     yield [f"  draws above {tuned.limit:g}", "", *[str(c.violations) for c in both]]
-    bound = f"  P(violation), {100.0 * confidence:g} % bound"
-    yield [bound, "", *[f"{c.violation_bound:.4f}" for c in both]]
-    if tuned.allowed > 0.0:
+    yield [f"  P(violation), {bound}", "", *[f"{c.violation_bound:.4f}" for c in both]]
+    if tuned.kind == CHANCE:
         yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
-    if tuned.worst and default.worst:
-        worst = (default.worst[0], tuned.worst[0])
+    if all(c.worst for c in both):
+        worst = [c.worst[0] for c in both]
         yield [f"worst-case {metric}, mean", unit, *[_mean(w.mean) for w in worst]]
-        yield [f"  {100.0 * confidence:g} % bound", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
+        yield [f"  {bound}", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
+        if tuned.statistic == SINGLE_RUN:
+            there = [f"{w.violation_bound:.4f}" for w in worst]
+            yield [f"  P(violation), {bound}", "", *there]
+            yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
         for k, name in enumerate(tuned.worst[0].context):
             yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
         yield [f"  evaluations above {tuned.limit:g}", "", *[_above(w) for w in worst]]

@@ -3,18 +3,16 @@
 The burden of proof lies with the parameter set. A constraint counts as kept only if the evaluations
 show it with the stated confidence 1 - α; too few evaluations to show it are a FAIL as well.
 
-- A chance constraint (Eq. 3d) is shown to hold if the Clopper-Pearson upper bound of the
-  probability that a draw violates it is at most 1 - probability.
-- A worst-case constraint (Eq. 3e) is shown to hold if no draw exceeds the limit, as in the
-  validation of `tune` (Sec. 5.2), and if, in every candidate for the worst context that a separate
-  search finds, the upper bound of the mean over noise is within the limit. The worst case is an
-  expectation over noise, as in stage two, so a single noisy evaluation in a corner of the box
-  refutes nothing; a draw, from the distribution met in operation, does. Permitting none among n
-  draws is a success-run test: it shows a violation probability below 1 - α^(1/n), so more draws are
-  a harder test. The tuner leaves a margin for both: in the worst context a single evaluation must
-  keep the limit with the constraint's `probability`, 0.85 by default, so the mean there stays about
-  one standard deviation below it.
+- A chance constraint (Eq. 3d) is shown to hold if the upper bound of the probability that a draw
+  violates it is at most 1 - probability.
+- A worst-case constraint (Eq. 3e) is shown to hold if it is in every candidate for the worst
+  context that a separate search finds: the upper bound of the mean over noise is within the limit,
+  or, for a limit on single runs, that of the probability of a violation is at most 1 - probability.
+  Draws can only refute it: what holds in every context holds there.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
+
+The bounds of `sequential` hold after every evaluation at once, so the evaluations end as soon as
+the verdict is clear, and going on cannot turn luck into a PASS.
 
 PASS requires all of them. Such a test of a union of hypotheses, each at level α, has level α
 itself, whatever the dependence between them (Berger 1982): a constraint that in truth does not hold
@@ -31,16 +29,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
-from bo_tuner.certificate.risk import (
-    conditional_value_at_risk,
+from bo_tuner.certificate.risk import conditional_value_at_risk, mean_of
+from bo_tuner.certificate.sequential import (
     draws_needed,
+    is_hopeless,
+    is_mean_refuted,
+    is_mean_shown,
+    is_refuted,
     is_shown,
-    mean_of,
-    most_events,
-    probability_bound,
+    probability_bounds,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import MAXIMIZE, WORST_CASE, Constraint
+from bo_tuner.study.parts import EXPECTATION, MAXIMIZE, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState
 
@@ -74,11 +74,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     metric = study.objective.metric
     values = _values(evidence.drawn, metric)
     sign = -1.0 if study.objective.direction == MAXIMIZE else 1.0
-    failed = [
-        evaluation
-        for evaluation in evidence.evaluations
-        if evaluation.outcome.state is not EvaluationState.COMPLETE
-    ]
+    failed = _failed(evidence.evaluations)
     return Findings(
         parameters=dict(evidence.parameters),
         objective=mean_of(values, confidence),
@@ -93,13 +89,83 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     )
 
 
+def decide_draws(
+    study: Study, drawn: Sequence[Evaluation], most: int, confidence: float
+) -> bool | None:
+    """Return whether the draws so far decide the verdict: True or False; None if not yet.
+
+    Parameters
+    ----------
+    study
+        The study.
+    drawn
+        The draws so far, in their order.
+    most
+        Largest number of draws.
+    confidence
+        As in `judge`.
+
+    Returns
+    -------
+    bool or None
+        True if they show all chance constraints. False if a PASS is out of reach.
+    """
+    if _failed(drawn):
+        # Lost or disturbed ones can be followed by more, which end it without a verdict.
+        return None if drawn[-1].outcome.spoilt else False
+    undecided = False
+    for constraint in study.constraints.values():
+        events, values = _events(constraint, drawn), _values(drawn, constraint.metric)
+        if constraint.kind == WORST_CASE:
+            if _refuted(constraint, events, values, confidence):
+                return False
+        elif is_shown(events, constraint.allowed, confidence):
+            continue
+        elif is_hopeless(events, most, constraint.allowed, confidence):
+            return False
+        else:
+            undecided = True
+    return None if undecided else True
+
+
+def decide_context(
+    constraint: Constraint, repeated: Sequence[Evaluation], most: int, confidence: float
+) -> bool | None:
+    """Return whether a worst-case constraint holds in a context: True or False; None if open.
+
+    Parameters
+    ----------
+    constraint
+        The constraint.
+    repeated
+        Evaluations in one context, in their order.
+    most, confidence
+        As in `decide_draws`.
+
+    Returns
+    -------
+    bool or None
+        True if they show that it holds. False if a PASS is out of reach.
+    """
+    if _failed(repeated):
+        return None if repeated[-1].outcome.spoilt else False
+    events, values = _events(constraint, repeated), _values(repeated, constraint.metric)
+    if _refuted(constraint, events, values, confidence):
+        return False
+    if _shown(constraint, events, values, confidence):
+        return True
+    hopeless = constraint.statistic != EXPECTATION and is_hopeless(
+        events, most, constraint.allowed, confidence
+    )
+    return False if hopeless else None
+
+
 def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
     values = _values(evidence.drawn, constraint.metric)
     draws, violations = len(evidence.drawn), int(np.sum(values > constraint.upper))
-    failures = draws - len(values)
-    events = violations + failures
+    events = _events(constraint, evidence.drawn)
     unit = study.metrics[constraint.metric].unit
     worst: tuple[WorstContext, ...] = ()
     if constraint.kind == WORST_CASE:
@@ -107,21 +173,25 @@ def _judge(
             _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
         ]
         # A context without a complete evaluation has no mean, and counts as the worst.
-        worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(w.mean.value, nan=np.inf)))
-        passed, reason = _worst_case(constraint, draws, events, worst, unit)
+        worst = tuple(
+            sorted(found, key=lambda w: (w.shown, -np.nan_to_num(w.mean.value, nan=np.inf)))
+        )
+        refuted = _refuted(constraint, events, values, confidence)
+        passed, reason = _worst_case(constraint, events, worst, unit, refuted_by_draws=refuted)
     else:
-        passed, reason = _chance(constraint, draws, events, confidence)
+        passed, reason = _chance(constraint, events, confidence)
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
         metric=constraint.metric,
         unit=unit,
         limit=constraint.upper,
+        statistic=constraint.statistic,
         allowed=constraint.allowed,
         draws=draws,
         violations=violations,
-        failures=failures,
-        violation_bound=probability_bound(events, draws, confidence),
+        failures=draws - len(values),
+        violation_bound=_bound(events, confidence),
         largest=float(values.max()) if len(values) else float("nan"),
         tail=conditional_value_at_risk(values, TAIL),
         worst=worst,
@@ -130,49 +200,56 @@ def _judge(
     )
 
 
-def _chance(constraint: Constraint, draws: int, events: int, confidence: float) -> tuple[bool, str]:
-    allowed = constraint.allowed
-    bound = probability_bound(events, draws, confidence)
-    passed = is_shown(events, draws, allowed, confidence)
-    most = most_events(draws, allowed, confidence)
-    if most >= 0:
-        rule = f"at most {most} may"
-    else:
-        rule = f"{draws_needed(allowed, confidence)} draws without any are needed"
+def _chance(constraint: Constraint, events: Sequence[bool], confidence: float) -> tuple[bool, str]:
+    allowed, draws = constraint.allowed, len(events)
+    passed = is_shown(events, allowed, confidence)
+    needed = draws_needed(allowed, confidence)
+    rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
     return passed, (
-        f"{events} of {draws} draws violate the limit or fail ({rule}): violation probability "
-        f"{'at most' if passed else 'may be'} {bound:.4f}, allowed {allowed:.4g}"
+        f"{sum(events)} of {draws} draws violate the limit or fail{rule}: violation probability "
+        f"{'at most' if passed else 'may be'} {_bound(events, confidence):.4f}, "
+        f"allowed {allowed:.4g}"
     )
 
 
 def _worst_case(
     constraint: Constraint,
-    draws: int,
-    events: int,
+    events: Sequence[bool],
     worst: Sequence[WorstContext],
     unit: str,
+    *,
+    refuted_by_draws: bool,
 ) -> tuple[bool, str]:
-    if events:
-        return False, f"{events} of {draws} draws violate the limit or fail (none may)"
+    if refuted_by_draws:
+        return False, (
+            f"{sum(events)} of {len(events)} draws violate the limit or fail: more than a limit "
+            "allows that is kept in every context"
+        )
     if not worst:
-        return False, "no candidate for the worst context was evaluated"
+        return False, "its worst contexts were not evaluated"
     if failures := sum(w.failures for w in worst):
         return False, f"{failures} evaluations failed in the worst contexts (none may)"
+    passed = all(w.shown for w in worst)
     # The context with the largest mean need not have the largest bound.
-    top = max(worst, key=lambda w: w.mean.upper)
-    passed = top.mean.upper <= constraint.upper
+    on_mean = constraint.statistic == EXPECTATION
+    top = max(worst, key=lambda w: w.mean.upper if on_mean else w.violation_bound)
     where = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items()) or "always"
+    says = "at most" if passed else "may be"
+    if on_mean:
+        return passed, (
+            f"mean over noise in the worst context ({where}) {says} {top.mean.upper:.4g}, "
+            f"limit {constraint.upper:g} {unit}".rstrip()
+        )
     return passed, (
-        f"none of {draws} draws violates the limit; mean over noise in the worst context ({where}) "
-        f"{'at most' if passed else 'may be'} {top.mean.upper:.4g}, limit {constraint.upper:g} "
-        f"{unit}".rstrip()
+        f"in the worst context ({where}) {top.above} of {top.evaluations} runs violate the limit: "
+        f"violation probability {says} {top.violation_bound:.4f}, allowed {constraint.allowed:.4g}"
     )
 
 
 def _worst_context(
     evaluations: Sequence[Evaluation], constraint: Constraint, confidence: float
 ) -> WorstContext:
-    values = _values(evaluations, constraint.metric)
+    events, values = _events(constraint, evaluations), _values(evaluations, constraint.metric)
     return WorstContext(
         context=dict(evaluations[0].context),
         mean=mean_of(values, confidence),
@@ -180,7 +257,42 @@ def _worst_context(
         evaluations=len(values),
         above=int(np.sum(values > constraint.upper)),
         failures=len(evaluations) - len(values),
+        violation_bound=_bound(events, confidence),
+        shown=len(values) == len(evaluations) and _shown(constraint, events, values, confidence),
     )
+
+
+def _shown(
+    constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
+) -> bool:
+    if constraint.statistic == EXPECTATION:
+        return is_mean_shown(values, constraint.upper, confidence)
+    return is_shown(events, constraint.allowed, confidence)
+
+
+def _refuted(
+    constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
+) -> bool:
+    if constraint.statistic == EXPECTATION:
+        return is_mean_refuted(values, constraint.upper, confidence)
+    return is_refuted(events, constraint.allowed, confidence)
+
+
+def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[bool]:
+    """Return whether each evaluation violates the limit or failed."""
+    return [
+        e.outcome.state is not EvaluationState.COMPLETE
+        or e.outcome.metrics[constraint.metric] > constraint.upper
+        for e in evaluations
+    ]
+
+
+def _bound(events: Sequence[bool], confidence: float) -> float:
+    return float(probability_bounds(events, confidence)[-1]) if len(events) else 1.0
+
+
+def _failed(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    return [e for e in evaluations if e.outcome.state is not EvaluationState.COMPLETE]
 
 
 def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:

@@ -26,7 +26,8 @@ class Gap:
     name, unit
         Name and unit of the quantity.
     observed, observed_error
-        Observed in the trial itself, and its standard error; NaN if not known.
+        Observed in the trial itself, or for a worst case estimated there, and its standard error;
+        NaN if not known.
     predicted
         Predicted by the surrogates of all trials, or by the model of the trial's own search.
     validated, validated_error
@@ -86,9 +87,10 @@ def training_gaps(
         if constraint.worst and trial.worst_case is not None:
             gaps.append(
                 Gap(
-                    name=f"worst {constraint.metric}",
+                    name=f"worst mean {constraint.metric}",
                     unit=constraint.unit,
-                    observed=trial.worst_case.observed,
+                    # Like with like: the largest observation would exceed both means.
+                    observed=trial.worst_case.value,
                     observed_error=nan,
                     predicted=trial.worst_case.value,
                     validated=constraint.worst[0].mean.value,

@@ -9,7 +9,13 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from bo_tuner.certificate.store import certificate_problem
-from bo_tuner.cli.common import Parser, guarded, read_result, split_ros_arguments
+from bo_tuner.cli.common import (
+    Parser,
+    guarded,
+    read_result,
+    split_ros_arguments,
+    trial_of,
+)
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
 from bo_tuner.deploy.apply import (
@@ -63,6 +69,7 @@ exit codes:
 examples:
   apply runs/latest                              show the difference, ask, set
   apply runs/latest --yes                        without asking
+  apply runs/latest --trial 12                   another certified parameter set
   apply runs/latest --rollback                   restore the previous values
   apply runs/latest --without-certificate        on your own responsibility
   apply runs/latest --ros-args -r __ns:=/x_axis  nodes in a namespace
@@ -73,6 +80,12 @@ def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("apply", DESCRIPTION, EPILOG)
     parser.add_run_argument("folder of a run that has ended")
+    parser.add_argument(
+        "--trial",
+        type=int,
+        metavar="N",
+        help="the parameter set of this trial (default: the result of the run)",
+    )
     parser.add_argument("--yes", action="store_true", help="set without asking")
     parser.add_argument(
         "--rollback", action="store_true", help=f"set the values of the run's deploy/{ROLLBACK}"
@@ -97,9 +110,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         Ends the command on a signal, until something is set.
     """
     own, ros_arguments = split_ros_arguments(argv)
-    arguments = make_parser().parse_args(own)
+    parser = make_parser()
+    arguments = parser.parse_args(own)
     record = read_result(arguments.run)
     trial = result_of(record)
+    if arguments.trial is not None:
+        if arguments.rollback:
+            parser.error("--trial and --rollback exclude each other")
+        trial = trial_of(record, arguments.trial)
     if not arguments.rollback:
         problem = certificate_problem(record, trial)
         if problem and not arguments.without_certificate:
@@ -114,7 +132,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             new, title = read_rollback(record), f"back to deploy/{ROLLBACK}"
         else:
             new = node_values(record.study, trial.parameters)
-            title = f"result of trial {trial.number}"
+            title = f"parameters of trial {trial.number}"
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
         with LiveParameters(list(new), ros_arguments, interruption.check) as nodes:
             try:

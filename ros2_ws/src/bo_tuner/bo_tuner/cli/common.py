@@ -20,6 +20,7 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
 from bo_tuner.study.parts import BACKENDS
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
 
 RUNS = Path("runs")
@@ -85,7 +86,13 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""
-        self.exit(EXIT_USAGE, f"error: {message} (see {self.prog} --help)\n")
+        say_error(f"error: {message} (see {self.prog} --help)")
+        self.exit(EXIT_USAGE)
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        # Help and version; argparse itself passes over what cannot be written, and exits with 0.
+        sys.stdout.write(message)
+        sys.stdout.flush()
 
 
 def guarded(run: Run) -> Run:
@@ -133,7 +140,7 @@ def _fault(error: OSError, interruption: Interruption) -> int:
 
 
 @contextlib.contextmanager
-def opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
+def opened(backend: Backend, interruption: Interruption, *, again: bool = False) -> Iterator[None]:
     """Open a backend for a ``with`` block, and close it whatever comes, signals included.
 
     Parameters
@@ -142,13 +149,18 @@ def opened(backend: Backend, interruption: Interruption) -> Iterator[None]:
         To open, unless the end was asked for already.
     interruption
         Takes no more signals afterwards: the nodes come down first.
+    again
+        Whether more evaluations follow, so that signals are still taken if all goes well.
     """
+    keep = False
     try:
         interruption.check()
         backend.open()
         yield
+        keep = again
     finally:
-        interruption.ignore()
+        if not keep:
+            interruption.ignore()
         backend.close()
 
 
@@ -214,7 +226,22 @@ def read_result(given: Path) -> RunRecord:
     RunRecordError
         As in `read_run`.
     """
-    return with_summary(read_run(run_folder(given)), lambda text: print(text, file=sys.stderr))
+    return with_summary(read_run(run_folder(given)), say_error)
+
+
+def trial_of(record: RunRecord, number: object) -> Trial:
+    """Return the trial of a run with a number.
+
+    Raises
+    ------
+    RunRecordError
+        If there is none.
+    """
+    trials = {trial.number: trial for trial in record.trials}
+    if number not in trials:
+        known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"
+        raise RunRecordError(f"{record.path}: no trial {number}; {known}")
+    return trials[number]
 
 
 def split_ros_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:

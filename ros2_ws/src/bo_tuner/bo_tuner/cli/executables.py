@@ -28,6 +28,11 @@ def replay() -> NoReturn:
     run("bo_tuner.cli.replay", sys.argv[1:])
 
 
+def recompute() -> NoReturn:
+    """Compute the metrics of a run again from its bags."""
+    run("bo_tuner.cli.recompute", sys.argv[1:])
+
+
 def apply() -> NoReturn:
     """Set the result of a run on live nodes."""
     run("bo_tuner.cli.apply", sys.argv[1:])

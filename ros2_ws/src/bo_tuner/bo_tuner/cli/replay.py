@@ -36,6 +36,7 @@ from bo_tuner.replay.replay import (
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import Evaluation
 from bo_tuner.tuning.evaluation import evaluate
@@ -129,6 +130,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         record.study,
         output / "log",
         attach=arguments.attach,
+        run_log=record.path / LOGS,
         ros_arguments=ros_arguments,
         interrupted=interruption.check,
     )

@@ -26,7 +26,7 @@ from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
 from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
-from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder
+from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Trial
@@ -158,10 +158,10 @@ class Session:
             except Interrupted as interrupt:
                 if not folder.journal.exists():
                     raise
-                self._display.warn(f"interrupted by {interrupt}; {self._how_to_resume()}")
+                self._display.warn(f"interrupted by {interrupt}; {how_to_resume(folder.path)}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
-                self._display.warn(f"error: {error}; {self._how_to_resume()}")
+                self._display.warn(f"error: {error}; {how_to_resume(folder.path)}")
                 return EXIT_FAULT
 
     def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
@@ -238,6 +238,7 @@ class Session:
             self._options.record,
             None if ros is None else partial(TopicListener, ros.context, ros.nodes, ros.topics),
             self._display.warn,
+            *(() if ros is None else (lambda: ros.recording,)),
         )
         with contextlib.ExitStack() as stack:
             journaling = JournalObserver(journal, self._folder.check)
@@ -303,6 +304,3 @@ class Session:
         folder.write_json(SUMMARY, summary)
         parameters = found.recommendation.candidate.trial.parameters
         self._display.result(Result(self._study, verdict, parameters, path, summary))
-
-    def _how_to_resume(self) -> str:
-        return f"go on by: tune --resume {self._folder.path}"

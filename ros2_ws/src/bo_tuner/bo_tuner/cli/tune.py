@@ -3,8 +3,11 @@
 import argparse
 import contextlib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
+from bo_tuner.backends.ros.graph import describe_nodes
+from bo_tuner.cli.check import check_study
 from bo_tuner.cli.common import (
     RUNS,
     Parser,
@@ -28,7 +31,7 @@ from bo_tuner.study import maxima
 from bo_tuner.study.changes import comparable, summarized
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study, shipped_studies
+from bo_tuner.study.study_file import Describe, load_study, shipped_studies
 from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
@@ -52,6 +55,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --check my_axis.yaml            is the study right? on nodes that are running
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
@@ -135,6 +139,13 @@ def make_parser() -> Parser:
         help="begin with the trials of an earlier run of the same study, which stays as it is; "
         "with --trials N, N trials in all",
     )
+    parser.add_argument(
+        "--check",
+        metavar="NAME|FILE",
+        help="hold a study against the nodes that are running, name every mistake in parameters "
+        "and signals, try two runs of the default, and say how long the study would take; nothing "
+        "is recorded, and the nodes get back their values",
+    )
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
         "--quiet",
@@ -175,6 +186,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    if arguments.check is not None:
+        return check_study(arguments.check, ros_arguments, interruption)
+    # Nodes that run can say what the study leaves open.
+    describe = (
+        partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
+        if arguments.attach
+        else None
+    )
     carried: tuple[Trial, ...] = ()
     if arguments.resume is not None and arguments.earlier is not None:
         parser.error("--resume continues a run, --from begins a new one; leave one out")
@@ -196,14 +215,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             study, stop_early = _changed(study, arguments), arguments.stop_early
     elif arguments.earlier is not None:
         record = read_run(run_folder(arguments.earlier))
-        study, stop_early = _study(arguments, record), arguments.stop_early
+        study, stop_early = _study(arguments, describe, record), arguments.stop_early
         if arguments.study is None:
             allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
         algorithm, backend = record.algorithm, recorded_backend(record)
         _check_comparable(record, study, arguments, parser)
         carried = record.trials
     else:
-        study, stop_early = _study(arguments), arguments.stop_early
+        study, stop_early = _study(arguments, describe), arguments.stop_early
         # Where that cannot be noted down, the commands on this run will ask for --trust.
         with contextlib.suppress(OutputError):
             trust(study)
@@ -247,10 +266,12 @@ def _megabytes(text: str) -> int:
     return round(size * MEGABYTE)
 
 
-def _study(arguments: argparse.Namespace, earlier: RunRecord | None = None) -> Study:
+def _study(
+    arguments: argparse.Namespace, describe: Describe | None, earlier: RunRecord | None = None
+) -> Study:
     """Return the study to run: the one named, or else that of the earlier run, or the default."""
     if arguments.study is not None or earlier is None:
-        study = load_study(STUDY if arguments.study is None else arguments.study)
+        study = load_study(STUDY if arguments.study is None else arguments.study, describe)
     else:
         study = earlier.study
     return _changed(study, arguments)

@@ -3,7 +3,7 @@
 import argparse
 import contextlib
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import (
     DEFAULT,
     TUNED,
@@ -19,10 +20,16 @@ from bo_tuner.certificate.certificate import (
     write_certificate,
 )
 from bo_tuner.certificate.certification import Certification, Subject
-from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import certified
-from bo_tuner.certificate.store import required_draws, shortfall
+from bo_tuner.certificate.sequential import spent
+from bo_tuner.certificate.store import (
+    latest_certificate,
+    next_attempt,
+    required_draws,
+    shortfall,
+)
 from bo_tuner.certificate.table import certificate_lines, certificate_table
+from bo_tuner.certificate.unfinished import Unfinished
 from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.cli.common import (
     Parser,
@@ -32,6 +39,7 @@ from bo_tuner.cli.common import (
     read_result,
     recorded_backend,
     split_ros_arguments,
+    trial_of,
 )
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, exit_code
@@ -39,32 +47,36 @@ from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.monitoring.monitor import Gate
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.ranking import rank
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.parts import ROS
-from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
 
 DESCRIPTION = """\
-Certify the result of a run: evaluate it and the default in the same fresh draws
-of context and noise, search for the worst context again, and report PASS or
-FAIL for the constraints of the study.
+Certify the result of a run: evaluate it in fresh draws of context and noise,
+search for the worst context again, and report PASS or FAIL for the constraints
+of the study. It ends as soon as the verdict is clear, and goes on where an
+interrupted one stopped.
 """
 
 EPILOG = """\
 PASS requires all of these; a constraint not shown to hold counts as violated:
-  chance constraint   the exact (Clopper-Pearson) upper bound of the probability
-                      that a draw violates it is at most 1 - probability
-  worst-case          no draw exceeds the limit, and in each of the worst
-  constraint          contexts of the search the upper bound of the mean over
-                      noise is within it
+  chance constraint   the upper bound of the probability that a draw violates it
+                      is at most 1 - probability
+  worst-case          in each of the worst contexts of the search, the upper
+  constraint          bound of the mean over noise is within the limit, or of
+                      the probability of a violation at most 1 - probability
   failed evaluations  none
+The bounds hold after each evaluation, and over all certificates of the run: the
+j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability.
 
 writes RUN/certificates/0001.json, or the next number, and the evaluations as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the
@@ -74,7 +86,7 @@ parameters.
 exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full); an
-       existing certificate is kept
+       existing certificate is kept, and the next call goes on from here
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -86,6 +98,8 @@ examples:
   validate runs/latest --backend inprocess
   validate runs/latest --attach            on nodes that are running
   validate runs/latest --trial 12          another parameter set of the run
+  validate runs/latest --until-pass 3      up to two more if the result fails
+  validate runs/latest --with-default      the default, too, in the same draws
   validate runs/latest && echo fit for use
 """
 
@@ -100,19 +114,31 @@ def make_parser() -> Parser:
         "--draws",
         type=int,
         metavar="N",
-        help="fresh draws of context and noise (default: as many as the study requires)",
+        help="fresh draws of context and noise, at most (default: as the study requires)",
     )
     parser.add_argument(
         "--confidence",
         type=_fraction,
         metavar="P",
-        help="confidence of each bound, between 0 and 1 (default: as the study requires)",
+        help="confidence over all certificates of the run, between 0 and 1 (default: as the study "
+        "requires)",
     )
     parser.add_argument(
         "--trial",
         type=int,
         metavar="N",
         help=f"the parameter set of this trial (default: that of the run's {BEST})",
+    )
+    parser.add_argument(
+        "--until-pass",
+        type=int,
+        default=1,
+        metavar="K",
+        help="if it fails, go on with the next in rank that is believed feasible and has no "
+        "certificate, up to K parameter sets in all",
+    )
+    parser.add_argument(
+        "--with-default", action="store_true", help="certify the default as well, to compare"
     )
     parser.add_backend_arguments("as in the run")
     parser.add_trust_argument()
@@ -140,11 +166,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     confidence, draws = arguments.confidence, arguments.draws
     if confidence is None:
         confidence = record.study.certificate.confidence
+    level = spent(confidence, next_attempt(record.path))
+    needed, constraint = most_draws_needed(record.study, level)
     if draws is None:
-        draws = required_draws(record.study, confidence)
+        draws = max(required_draws(record.study, confidence), needed)
     if draws > maxima.DRAWS:
         parser.error(f"--draws: expected at most {maxima.DRAWS}, found {draws}")
-    needed, constraint = most_draws_needed(record.study, confidence)
+    if not 1 <= arguments.until_pass <= maxima.TRIALS:
+        parser.error(f"--until-pass: expected at least 1, found {arguments.until_pass}")
     if draws < max(needed, FEWEST_DRAWS):
         why = f" to show {constraint}, even if none violates it" if constraint else ""
         parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
@@ -155,24 +184,37 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
-        nodes = make_backend(
-            backend,
-            record.study,
-            folder.log,
-            attach=arguments.attach,
-            ros_arguments=ros_arguments,
-            interrupted=interruption.check,
-        )
-        try:
-            evidence = _collect(record.study, trial, nodes, draws, interruption, console)
-            certificate = make_certificate(record, trial, evidence, confidence, backend, digest)
-            folder.check()
-            path = write_certificate(folder.path, certificate, evidence)
-        except (RunError, OutputError) as error:
-            console.print(f"error: {error}", soft_wrap=True)
-            return EXIT_FAULT
-    verdict = certified(record, trial, path)
-    _report(certificate, verdict, path)
+        for candidate in _candidates(record, trial, arguments.until_pass):
+            nodes = make_backend(
+                backend,
+                record.study,
+                folder.log,
+                attach=arguments.attach,
+                ros_arguments=ros_arguments,
+                interrupted=interruption.check,
+            )
+            try:
+                certificate, path = _certify(
+                    record,
+                    folder,
+                    candidate,
+                    nodes,
+                    draws,
+                    confidence,
+                    digest if candidate is trial else None,
+                    interruption,
+                    console,
+                    with_default=arguments.with_default,
+                    more=arguments.until_pass > 1,
+                )
+            except (RunError, OutputError) as error:
+                console.print(f"error: {error}", soft_wrap=True)
+                return EXIT_FAULT
+            verdict = certified(record, candidate, path)
+            _report(certificate, verdict, path)
+            if certificate.passed:
+                break
+        interruption.ignore()
     missing = shortfall(record.study, draws, confidence)
     if missing and certificate.passed:
         console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
@@ -185,27 +227,69 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     return exit_code(verdict)
 
 
-def _collect(
-    study: Study,
+def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
+    """Yield a trial, then those next in rank that are believed feasible, without a certificate."""
+    yield trial
+    if count == 1:
+        return
+    known = {trial.number} | {
+        other.number for other in record.trials if latest_certificate(record, other) is not None
+    }
+    ranked = rank(record.study, record.trials, ALGORITHMS[record.algorithm].models)
+    others = [c.trial for c in ranked if c.believed_feasible and c.trial.number not in known]
+    yield from others[: count - 1]
+
+
+def _certify(
+    record: RunRecord,
+    folder: RunFolder,
     trial: Trial,
-    backend: Backend,
+    nodes: Backend,
     draws: int,
+    confidence: float,
+    best_sha256: str | None,
     interruption: Interruption,
     console: Console,
-) -> dict[str, Evidence]:
-    """Run all evaluations, of the default and of the trial's parameter set."""
+    *,
+    with_default: bool,
+    more: bool,
+) -> tuple[Certificate, Path]:
+    """Run all evaluations of a trial's parameter set, and write its certificate."""
+    study = record.study
     suspected = () if trial.worst_case is None else (trial.worst_case.context,)
-    subjects = [
-        Subject(DEFAULT, study.search_space().defaults),
-        Subject(TUNED, trial.parameters, suspected),
-    ]
-
-    bar, observers = _Bar(console), Observers()
-    observers.add(bar)
-    observers.add(Gate(interruption, observers))
-    with opened(backend, interruption), bar.progress:
-        found = Certification(study, backend, observer=observers).collect(subjects, draws)
-    return {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+    subjects = [Subject(TUNED, trial.parameters, suspected)]
+    if with_default:
+        subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))
+    attempt = next_attempt(folder.path)
+    unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
+    if unfinished.evaluations:
+        done = len(unfinished.evaluations)
+        console.print(f"going on after {done} evaluations of an interrupted certificate")
+    backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
+    try:
+        bar, observers = _Bar(console), Observers()
+        observers.add(unfinished)
+        observers.add(bar)
+        observers.add(Gate(interruption, observers))
+        certification = Certification(
+            study,
+            backend,
+            confidence=spent(confidence, attempt),
+            attempt=attempt,
+            observer=observers,
+        )
+        with opened(backend, interruption, again=more), bar.progress:
+            found = certification.collect(subjects, draws)
+    finally:
+        unfinished.close()
+    evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+    certificate = make_certificate(
+        record, trial, evidence, draws, confidence, attempt, nodes.name, best_sha256
+    )
+    folder.check()
+    path = write_certificate(folder.path, certificate, evidence)
+    unfinished.remove()
+    return certificate, path
 
 
 class _Bar(RunObserver):
@@ -243,11 +327,7 @@ def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:
             "tune --resume, or name a --trial"
         )
     wanted = best if number is None else number
-    trials = {trial.number: trial for trial in record.trials}
-    if wanted not in trials:
-        known = f"expected 0 to {len(trials) - 1}" if trials else "the run has none"
-        raise RunRecordError(f"{record.path}: no trial {wanted}; {known}")
-    return trials[wanted], wanted == best
+    return trial_of(record, wanted), wanted == best
 
 
 def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console) -> str:

@@ -21,6 +21,7 @@ from bo_tuner.interruption import Interruption, Pause
 from bo_tuner.monitoring import diagnostics
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.storage.run_folder import how_to_resume
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.observer import RunObserver
@@ -159,7 +160,7 @@ class LiveNode(RunObserver):
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._interruption.request("the service ~/abort")
         response.success = True
-        response.message = f"the run ends; resume it with: tune --resume {self._folder}"
+        response.message = f"the run ends; {how_to_resume(self._folder)}"
         return response
 
     def _spin(self) -> None:

@@ -218,9 +218,8 @@ def describe(trial: Trial, study: Study) -> str:
     text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
     worst = study.worst_case_constraint
     if worst is not None and trial.worst_case is not None:
-        sign = "<=" if trial.worst_case.value <= worst.upper else "> "
         value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_case.value)
-        text += f"  {value}{JOIN}{sign}{JOIN}{worst.upper:g}"
+        text += f"  {value}{JOIN}limit{JOIN}{worst.upper:g}"
     if broken := violated(study, trial):
         text += f"  violates {', '.join(broken)}"
     return f"{text}  [{len(trial.evaluations)}{JOIN}evaluations]"

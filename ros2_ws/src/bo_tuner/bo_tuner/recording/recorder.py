@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
 from bo_tuner.recording.bag import Message, Topic, TrialBag, stamp, timed
 from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import (
@@ -25,6 +26,7 @@ from bo_tuner.recording.retention import (
     badness,
     note_bag,
 )
+from bo_tuner.recording.signal_bag import RECORDING, recording_note, signal_messages
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState
 from bo_tuner.tuning.limits import verdict
@@ -106,9 +108,9 @@ class Recorder:
         with self._lock:
             self._batch.lost += count
 
-    def evaluation(self, evaluation: Evaluation) -> None:
-        """Tell that what came since the last call belongs to `evaluation`."""
-        self._submit(self._write, self._take_batch(), evaluation)
+    def evaluation(self, evaluation: Evaluation, recording: Recording = NOTHING_RECORDED) -> None:
+        """Tell that what came since the last call belongs to `evaluation`, and its signals."""
+        self._submit(self._write, self._take_batch(), evaluation, recording)
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Tell that a trial is complete, and whether no other is better so far."""
@@ -193,7 +195,7 @@ class Recorder:
                 self.warn(f"{path.name}: cut off; recovered as far as it was written")
         self._retention = Retention(self._folder, self._options)
 
-    def _write(self, batch: _Batch, evaluation: Evaluation) -> None:
+    def _write(self, batch: _Batch, evaluation: Evaluation, recording: Recording) -> None:
         parameters = dict(evaluation.parameters)
         if evaluation.stage not in TUNING and self._bag_name != bag_name(evaluation):
             self._finish_evidence(_Batch())
@@ -204,11 +206,13 @@ class Recorder:
             self._bag = TrialBag(path)
             self._bag_missing = _Batch()
             self._evaluations = []
-        messages = timed(batch.messages, self._bag.latest)
+        signals = signal_messages(recording)
+        messages = timed([*batch.messages, *signals], self._bag.latest)
         stamps = [time for message in batch.messages if (time := stamp(message)) is not None]
         outcome = evaluation.outcome
         self._evaluations.append(
             {
+                "trial": evaluation.trial,
                 "index": evaluation.index,
                 "stage": str(evaluation.stage),
                 "parameters": parameters,
@@ -219,6 +223,7 @@ class Recorder:
                 "metrics": dict(outcome.metrics),
                 "start": min(stamps, default=None),
                 "end": max(stamps, default=None),
+                RECORDING: recording_note(recording),
             }
         )
         self._count(batch)

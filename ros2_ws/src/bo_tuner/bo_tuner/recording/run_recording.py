@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
+from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -48,6 +49,8 @@ class RunRecording(RunObserver):
         Makes the listener; None if there is nothing to hear.
     tell
         Called with a line of text on each thing that goes wrong.
+    signals
+        Returns the signals of the last run.
     """
 
     def __init__(
@@ -57,12 +60,14 @@ class RunRecording(RunObserver):
         options: RecordOptions,
         listen: Listen | None,
         tell: Callable[[str], None],
+        signals: Callable[[], Recording] = lambda: NOTHING_RECORDED,
     ) -> None:
         self._folder = folder
         self._study = study
         self._options = options
         self._listen = listen
         self._tell = tell
+        self._signals = signals
         self._recorder: Recorder | None = None
         self._listener: Listener | None = None
         self.summary: dict[str, object] = {"policy": str(Policy.NONE)}
@@ -99,7 +104,7 @@ class RunRecording(RunObserver):
             return
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
-            self._recorder.evaluation(evaluation)
+            self._recorder.evaluation(evaluation, self._signals())
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Finish the bag of a trial."""

@@ -24,6 +24,7 @@ from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
 from bo_tuner.report.sections.draws import draws
 from bo_tuner.report.sections.failures import failures
+from bo_tuner.report.sections.parallel import parallel
 from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
@@ -44,6 +45,7 @@ def sections(analysis: Analysis) -> list[Section]:
         draws(analysis),
         convergence(analysis),
         trade_off(analysis),
+        parallel(analysis),
         contexts(analysis),
         tolerance(analysis),
         trajectories(analysis),

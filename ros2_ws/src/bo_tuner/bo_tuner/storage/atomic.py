@@ -1,10 +1,45 @@
 """Writing a file so that it holds its old content or its new one, whatever happens meanwhile."""
 
+import contextlib
 import os
+import re
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 
 from bo_tuner.errors import OutputError
+
+LEFTOVERS = ".*.new"
+"""Pattern of the names of `temporary_path`, for a glob."""
+_TEMPORARY = re.compile(r"\..+\.([0-9]{1,9})\.new")
+
+
+def temporary_path(path: Path) -> Path:
+    """Return where this process writes a file before it takes the place of `path`."""
+    return path.with_name(f".{path.name}.{os.getpid()}.new")
+
+
+def remove_leftovers(paths: Iterable[Path]) -> None:
+    """Remove those of `paths` that killed processes have left half written.
+
+    What a process that runs may be writing is left alone, and so is what is no file or link.
+    """
+    for path in paths:
+        found = _TEMPORARY.fullmatch(path.name)
+        if found and not _runs(int(found[1])):
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        # Somebody else's.
+        return True
+    return True
 
 
 def write_atomically(path: Path, content: str | bytes) -> Path:
@@ -27,7 +62,7 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         followed: it may lead out of the run folder.
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.new")
+    temporary = temporary_path(path)
     try:
         if _is_regular(path) and path.read_bytes() == data:
             return path

@@ -12,7 +12,12 @@ from pathlib import Path
 from typing import Self
 
 from bo_tuner.errors import OutputError
-from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.atomic import (
+    LEFTOVERS,
+    remove_leftovers,
+    temporary_path,
+    write_atomically,
+)
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import is_same_file, open_file
 from bo_tuner.study.study import Study
@@ -27,6 +32,11 @@ BEST = "best.yaml"
 SUMMARY = "summary.json"
 RECORDING = "recording.json"
 REPORT = "report.html"
+
+
+def how_to_resume(path: Path) -> str:
+    """Tell in a few words how the run in a folder goes on."""
+    return f"resume it with: tune --resume {path}"
 
 
 class RunFolder:
@@ -61,6 +71,7 @@ class RunFolder:
         try:
             os.ftruncate(self._lock, 0)
             os.write(self._lock, str(os.getpid()).encode())
+            remove_leftovers(path.rglob(LEFTOVERS))
         except OSError as error:
             self.close()
             raise OutputError(f"{path}: cannot write there: {error.strerror}") from error
@@ -79,11 +90,12 @@ class RunFolder:
         Raises
         ------
         OutputError
-            If the folder cannot be made or written to.
+            If the folder cannot be made or written to, or ``latest`` in `output` is not of a run.
         """
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
         try:
             output.mkdir(parents=True, exist_ok=True)
+            _check_latest(output / LATEST)
             folder = cls(_new_folder(output / f"{study.name}-{stamp}"))
             folder.log.mkdir()
             folder.write_study(study)
@@ -142,12 +154,12 @@ class RunFolder:
         Raises
         ------
         OutputError
-            If the link cannot be made, for example because a folder has its name.
+            If the link cannot be made, for example because somebody else's has its name.
         """
-        link = self.path.with_name(f".{LATEST}-{os.getpid()}")
         target = self.path.with_name(LATEST)
-        if os.path.lexists(target) and not target.is_symlink():
-            raise OutputError(f"{target}: cannot point to the run: it is no symbolic link")
+        link = temporary_path(target)
+        _check_latest(target)
+        remove_leftovers(target.parent.glob(LEFTOVERS))
         try:
             link.unlink(missing_ok=True)
             link.symlink_to(self.path.name)
@@ -187,6 +199,18 @@ class RunFolder:
         self.check()
         text = json.dumps(without_nan(content), indent=2, allow_nan=False)
         return write_atomically(self.path / name, text + "\n")
+
+
+def _check_latest(path: Path) -> None:
+    """Refuse to replace what no run has made: a file, a folder, or a link that leads elsewhere.
+
+    Raises
+    ------
+    OutputError
+        If there is such a thing.
+    """
+    if os.path.lexists(path) and not (path.is_symlink() and len(path.readlink().parts) == 1):
+        raise OutputError(f"{path}: cannot point to the run: it is no link to a run beside it")
 
 
 def _new_folder(path: Path) -> Path:

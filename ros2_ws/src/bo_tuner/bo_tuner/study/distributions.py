@@ -78,7 +78,13 @@ class Distribution(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class _Continuous(Distribution):
-    """Base of the continuous distributions: an interval and a nominal value in it."""
+    """Base of the continuous distributions: an interval and a nominal value in it.
+
+    Attributes
+    ----------
+    bounds : tuple of float
+        Smallest and largest value.
+    """
 
     bounds: tuple[float, float]
     nominal: float = _DEFAULT
@@ -127,8 +133,12 @@ class _Continuous(Distribution):
 class TruncatedNormal(_Continuous):
     """Normal distribution truncated at the bounds.
 
-    `mean` and `standard_deviation` are those of the normal distribution before the evaluation; the
-    nominal value is the mean, or the bound nearest to it.
+    The nominal value is the mean, or the bound nearest to it.
+
+    Attributes
+    ----------
+    mean, standard_deviation : float
+        Those of the normal distribution before the truncation.
     """
 
     kind: ClassVar[str] = "truncated_normal"
@@ -178,6 +188,11 @@ class Beta(_Continuous):
     """Beta distribution with shapes `a` and `b`, stretched from [0, 1] to the bounds.
 
     The nominal value is its mean.
+
+    Attributes
+    ----------
+    a, b : float
+        The shapes, above 0.
     """
 
     kind: ClassVar[str] = "beta"
@@ -200,7 +215,13 @@ class Beta(_Continuous):
 
 @dataclass(frozen=True, kw_only=True)
 class Triangular(_Continuous):
-    """Triangular distribution between the bounds; the nominal value is its `mode`."""
+    """Triangular distribution between the bounds; the nominal value is its mode.
+
+    Attributes
+    ----------
+    mode : float
+        Most probable value.
+    """
 
     kind: ClassVar[str] = "triangular"
     mode: float
@@ -223,6 +244,13 @@ class Discrete(Distribution):
     """Finitely many `values`, strictly increasing, each with its probability.
 
     The nominal value is the most probable one, or the smallest of several such values.
+
+    Attributes
+    ----------
+    values : tuple of float
+        The values.
+    probabilities : tuple of float
+        Their probabilities, of sum 1.
     """
 
     kind: ClassVar[str] = "discrete"

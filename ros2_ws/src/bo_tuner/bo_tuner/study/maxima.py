@@ -29,6 +29,8 @@ MEGABYTES = 10_000_000
 """Of all bags of a run."""
 ANSWER = 1_000
 """Keys in what a node says of an evaluation."""
+MESSAGE_BYTES = 10_000_000
+"""Of a result, an event of parameters or a message with a signal; a larger one is not decoded."""
 JOURNAL_BYTES = 2_000_000_000
 FILE_BYTES = 50_000_000
 """Of a summary, a certificate or a parameter file."""

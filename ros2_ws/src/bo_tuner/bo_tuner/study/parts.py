@@ -112,6 +112,7 @@ class ReportedMetric:
 
     A metric that depends on measured time is not `reproducible`: over ROS it differs when the same
     evaluation is repeated, and `replay` does not judge it.
+    The `unit` is for display only.
     """
 
     name: str

@@ -98,7 +98,7 @@ class Study:
     order : tuple of (str, str)
         Names (a, b) of parameters with a <= b.
     start : tuple of mapping or str
-        Parameter sets that are tried first: `DEFAULT_SET`, or values of parameters by name, where
+        Parameter sets that are tried first: ``default``, or values of parameters by name, where
         those that are left out are the defaults. The default alone unless given.
     seed_parameter : SeedParameter, optional
         Where an evaluation's noise is seeded.

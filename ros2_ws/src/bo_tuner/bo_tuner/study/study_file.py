@@ -1,7 +1,7 @@
 """Study files: from YAML to a checked `Study`, and back."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
@@ -55,13 +56,20 @@ def shipped_studies() -> list[str]:
     return sorted(path.stem for path in (config_directory() / "studies").glob("*.yaml"))
 
 
-def load_study(name_or_path: str | Path) -> Study:
+Describe = Callable[[Mapping[str, str]], Descriptions]
+"""Asks nodes, ROS names by keys in the study, for all their parameters."""
+
+
+def load_study(name_or_path: str | Path, describe: Describe | None = None) -> Study:
     """Read a study.
 
     Parameters
     ----------
     name_or_path : str or pathlib.Path
         Name of a shipped study, or the path of a file: text with a suffix or a separator.
+    describe : callable, optional
+        Asks the nodes for what the file leaves open of their parameters; without it, nothing may
+        be left open.
 
     Returns
     -------
@@ -83,11 +91,14 @@ def load_study(name_or_path: str | Path) -> Study:
             )
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
-    return parse_study(read_text(Path(name_or_path), str(name_or_path)), str(name_or_path))
+    source = str(name_or_path)
+    return parse_study(read_text(Path(name_or_path), source), source, describe)
 
 
-def parse_study(text: str, source: str = "study") -> Study:
+def parse_study(text: str, source: str = "study", describe: Describe | None = None) -> Study:
     """Return the study that a YAML text describes; `source` names it in errors.
+
+    `describe` as in `load_study`.
 
     Raises
     ------
@@ -98,6 +109,8 @@ def parse_study(text: str, source: str = "study") -> Study:
     try:
         document = strict_yaml.parse(text)
         lines = document.lines
+        if describe is not None and (open_nodes := incomplete(document.value)):
+            _fill_in(document.value, open_nodes, describe)
         return study_from_mapping(document.value)
     except StudyError as error:
         line = error.line
@@ -148,6 +161,21 @@ def study_to_mapping(study: Study) -> dict[str, object]:
 def study_to_yaml(study: Study) -> str:
     """Return the text of a study file, which `parse_study` reads as an equal study."""
     return strict_yaml.dump(study_to_mapping(study))
+
+
+def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Describe) -> None:
+    """Let nodes say what the file leaves open; what is wrong otherwise is found later."""
+    specs = mapping.get("nodes") if isinstance(mapping, dict) else None
+    if not isinstance(mapping, dict) or not isinstance(specs, dict):
+        return
+    names = {}
+    for key, parameters in nodes.items():
+        checks.reference(key, "node", specs, "parameters", parameters[0], "node")
+        spec = specs[key]
+        if not isinstance(spec, dict) or not isinstance(spec.get("node"), str):
+            return
+        names[key] = spec["node"]
+    complete(mapping, describe(names))
 
 
 def _is_path(text: str) -> bool:

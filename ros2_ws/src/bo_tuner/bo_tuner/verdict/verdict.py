@@ -114,6 +114,8 @@ class Verdict:
         What else to know, in sentences.
     observed
         What was observed of the default and of the tuned parameter set; None without a result.
+    default_certified
+        Whether a certificate covers the default, too; else its validation tells.
     """
 
     state: State
@@ -124,6 +126,7 @@ class Verdict:
     quantities: tuple[Quantity, ...] = ()
     remarks: tuple[str, ...] = ()
     observed: tuple[Observed, Observed] | None = None
+    default_certified: bool = True
 
     @property
     def feasible(self) -> bool:
@@ -188,7 +191,7 @@ class Verdict:
     @property
     def default_in_words(self) -> str:
         """What the same evidence says of the default."""
-        certified = self.certificate != ""
+        certified = self.certificate != "" and self.default_certified
         if self.default_keeps:
             return (
                 "The default is shown to keep all limits, too."

@@ -1,10 +1,7 @@
 """Evaluations on ROS 2 nodes, which the backend starts, watches, and restarts when one is lost."""
 
-import contextlib
 import dataclasses
-import json
 import os
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,15 +10,21 @@ from rclpy.context import Context
 
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
+from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
-from bo_tuner.backends.ros.parameters import differences
+from bo_tuner.backends.ros.held_parameters import compare_with_earlier
+from bo_tuner.backends.ros.isolation import (
+    DomainClaim,
+    domain_of_environment,
+    isolated_environment,
+    namespace_of,
+)
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.errors import BackendError, OutputError, StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import Collector, one_line
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
@@ -30,7 +33,6 @@ from bo_tuner.metrics.recording import (
     signal_sources,
 )
 from bo_tuner.metrics.source import MetricSource
-from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -38,17 +40,10 @@ from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
-HIGHEST_DOMAIN = 232
-HELD = "held_parameters.json"
-"""File beside the logs with the parameters that the study does not set, as the run began."""
 LEASE = 3.0
 """Time [s] after which the discovery profile has forgotten a killed node for sure."""
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
-END_OF_TIME = 2**31 - 1
-"""Latest time [s] in a ROS message, in January 2038."""
-MARGIN = 86_400.0
-"""Time [s] before that for an evaluation."""
 LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
 
@@ -66,6 +61,8 @@ class RosBackend(SequentialBackend):
         Use nodes that run already instead of starting them. They are looked for in the domain
         and with the discovery settings of the environment, and have in the end the parameters
         that they had before.
+    run_log
+        Log directory of the run that this repeats a part of, if it is not this one's own.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
         for the nodes that it starts.
@@ -83,6 +80,7 @@ class RosBackend(SequentialBackend):
         log_directory: Path,
         *,
         attach: bool = False,
+        run_log: Path | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
         sources: Mapping[str, MetricSource] | None = None,
@@ -92,8 +90,9 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study, self._sources)
         self._log_directory = log_directory
         self._attach = attach
+        self._run_log = run_log
         self._ros_arguments = ros_arguments or []
-        self._namespace = _namespace(self._ros_arguments)
+        self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
         self._claim: DomainClaim | None = None
         self._tuner: TunerNode | None = None
@@ -120,10 +119,10 @@ class RosBackend(SequentialBackend):
             start it, a topic, service or action of its run is not there, or a function of its
             metrics cannot be imported.
         """
-        _check_clock()
-        signals = signal_sources(self._study, lambda: self._recording)
+        check_wall_clock()
+        signals = signal_sources(self._study, lambda: self.recording)
         self._collector = Collector(self._study, {**signals, **self._sources})
-        given = _domain_of_environment()
+        given = domain_of_environment()
         # Without a domain in the environment, nodes that run already are in 0.
         self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
         if not self._attach:
@@ -152,7 +151,13 @@ class RosBackend(SequentialBackend):
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
-            self._compare_with_earlier({key: self._not_of_study(key, found[key]) for key in found})
+            others = {key: self._not_of_study(key, found[key]) for key in found}
+            compare_with_earlier(
+                self._run_log or self._log_directory,
+                others,
+                refuse=self._attach,
+                note=self._run_log is None,
+            )
             self._safe = _safe(self._study)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
@@ -231,7 +236,7 @@ class RosBackend(SequentialBackend):
                 run = partial(self._run, self._procedure, client, prepared)
             result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
-            counts = self._recording.counts()
+            counts = self.recording.counts()
             return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
         except DisturbedError as error:
             reason = one_line(str(error))
@@ -240,7 +245,7 @@ class RosBackend(SequentialBackend):
             return Outcome(EvaluationState.LOST, {}, one_line(str(loss)))
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(
-            result, details={**result.details, **ignored, **self._recording.counts()}
+            result, details={**result.details, **ignored, **self.recording.counts()}
         )
 
     def _prepare(self, procedure: Procedure) -> None:
@@ -294,7 +299,7 @@ class RosBackend(SequentialBackend):
         return self._tuner, self._client
 
     @property
-    def _recording(self) -> Recording:
+    def recording(self) -> Recording:
         """What was recorded of the last run."""
         return NOTHING_RECORDED if self._procedure is None else self._procedure.recording
 
@@ -338,28 +343,6 @@ class RosBackend(SequentialBackend):
     def _not_of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         of_study = self._of_study(key, values)
         return {name: value for name, value in values.items() if name not in of_study}
-
-    def _compare_with_earlier(self, values: Mapping[str, Mapping[str, object]]) -> None:
-        """Refuse nodes whose parameters, other than the study's, changed since the run began.
-
-        A validation, or the rest of a run, on attached nodes would else measure something else.
-        """
-        file = self._log_directory / HELD
-        try:
-            earlier = json.loads(file.read_text(encoding="utf-8"))
-            known = {key: dict(earlier[key]) for key in values}
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
-            known = {}
-        if not known:
-            with contextlib.suppress(OutputError):
-                write_atomically(file, json.dumps(values, indent=1, default=str))
-            return
-        if not self._attach:
-            return
-        for key, now in values.items():
-            common = {name: known[key][name] for name in now if name in known[key]}
-            if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
-                raise BackendError(f"{changed[0]}, as when the run began; set it back")
 
     def _of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
         """Keep the parameters of a node that the study sets."""
@@ -405,7 +388,10 @@ class RosBackend(SequentialBackend):
         self._started.stop_one(key)
         self._suspension.skip()
         tuner.wait_until(lambda: key in client.presence.absent(), LEASE)
-        self._started.start_one(key)
+        try:
+            self._started.start_one(key)
+        except (BackendError, StudyError) as error:
+            raise LostError(f"{key} is not started anew: {error}") from error
         client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
         client.tell_again(key)
 
@@ -475,37 +461,3 @@ def _safe(study: Study) -> dict[str, dict[str, object]]:
     if study.seed_parameter is not None:
         del safe[study.seed_parameter.node][study.seed_parameter.parameter]
     return safe
-
-
-def _check_clock() -> None:
-    """Refuse a wall clock whose time no ROS message can hold: every cut would be refused.
-
-    Raises
-    ------
-    BackendError
-        With the time.
-    """
-    now = time.time()
-    if not 0.0 <= now <= END_OF_TIME - MARGIN:
-        shown = time.strftime("%Y-%m-%d", time.gmtime(now))
-        raise BackendError(
-            f"the clock of this machine shows {shown}; ROS messages hold times from 1970 to 2038"
-        )
-
-
-def _domain_of_environment() -> int | None:
-    given = os.environ.get("ROS_DOMAIN_ID", "")
-    if not given:
-        return None
-    if not (given.isascii() and given.isdigit() and int(given) <= HIGHEST_DOMAIN):
-        raise BackendError(
-            f"ROS_DOMAIN_ID is {given!r}; expected a number from 0 to {HIGHEST_DOMAIN}"
-        )
-    return int(given)
-
-
-def _namespace(ros_arguments: list[str]) -> str:
-    for argument in reversed(ros_arguments):
-        if argument.startswith("__ns:="):
-            return argument.removeprefix("__ns:=")
-    return "/"

@@ -11,13 +11,17 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 
 TOPIC = "/clock"
 LARGEST_JUMP = 0.5
 """Difference [s] of the machine's clock and a steady one in a run that is no slow correction."""
 LONGEST_STANDSTILL = 5.0
 """Time [s] of the machine after which a simulated clock that does not go on stands still."""
+END_OF_TIME = 2**31 - 1
+"""Latest time [s] in a ROS message, in January 2038."""
+MARGIN = 86_400.0
+"""Time [s] before that for an evaluation."""
 DEPTH = 5000
 """Messages of /clock that may wait."""
 
@@ -208,3 +212,19 @@ class Stopwatch:
 def to_stamp(nanoseconds: int) -> Time:
     """Make a stamp of a time [ns]."""
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def check_wall_clock() -> None:
+    """Refuse a wall clock whose time no ROS message can hold: every cut would be refused.
+
+    Raises
+    ------
+    BackendError
+        With the time.
+    """
+    now = time.time()
+    if not 0.0 <= now <= END_OF_TIME - MARGIN:
+        shown = time.strftime("%Y-%m-%d", time.gmtime(now))
+        raise BackendError(
+            f"the clock of this machine shows {shown}; ROS messages hold times from 1970 to 2038"
+        )

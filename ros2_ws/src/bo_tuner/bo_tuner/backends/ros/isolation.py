@@ -13,6 +13,8 @@ from bo_tuner.storage.run_files import open_file
 
 # RTPS maps domains to UDP ports; above 101 they reach into the ephemeral range.
 HIGHEST_DOMAIN = 101
+LARGEST_DOMAIN = 232
+"""That a user may name."""
 FIRST_PORT = 7400
 PORTS_PER_DOMAIN = 250
 UNICAST_OFFSET = 10
@@ -87,6 +89,32 @@ def isolated_environment(domain: int) -> dict[str, str]:
         variables[RANGE_VARIABLE] = "SYSTEM_DEFAULT"
         variables[PROFILE_VARIABLE] = str(config_directory() / "fastdds_profile.xml")
     return variables
+
+
+def domain_of_environment() -> int | None:
+    """Return the domain that the environment names; None if it names none.
+
+    Raises
+    ------
+    BackendError
+        If it is not one.
+    """
+    given = os.environ.get("ROS_DOMAIN_ID", "")
+    if not given:
+        return None
+    if not (given.isascii() and given.isdigit() and int(given) <= LARGEST_DOMAIN):
+        raise BackendError(
+            f"ROS_DOMAIN_ID is {given!r}; expected a number from 0 to {LARGEST_DOMAIN}"
+        )
+    return int(given)
+
+
+def namespace_of(ros_arguments: list[str]) -> str:
+    """Return the namespace that ``--ros-args`` give."""
+    for argument in reversed(ros_arguments):
+        if argument.startswith("__ns:="):
+            return argument.removeprefix("__ns:=")
+    return "/"
 
 
 def _has_participant(domain: int) -> bool:

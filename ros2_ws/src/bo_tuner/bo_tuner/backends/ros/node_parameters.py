@@ -171,13 +171,15 @@ class NodeParameters:
         RefusedError
             If one has another value right after it was `told` one.
         DisturbedError
-            If somebody else changed one.
+            If somebody else changed one, or what was told of one cannot be read.
         LostError
             If a node does not answer.
         """
         found = self._read(wanted)
         self._known |= found
         seen = self._watch.take_seen()
+        if self._watch.problem:
+            raise DisturbedError(self._watch.problem)
         for key, values in wanted.items():
             for difference in differences(key, found[key], values):
                 if difference.name in told.get(key, ()):

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 
+from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.metrics.collect import one_line
 from bo_tuner.study.checks import same_value
 
@@ -83,13 +84,20 @@ class ParameterWatch:
             self._keys.setdefault(full_name, []).append(key)
         self._expected: Mapping[str, Mapping[str, object]] = {}
         self._seen: list[Difference] = []
+        self.problem = ""
+        """What came since `expect` and cannot be read: it may tell of any parameter."""
         self._subscription = node.create_subscription(
-            ParameterEvent, PARAMETER_EVENTS, self._on_event, qos_profile_parameter_events
+            ParameterEvent,
+            PARAMETER_EVENTS,
+            self._on_event,
+            qos_profile_parameter_events,
+            raw=True,
         )
 
     def expect(self, expected: Mapping[str, Mapping[str, object]]) -> None:
         """Expect these values of the nodes from now on, by key."""
         self._take_all()
+        self.problem = ""
         self._expected = expected
 
     def forget(self, key: str) -> None:
@@ -106,10 +114,15 @@ class ParameterWatch:
     def _take_all(self) -> None:
         """Take the events that wait: a node publishes its own ahead of its answer to a call."""
         with self._subscription.handle:
-            while taken := self._subscription.handle.take_message(ParameterEvent, False):
+            while taken := self._subscription.handle.take_message(ParameterEvent, True):
                 self._on_event(taken[0])
 
-    def _on_event(self, event: ParameterEvent) -> None:
+    def _on_event(self, data: bytes) -> None:
+        try:
+            event = decode(data, ParameterEvent)
+        except UnreadableError as error:
+            self.problem = f"a message on {PARAMETER_EVENTS} {error}"
+            return
         for key in self._keys.get(event.node, ()):
             expected = self._expected.get(key, {})
             changed = _read((*event.new_parameters, *event.changed_parameters))

@@ -18,10 +18,13 @@ class RunResults:
         self._said: dict[str, dict[str, dict[str, object]]] = {}
         self._ignored = 0
         self._contradicted: set[tuple[str, str]] = set()
+        self.problem = ""
+        """What came in the present evaluation as a result, but cannot be read."""
 
     def begin(self) -> None:
         """Take the results of an evaluation whose identifier is not known yet."""
         self._contradicted = set()
+        self.problem = ""
         self._evaluation = None
 
     def identify(self, evaluation: str) -> None:
@@ -52,6 +55,11 @@ class RunResults:
         self._said.setdefault(evaluation, {})[key] = pairs
         if len(self._said) > MOST_EARLY:
             self._forget(next(iter(self._said)))
+
+    def add_unreadable(self, problem: str) -> None:
+        """Take note of a result that cannot be read, and so may be of any evaluation."""
+        self._ignored += 1
+        self.problem = self.problem or problem
 
     @property
     def contradicted(self) -> list[str]:

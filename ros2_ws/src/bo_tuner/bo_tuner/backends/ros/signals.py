@@ -12,6 +12,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
     has_header,
@@ -190,7 +191,9 @@ class SignalRecorder:
             depth=DEPTH, reliability=offered.reliability, durability=offered.durability
         )
         # It is in no executor, which would call this.
-        subscription = self.node.create_subscription(cls, topic, lambda message: None, qos)
+        subscription = self.node.create_subscription(
+            cls, topic, lambda message: None, qos, raw=True
+        )
         latched = offered.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
         return subscription, latched and offered.reliability == QoSReliabilityPolicy.RELIABLE
 
@@ -267,14 +270,15 @@ class _Topic:
         """Take what waits."""
         handle = self.subscription.handle
         with handle:
-            while (item := handle.take_message(self.subscription.msg_type, False)) is not None:
-                message, info = item
+            while (item := handle.take_message(self.subscription.msg_type, True)) is not None:
+                data, info = item
                 self._count_lost(info["publication_sequence_number"] or 0)
-                for track in self.tracks.values():
-                    try:
+                try:
+                    message = decode(data, self.subscription.msg_type)
+                    for track in self.tracks.values():
                         track.add(message, info["received_timestamp"])
-                    except ItemMissingError as error:
-                        self.problem = f"a message on {self.name} {error}"
+                except (UnreadableError, ItemMissingError) as error:
+                    self.problem = f"a message on {self.name} {error}"
 
     def _count_lost(self, number: int) -> None:
         # A publisher that was started anew begins again; not every middleware numbers.

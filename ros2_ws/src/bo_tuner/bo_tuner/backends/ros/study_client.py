@@ -103,6 +103,8 @@ class StudyClient:
                 name = self._study.nodes[anew[0]].node
                 raise LostError(f"{name} was started anew in the evaluation")
             self.parameters.check(wanted, {})
+            if self.results.problem:
+                raise DisturbedError(self.results.problem)
             if self.results.contradicted:
                 raise DisturbedError(
                     f"{self.results.contradicted[0]}: two different results of one evaluation"

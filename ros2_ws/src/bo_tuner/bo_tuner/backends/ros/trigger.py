@@ -8,7 +8,8 @@ from rclpy.client import Client
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from bo_tuner.backends.ros.errors import LostError, SilentError
+from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.errors import DisturbedError, LostError, SilentError
 from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.backends.ros.tuner_node import TunerNode
@@ -51,7 +52,7 @@ class TriggeredRun:
             if spec.result:
                 topic = of_node(spec.node, spec.result)
                 tuner.node.create_subscription(
-                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS
+                    DiagnosticArray, topic, partial(self._on_result, key), RESULT_QOS, raw=True
                 )
         if study.trigger is not None:
             node = study.nodes[study.trigger.node].node
@@ -71,6 +72,8 @@ class TriggeredRun:
         ------
         LostError
             If a node does not answer, or gives no result.
+        DisturbedError
+            If a result cannot be read.
         """
         trigger = self._study.trigger
         if trigger is None or self.service is None:
@@ -94,6 +97,8 @@ class TriggeredRun:
         metrics = self._study.metrics.values()
         awaited = {trigger.node} | {m.node for m in metrics if isinstance(m, ReportedMetric)}
         while True:
+            if self.results.problem:
+                raise DisturbedError(self.results.problem)
             said = self.results.said
             if any(pairs["status"] != STATUS_OK for pairs in said.values()):
                 # A node may have failed the evaluation for want of another one.
@@ -109,7 +114,12 @@ class TriggeredRun:
                 )
             self._tuner.spin_once()
 
-    def _on_result(self, key: str, message: DiagnosticArray) -> None:
+    def _on_result(self, key: str, data: bytes) -> None:
+        try:
+            message = decode(data, DiagnosticArray)
+        except UnreadableError as error:
+            self.results.add_unreadable(f"{self._study.nodes[key].node}: a result {error}")
+            return
         for status in message.status:
             pairs: dict[str, object] = {item.key: item.value for item in status.values}
             failed = status.level == DiagnosticStatus.ERROR

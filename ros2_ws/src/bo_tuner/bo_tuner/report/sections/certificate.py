@@ -43,7 +43,7 @@ class CertificateFile:
     def scope(self) -> str:
         """Number of draws and confidence."""
         confidence = 100.0 * float(self.content["confidence"])
-        return f"{self.content['draws']} fresh draws, {confidence:g} % confidence"
+        return f"{self.content['drawn']} fresh draws, {confidence:g} % confidence"
 
     @property
     def reasons(self) -> Sequence[str]:
@@ -79,10 +79,12 @@ def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | No
 
 def _section(content: Mapping[str, Any], path: PurePath) -> Section:
     verdict = str(content["verdict"])
-    confidence = f"{100.0 * float(content['confidence']):g} %"
+    confidence = f"{100.0 * float(content['bound_confidence']):.4g} %"
     lead = (
-        f"{verdict} for the parameter set of trial {content['trial']}, on {content['draws']} "
-        f"fresh draws. Each bound has a confidence of {confidence}."
+        f"{verdict} for the parameter set of trial {content['trial']}, on {content['drawn']} "
+        f"fresh draws. It is attempt {content['attempt']} in this run; all attempts together have "
+        f"a confidence of {100.0 * float(content['confidence']):g} %, each bound one of "
+        f"{confidence}."
     )
     return Section(
         name="certificate",
@@ -98,15 +100,16 @@ def _section(content: Mapping[str, Any], path: PurePath) -> Section:
 
 
 def _limits(content: Mapping[str, Any], confidence: str) -> Table:
-    both = (content[DEFAULT], content[TUNED])
+    sides = [side for side in (DEFAULT, TUNED) if content[side] is not None]
+    both = [content[side] for side in sides]
     objective = content["objective"]
     tail = f"mean of the worst {100.0 * (1.0 - float(content['tail_level'])):.3g} % (CVaR)"
     rows = [
         [f"mean {objective['metric']}", *(_mean(f["objective"]) for f in both), objective["unit"]],
         [f"  {tail}", *(number(f["tail"]) for f in both), objective["unit"]],
     ]
-    for pair in zip(both[0]["constraints"], both[1]["constraints"], strict=True):
-        first = pair[1]
+    for pair in zip(*(f["constraints"] for f in both), strict=True):
+        first = pair[-1]
         metric, unit, limit = first["metric"], first["unit"], number(first["limit"])
         rows += [
             [f"largest {metric}", *(number(c["largest"]) for c in pair), unit],
@@ -123,9 +126,14 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
             rows += [
                 [f"worst-case mean {metric}", *(_mean(w["mean"]) for w in worst), unit],
                 [f"  {confidence} bound", *(number(w["mean"]["upper"]) for w in worst), unit],
+                [
+                    f"  probability of a violation there, {confidence} bound",
+                    *(number(w["violation_bound"]) for w in worst),
+                    "",
+                ],
                 *(
                     [f"  at {name}", *(number(w["context"][name]) for w in worst), ""]
-                    for name in worst[1]["context"]
+                    for name in worst[-1]["context"]
                 ),
             ]
         rows.append([f"{first['name']}", *(_shown(c["passed"]) for c in pair), ""])
@@ -133,10 +141,10 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
         ["failed evaluations", *(f"{f['failures']} of {f['evaluations']}" for f in both), ""]
     )
     return Table(
-        caption="Default and tuned parameter set in the same fresh draws of context and noise",
-        header=["", "default", "tuned", "unit"],
+        caption="Fresh draws of context and noise, and the worst contexts of a search",
+        header=["", *sides, "unit"],
         rows=rows,
-        numeric=[1, 2],
+        numeric=list(range(1, 1 + len(sides))),
     )
 
 

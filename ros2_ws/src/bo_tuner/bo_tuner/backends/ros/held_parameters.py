@@ -1,0 +1,61 @@
+"""Parameters that a study does not set, as they were when its run began."""
+
+import contextlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from bo_tuner.backends.ros.parameters import differences
+from bo_tuner.errors import BackendError, OutputError
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.run_files import read_text
+
+HELD = "held_parameters.json"
+"""File beside the logs."""
+
+
+def compare_with_earlier(
+    folder: Path,
+    values: Mapping[str, Mapping[str, object]],
+    *,
+    refuse: bool,
+    note: bool = True,
+) -> None:
+    """Compare parameters with those that were noted down first in a folder, or note them down.
+
+    A validation, or the rest of a run, on attached nodes would else measure something else.
+
+    Parameters
+    ----------
+    folder
+        Takes the file.
+    values
+        Parameters by node key.
+    refuse
+        Whether to refuse nodes that have other ones.
+    note
+        Whether to note them down where there is nothing yet; else the folder is only read.
+
+    Raises
+    ------
+    BackendError
+        If one is not what it was, with its name.
+    """
+    file = folder / HELD
+    try:
+        earlier = json.loads(read_text(file))
+        known = {key: dict(earlier[key]) for key in values}
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        known = {}
+    if not known:
+        if not note:
+            return
+        with contextlib.suppress(OutputError):
+            write_atomically(file, json.dumps(values, indent=1, default=str))
+        return
+    if not refuse:
+        return
+    for key, now in values.items():
+        common = {name: known[key][name] for name in now if name in known[key]}
+        if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
+            raise BackendError(f"{changed[0]}, as when the run began; set it back")

@@ -1,0 +1,122 @@
+"""The evaluations of a certificate that is not finished, so that `validate` can go on with it.
+
+``RUN/certificates/unfinished.jsonl`` has a line for what they belong to, then one for each. It goes
+when the certificate is written.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from bo_tuner.certificate.store import CERTIFICATES, parameters_sha256
+from bo_tuner.errors import OutputError
+from bo_tuner.storage.provenance import sources, study_sha256
+from bo_tuner.storage.rows import evaluation_of
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Value
+from bo_tuner.tuning.observer import RunObserver
+
+UNFINISHED = "unfinished.jsonl"
+
+
+class Unfinished(RunObserver):
+    """Keeps each evaluation; those of an interrupted certificate are there at the beginning.
+
+    Evaluations that were lost or disturbed are left out: they end a certificate without a verdict,
+    and are made anew.
+
+    Parameters
+    ----------
+    folder
+        The run folder, locked.
+    study, parameters, backend, attempt
+        What the certificate is of. Evaluations of anything else, or of other code, are discarded.
+
+    Attributes
+    ----------
+    evaluations
+        Those on record already.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        study: Study,
+        parameters: Mapping[str, Value],
+        backend: str,
+        attempt: int,
+    ) -> None:
+        self._path = folder / CERTIFICATES / UNFINISHED
+        head = {
+            "study_sha256": study_sha256(study),
+            "parameters_sha256": parameters_sha256(parameters),
+            "backend": backend,
+            "attempt": attempt,
+        } | sources(study, backend)
+        lines = self._read(json.dumps(head))
+        self.evaluations = [evaluation for evaluation, _ in lines]
+        try:
+            self._path.parent.mkdir(exist_ok=True)
+            # Written anew, without a line that a crash has cut off.
+            self._file = self._path.open("w", encoding="utf-8")
+            self._write(json.dumps(head))
+            for _, line in lines:
+                self._write(line)
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Keep an evaluation."""
+        outcome = evaluation.outcome
+        if evaluation.recorded or outcome.spoilt:
+            return
+        row = {
+            "trial": evaluation.trial,
+            "position": evaluation.index,
+            "stage": evaluation.stage,
+            "parameters": json.dumps(dict(evaluation.parameters)),
+            "context": json.dumps(dict(evaluation.context)),
+            "seed": evaluation.seed,
+            "state": outcome.state,
+            "metrics": json.dumps(dict(outcome.metrics)),
+            "reason": outcome.reason,
+            "details": json.dumps(dict(outcome.details)),
+            "seconds": evaluation.seconds,
+        }
+        try:
+            self._write(json.dumps(row))
+        except OSError as error:
+            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+    def close(self) -> None:
+        """Keep the file for a later session."""
+        self._file.close()
+
+    def remove(self) -> None:
+        """Remove the file: the certificate is written."""
+        self._file.close()
+        self._path.unlink(missing_ok=True)
+
+    def _write(self, line: str) -> None:
+        self._file.write(line + "\n")
+        self._file.flush()
+
+    def _read(self, head: str) -> list[tuple[Evaluation, str]]:
+        try:
+            first, *lines = self._path.read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError):
+            return []
+        found: list[tuple[Evaluation, str]] = []
+        if first != head:
+            return found
+        for line in lines:
+            try:
+                found.append((evaluation_of(json.loads(line)), line))
+            except (ValueError, KeyError, TypeError, RecursionError):
+                break
+        return found

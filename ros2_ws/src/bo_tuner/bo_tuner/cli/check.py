@@ -1,0 +1,213 @@
+"""``tune --check``: hold a study against the running nodes, and try two runs."""
+
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rich.table import Table
+
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.graph import Graph, describe_nodes, opened_graph
+from bo_tuner.certificate.store import required_draws
+from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.streams import say_error
+from bo_tuner.errors import BackendError
+from bo_tuner.interruption import Interruption
+from bo_tuner.metrics.recording import Recording
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.study.checks import same_value
+from bo_tuner.study.descriptors import Described, problem
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import load_study
+from bo_tuner.text import shown
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
+
+RUNS = 2
+WIDTH = 60
+"""Characters of a plot."""
+BARS = " ▁▂▃▄▅▆▇█"
+
+
+def check_study(given: str, ros_arguments: Sequence[str], interruption: Interruption) -> int:
+    """Check a study on the nodes that are running; returns the exit code.
+
+    Parameters
+    ----------
+    given
+        Name or path of the study.
+    ros_arguments
+        ``--ros-args`` of the tuner's node.
+    interruption
+        Ends the check on a signal.
+
+    Raises
+    ------
+    StudyError
+        If the study is not valid in itself.
+    BackendError
+        If the nodes cannot be had.
+    """
+
+    def describe(nodes: Mapping[str, str]) -> dict[str, dict[str, Described]]:
+        return describe_nodes(nodes, ros_arguments, interruption.check)
+
+    study = load_study(given, describe)
+    with opened_graph(ros_arguments, interruption.check) as graph:
+        problems, notes = _look(study, graph)
+    for note in notes:
+        say(f"note: {note}")
+    for text in problems:
+        say_error(f"error: {text}")
+    if problems:
+        say_error(f"{len(problems)} found; nothing was set")
+        return EXIT_USAGE
+    say(
+        f"{len(study.parameters)} parameters and {len(study.signals)} signals are as the study says"
+    )
+    return _try(study, ros_arguments, interruption)
+
+
+def _look(study: Study, graph: Graph) -> tuple[list[str], list[str]]:
+    """Hold every parameter and signal against the graph; problems and notes, a line each."""
+    problems, notes = [], []
+    defaults = study.search_space().defaults
+    for key, spec in study.nodes.items():
+        try:
+            known = graph.describe(spec.node)
+        except BackendError as error:
+            problems.append(f"nodes.{key}: {error}")
+            continue
+        for name, item in study.parameters.items():
+            if item.node != key:
+                continue
+            described = known.get(item.array or item.parameter)
+            if text := problem(item, described, known):
+                problems.append(f"parameters.{name}: {text}")
+            elif described is not None and not item.array and name in defaults:
+                if same_value(described.value, defaults[name]):
+                    continue
+                notes.append(
+                    f"parameters.{name}: the node has {described.value} now, the study's "
+                    f"default is {shown(defaults[name])}"
+                )
+    # What a run itself publishes has no publisher yet.
+    steps = () if study.run is None else study.run.steps
+    own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
+    heard = {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
+    problems += [str(error) for error in graph.signal_problems(heard)]
+    return problems, notes
+
+
+def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
+    """Run the default a few times; shows signals and metrics, and how long a study will take."""
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    defaults = study.search_space().defaults
+    done: list[Evaluation] = []
+    with TemporaryDirectory() as folder:
+        backend = RosBackend(
+            study,
+            Path(folder),
+            attach=True,
+            ros_arguments=list(ros_arguments),
+            interrupted=interruption.check,
+        )
+        try:
+            backend.open()
+            for index in range(RUNS):
+                seed = noise_seed(study.seed, Stream.NOISE, 0, index)
+                planned = Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)
+                done += backend.run([planned])
+            recording = backend.recording
+        finally:
+            with contextlib.suppress(BackendError):
+                backend.close()
+    _plot(study, recording)
+    failed = [e for e in done if e.outcome.state is not EvaluationState.COMPLETE]
+    for evaluation in failed:
+        say_error(
+            f"error: run {evaluation.index} of the default failed: {evaluation.outcome.reason}"
+        )
+    if len(failed) < len(done):
+        _show_metrics(study, [e for e in done if e not in failed])
+    _estimate(study, float(np.mean([e.seconds for e in done])))
+    return EXIT_INFEASIBLE if failed else EXIT_OK
+
+
+def _plot(study: Study, recording: Recording) -> None:
+    table = Table(title=f"signals of run {RUNS - 1}, {recording.end:.3g} s", title_justify="left")
+    for column in ("signal", "messages", "least", "over the run", "largest"):
+        table.add_column(column, no_wrap=True)
+    for name, seen in recording.signals.items():
+        if not len(seen.time):
+            table.add_row(name, "0", "", "", "")
+            continue
+        low, high = float(np.min(seen.value)), float(np.max(seen.value))
+        count = f"{seen.messages}"
+        table.add_row(
+            name, count, f"{low:.4g}", plot(seen.time, seen.value, recording.end), f"{high:.4g}"
+        )
+    if recording.signals:
+        plain_console().print(table)
+
+
+def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
+    """Draw a signal in a line of bars, between its least and its largest value.
+
+    Parameters
+    ----------
+    time, value
+        The signal (n,), n ≥ 1; it keeps a value until the next one.
+    end
+        The right end [s]; the left one is 0.
+    width
+        Number of characters.
+    """
+    at = np.linspace(0.0, end, width)
+    held = np.asarray(value)[np.clip(np.searchsorted(time, at, side="right") - 1, 0, None)]
+    low, high = float(np.min(value)), float(np.max(value))
+    if not math.isfinite(high - low):
+        return "not finite"
+    height = (held - low) / (high - low) if high > low else np.full(width, 0.5)
+    return "".join(BARS[1 + round(float(h) * (len(BARS) - 2))] for h in height)
+
+
+def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
+    table = Table(title="metrics of the default", title_justify="left")
+    for column in ("metric", "unit", *(f"run {e.index}" for e in done), "spread", "limit"):
+        table.add_column(column)
+    for name, metric in study.metrics.items():
+        values = [e.outcome.metrics[name] for e in done]
+        spread = max(values) - min(values)
+        limits = [item for item in study.constraints.values() if item.metric == name]
+        limit = ", ".join(f"{item.upper:.4g}" for item in limits)
+        cells = (f"{value:.4g}" for value in (*values, spread))
+        table.add_row(name, metric.unit, *cells, limit)
+    plain_console().print(table)
+
+
+def evaluations_of(study: Study) -> tuple[int, int]:
+    """Return the number of evaluations of a run, at most, and of the draws of its certificate."""
+    budget = study.budget
+    searched = 0 if study.worst_case_constraint is None else budget.search_evaluations
+    tuning = budget.trials * (budget.drawn_contexts + searched) + 2 * budget.validation_draws
+    return tuning, 2 * required_draws(study, study.certificate.confidence)
+
+
+def _estimate(study: Study, seconds: float) -> None:
+    tuning, certificate = evaluations_of(study)
+    say(f"a run took {seconds:.3g} s")
+    say(f"study: at most {tuning} runs beside the checks, {_duration(tuning * seconds)}")
+    say(f"certificate: {certificate} draws, {_duration(certificate * seconds)}")
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"

@@ -1,0 +1,103 @@
+"""Metrics of recorded runs, computed again from their bags."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from bo_tuner.errors import RunRecordError
+from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.recording import FailedRunError, signal_sources
+from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.trials import EvaluationState, Outcome
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """A recorded run with its metrics as computed again.
+
+    Attributes
+    ----------
+    run
+        The run.
+    outcome
+        As of an evaluation.
+    """
+
+    run: RecordedRun
+    outcome: Outcome
+
+
+def check_recorded(record: RunRecord, study: Study) -> None:
+    """Refuse a study whose metrics a run's bags do not give.
+
+    Raises
+    ------
+    RunRecordError
+        If a metric is not computed of signals, or of other signals than were recorded.
+    """
+    recorded = record.study.signals
+    for name, metric in study.metrics.items():
+        if isinstance(metric, ReportedMetric):
+            raise RunRecordError(
+                f"{record.path}: metric {name} is reported by a node, and not computed of signals"
+            )
+    for name, signal in study.signals.items():
+        known = recorded.get(name)
+        if known is None or (known.topic, known.field) != (signal.topic, signal.field):
+            raise RunRecordError(
+                f"{record.path}: has no recording of signal {name} ({signal.topic} "
+                f"{signal.field}); it has {', '.join(recorded) or 'none'}"
+            )
+
+
+def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
+    """Compute the metrics of a study for every run in the bags of a record, in their order.
+
+    Parameters
+    ----------
+    record
+        The run.
+    study
+        Defines metrics and signals; the record's own, or another one.
+
+    Raises
+    ------
+    RunRecordError
+        As `check_recorded`, or if there is no bag with signals.
+    """
+    check_recorded(record, study)
+    found = False
+    for bag in sorted(path for path in (record.path / "bags").glob("*") if _is_bag(path)):
+        for run in recorded_runs(bag):
+            found = True
+            yield Recomputed(run, _outcome(study, run))
+    if not found:
+        raise RunRecordError(
+            f"{record.path}: has no bag with signals; tune with --record notable or all"
+        )
+
+
+def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:
+    """Return the metrics whose recomputed value is not the recorded one, of equal definitions."""
+    recorded = found.run.evaluation.get("metrics", {})
+    return [
+        name
+        for name, value in found.outcome.metrics.items()
+        if name in recorded
+        and study.metrics[name] == record.study.metrics.get(name)
+        and recorded[name] != value
+    ]
+
+
+def _outcome(study: Study, run: RecordedRun) -> Outcome:
+    try:
+        run.recording.check(study.signals)
+    except FailedRunError as error:
+        return Outcome(EvaluationState.FAILED, {}, str(error))
+    return Collector(study, signal_sources(study, lambda: run.recording)).outcome({})
+
+
+def _is_bag(path: Path) -> bool:
+    return (path / "metadata.yaml").is_file()

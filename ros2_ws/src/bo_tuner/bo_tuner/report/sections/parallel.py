@@ -1,0 +1,70 @@
+"""Parallel coordinates (Inselberg 1985): all trials of a study with many parameters at once."""
+
+import numpy as np
+
+from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.content import Section, values
+from bo_tuner.trials import Trial
+
+FEWEST = 4
+"""Number of tuned parameters from which on two at a time no longer show a run."""
+
+LOOKS = {
+    Outcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
+    Outcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
+}
+"""Colour, dash and width by the outcome of a trial; the others say little of the parameters."""
+
+
+def parallel(analysis: Analysis) -> Section | None:
+    """Show each trial as a line over the tuned parameters; None for few parameters."""
+    space = analysis.study.search_space()
+    if space.dimension < FEWEST or not analysis.trials:
+        return None
+    elements: list[Element] = []
+    for kind, (color, dash, width) in LOOKS.items():
+        chosen = [trial for trial in analysis.trials if analysis.outcome(trial) == kind]
+        if chosen:
+            elements.append(_lines(analysis, chosen, kind, color, dash, width))
+    if analysis.answer is not None:
+        elements.append(_lines(analysis, [analysis.answer], "tuned", Color.BLUE, Dash.SOLID, 3.0))
+    ticks = [(float(k), name) for k, name in enumerate(space.names)]
+    return Section(
+        name="parameters",
+        title="All parameters at once",
+        lead=f"{space.dimension} tuned parameters; each line is a trial.",
+        figures=[
+            Figure(
+                name="parallel",
+                title="Parameters of the trials, from the lower to the upper bound",
+                caption="Where the lines within the limits come together, a parameter matters; "
+                "where they spread, it does not, or others make up for it. Failed and outlying "
+                "trials are left out.",
+                alternative="Parallel coordinates of all trials.",
+                panels=[
+                    Panel(
+                        x=Axis(label="", ticks=ticks),
+                        y=Axis(label="place between the bounds", limits=(-0.02, 1.02)),
+                        elements=elements,
+                    )
+                ],
+            )
+        ],
+    )
+
+
+def _lines(
+    analysis: Analysis, trials: list[Trial], name: str, color: Color, dash: Dash, width: float
+) -> Line:
+    """Return the lines of trials as one, with gaps."""
+    space = analysis.study.search_space()
+    # NaN ends the line of a trial.
+    x = np.tile([*range(space.dimension), np.nan], len(trials))
+    y = np.concatenate([[*space.to_cube(trial.parameters), np.nan] for trial in trials])
+    texts = [
+        f"{name}: trial {trial.number}\n{values(analysis.tuned_values(trial.parameters))}"
+        for trial in trials
+    ]
+    hover = [text for text in texts for _ in range(space.dimension + 1)]
+    return Line(x=x, y=y, name=name, color=color, dash=dash, width=width, hover=hover)

@@ -1,0 +1,183 @@
+"""What nodes say of their parameters, held against a study, and filled in where it says nothing."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks
+from bo_tuner.study.parameter import Parameter
+
+FROM_THE_NODE = ("type", "bounds", "default")
+"""Keys of a parameter that may be left out where the node runs."""
+
+
+@dataclass(frozen=True)
+class Described:
+    """A parameter as its node describes it.
+
+    Attributes
+    ----------
+    type
+        As ROS calls it: `double`, `integer`, `boolean`, `string`, these with ``_array``, or empty
+        if the parameter is not set.
+    value
+        Present value.
+    lower, upper, step
+        Its range; infinite, and 0, where it has none.
+    read_only
+        Whether it cannot be set.
+    """
+
+    type: str
+    value: object
+    lower: float = -math.inf
+    upper: float = math.inf
+    step: float = 0.0
+    read_only: bool = False
+
+    @property
+    def has_range(self) -> bool:
+        """Whether the value is bounded on both sides."""
+        return math.isfinite(self.lower) and math.isfinite(self.upper)
+
+
+Descriptions = Mapping[str, Mapping[str, Described]]
+"""By the node's key in the study, then by the name of the parameter in the node."""
+
+
+def incomplete(mapping: object) -> dict[str, list[str]]:
+    """Return the parameters that a study file does not define in full, by node.
+
+    Parameters
+    ----------
+    mapping
+        The dictionaries and lists of the study file, not checked yet.
+
+    Returns
+    -------
+    dict from str to list
+        By the node's key the names of its parameters in the study.
+    """
+    found: dict[str, list[str]] = {}
+    for name, item in _parameters(mapping).items():
+        if not isinstance(item, dict) or not isinstance(item.get("node"), str):
+            continue
+        is_constant = "fixed" in item or "tied_to" in item
+        is_number = item.get("type") in (None, "double", "integer")
+        needed = {"type", *(() if is_constant else ("default",))}
+        needed |= {"bounds"} if is_number and not is_constant else set()
+        array = _array_of(name, item)
+        has_array = not array or array in _constants(mapping, item["node"])
+        if needed - item.keys() or not has_array:
+            found.setdefault(str(item["node"]), []).append(name)
+    return found
+
+
+def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
+    """Fill in what the nodes say of parameters that a study file leaves open.
+
+    Type, bounds and step come from the descriptor, the default and an array from the present value.
+
+    Parameters
+    ----------
+    mapping
+        The dictionaries and lists of the study file; changed.
+    nodes
+        Descriptions of the parameters of the nodes that `incomplete` names.
+
+    Raises
+    ------
+    StudyError
+        If a node does not have the parameter, or gives no range.
+    """
+    for key, names in incomplete(mapping).items():
+        for name in names:
+            item = _parameters(mapping)[name]
+            path = ("parameters", name)
+            array = _array_of(name, item)
+            wanted = array or str(item.get("parameter", name))
+            described = nodes[key].get(wanted)
+            if described is None:
+                hint = checks.suggestion(wanted, nodes[key])
+                raise StudyError(f"node {key} has no parameter '{wanted}'; {hint}", path)
+            value = described.value
+            if array:
+                if not isinstance(value, (list, tuple)):
+                    raise StudyError(f"node {key}: {array} is no array", path)
+                if array not in _constants(mapping, key):
+                    _add_constant(mapping, key, array, list(value))
+                index = int(str(item.get("parameter", name)).rpartition("[")[2].rstrip("]"))
+                value = value[index] if index < len(value) else None
+            item.setdefault("type", described.type.removesuffix("_array"))
+            if "fixed" in item or "tied_to" in item:
+                continue
+            if value is not None:
+                item.setdefault("default", value)
+            if item["type"] in ("double", "integer") and "bounds" not in item:
+                if not described.has_range or array:
+                    raise StudyError(
+                        f"missing; node {key} gives no range for it", (*path, "bounds")
+                    )
+                kind = int if item["type"] == "integer" else float
+                item["bounds"] = [kind(described.lower), kind(described.upper)]
+                if described.step > (1 if kind is int else 0):
+                    item.setdefault("step", kind(described.step))
+
+
+def problem(item: Parameter, described: Described | None, known: Mapping[str, Described]) -> str:
+    """Tell in a line why a node will not take a parameter of a study; empty if it will.
+
+    Parameters
+    ----------
+    item
+        The parameter.
+    described
+        What its node says of it, or of the array that has it; None if it is not declared.
+    known
+        All parameters of the node.
+    """
+    name = item.array or item.parameter
+    if described is None:
+        return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
+    if described.read_only:
+        return f"'{name}' is read-only in the node"
+    expected = f"{item.type}_array" if item.array else item.type
+    if described.type not in ("", expected):
+        return f"'{name}' is of type {described.type} in the node, not {expected}"
+    if item.is_number and not item.array:
+        given = [*(item.bounds or ()), *([] if item.fixed is None else [item.fixed])]
+        outside = [v for v in given if not described.lower <= float(v) <= described.upper]
+        if outside:
+            return (
+                f"{outside[0]} lies outside the range of '{name}' in the node, "
+                f"[{described.lower:g}, {described.upper:g}]"
+            )
+    return ""
+
+
+def _parameters(mapping: object) -> dict[str, dict[str, object]]:
+    found = mapping.get("parameters") if isinstance(mapping, dict) else None
+    return found if isinstance(found, dict) else {}
+
+
+def _array_of(name: str, item: Mapping[str, object]) -> str:
+    wanted = str(item.get("parameter", name))
+    return wanted.partition("[")[0] if wanted.endswith("]") else ""
+
+
+def _node(mapping: object, node: object) -> dict[str, object]:
+    nodes = mapping.get("nodes") if isinstance(mapping, dict) else None
+    spec = nodes.get(node) if isinstance(nodes, dict) else None
+    return spec if isinstance(spec, dict) else {}
+
+
+def _constants(mapping: object, node: object) -> dict[str, object]:
+    """Return the parameters that a study file sets once on a node."""
+    constants = _node(mapping, node).get("parameters")
+    return constants if isinstance(constants, dict) else {}
+
+
+def _add_constant(mapping: object, node: str, name: str, value: object) -> None:
+    spec = _node(mapping, node)
+    spec["parameters"] = {**_constants(mapping, node), name: value}

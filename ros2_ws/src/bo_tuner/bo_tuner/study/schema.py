@@ -1,0 +1,272 @@
+"""The study file as a JSON schema, for editors, and as a page of reference.
+
+Both come from the classes that check a study: keys, types and defaults from their fields, the texts
+from their docstrings. ``python -m bo_tuner.study.schema SCHEMA PAGE`` writes the two files; a test
+holds them against the classes.
+
+Reference: JSON Schema, draft 2020-12, https://json-schema.org/draft/2020-12.
+"""
+
+import dataclasses
+import inspect
+import json
+import sys
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.study.distributions import DISTRIBUTIONS
+from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.study.parameter import TYPES, Parameter
+from bo_tuner.study.parts import ContextVariable, ReportedMetric
+from bo_tuner.study.run import End
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.study.study import Constraint, Study
+
+Schema = dict[str, Any]
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+NAMED = {
+    "nodes": (NodeSpec,),
+    "parameters": (Parameter,),
+    "contexts": (ContextVariable,),
+    "signals": (Signal,),
+    "metrics": (ReportedMetric, SignalMetric, PythonMetric),
+    "constraints": (Constraint,),
+}
+"""Sections of objects by name, with the kinds of these."""
+SCALARS: dict[object, Schema] = {
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": "number"},
+    str: {"type": "string"},
+}
+CHOICES: dict[tuple[type, str], tuple[str, ...]] = {(Parameter, "type"): TYPES}
+
+
+def schema() -> Schema:
+    """Return the JSON schema of a study file."""
+    definitions: dict[str, Schema] = {}
+    root = _object(Study, definitions)
+    for key, classes in NAMED.items():
+        kinds = [_reference(cls, definitions) for cls in classes]
+        items = kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
+        root["properties"][key] |= {"type": "object", "additionalProperties": items}
+        root["properties"][key].pop("$ref", None)
+    return {"$schema": DIALECT, "title": "Study file of bo_tuner", **root, "$defs": definitions}
+
+
+def page() -> str:
+    """Return the page of reference, as Markdown."""
+    definitions: dict[str, Schema] = {}
+    lines = [
+        "# Study file: all keys",
+        "",
+        "Made by `python -m bo_tuner.study.schema` from the classes that check a study; do not",
+        "edit.",
+        "What sections mean and how they work together is in [interfaces.md](interfaces.md).",
+        "",
+        "An editor that knows JSON schemas completes and checks a study file that begins with",
+        "",
+        "```yaml",
+        "# yaml-language-server: $schema=<share/bo_tuner>/config/study.schema.json",
+        "```",
+    ]
+    for title, cls in _sections():
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            _introduction(cls),
+            "",
+            "| key | type | default | meaning |",
+        ]
+        lines.append("|---|---|---|---|")
+        texts = _texts(cls)
+        for field in _keys(cls):
+            kind = _kind(_field(cls, field, definitions))
+            text = texts.get(field.name, "").replace("|", "\\|").replace("``", "`")
+            lines.append(f"| `{field.name}` | {kind} | {_default(field)} | {text} |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: list[str]) -> None:
+    """Write schema and page to the two files named."""
+    to_schema, to_page = map(Path, arguments)
+    to_schema.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
+    to_page.write_text(page(), encoding="utf-8")
+
+
+def _sections() -> Iterator[tuple[str, type[Any]]]:
+    """Yield the classes of a study file in the order of the page, each once, with its title."""
+    yield "The file", Study
+    for key, classes in NAMED.items():
+        for cls in classes:
+            title = f"`{key}: <name>`"
+            yield (f"{title}, {cls.__name__}" if len(classes) > 1 else title), cls
+        if key == "contexts":
+            for kind, cls in DISTRIBUTIONS.items():
+                yield f"`contexts: <name>`, `distribution: {kind}`", cls
+    named = {cls for classes in NAMED.values() for cls in classes}
+    yield from _below(Study, "", named)
+
+
+def _below(cls: type[Any], path: str, seen: set[type[Any]]) -> Iterator[tuple[str, type[Any]]]:
+    hints = typing.get_type_hints(cls)
+    for field in _keys(cls):
+        for found in _classes(hints[field.name]):
+            if found not in seen:
+                seen.add(found)
+                yield f"`{path}{field.name}`", found
+                yield from _below(found, f"{path}{field.name}: ", seen)
+
+
+def _classes(hint: Any) -> list[type[Any]]:
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return [hint]
+    return [cls for part in typing.get_args(hint) for cls in _classes(part)]
+
+
+def _keys(cls: type[Any]) -> list[dataclasses.Field[Any]]:
+    named = {item for classes in NAMED.values() for item in classes}
+    skipped = {"name"} if cls in named else set()
+    return [field for field in dataclasses.fields(cls) if field.name not in skipped]
+
+
+def _object(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
+    texts = _texts(cls)
+    properties = {}
+    required = []
+    for field in _keys(cls):
+        found = _field(cls, field, definitions)
+        if field.name in texts:
+            found = {**found, "description": texts[field.name]}
+        properties[field.name] = found
+        if field.default is field.default_factory is dataclasses.MISSING:
+            required.append(field.name)
+    result: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+    if cls is Parameter:
+        # Where its node runs, this says what is left out.
+        required.remove("type")
+    if required:
+        result["required"] = required
+    return result
+
+
+def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str, Schema]) -> Schema:
+    choices = CHOICES.get((cls, field.name))
+    if choices is not None:
+        return {"enum": list(choices)}
+    if cls is ContextVariable and field.name == "distribution":
+        return {"enum": list(DISTRIBUTIONS)}
+    found = _type(typing.get_type_hints(cls)[field.name], definitions)
+    if found.get("$ref") == f"#/$defs/{End.__name__}":
+        # The word alone is an end, too.
+        return {"anyOf": [found, {"const": "result"}]}
+    return found
+
+
+def _type(hint: Any, definitions: dict[str, Schema]) -> Schema:
+    if hint in SCALARS:
+        return dict(SCALARS[hint])
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return _reference(hint, definitions)
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        kinds = [_type(part, definitions) for part in parts if part is not type(None)]
+        return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
+    if origin is tuple and parts[-1] is Ellipsis:
+        return {"type": "array", "items": _type(parts[0], definitions)}
+    if origin is tuple:
+        items = [_type(part, definitions) for part in parts]
+        size = {"minItems": len(items), "maxItems": len(items)}
+        return {"type": "array", "prefixItems": items, **size}
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {"type": "object", "additionalProperties": _type(parts[1], definitions)}
+    return {}
+
+
+def _reference(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
+    if cls.__name__ not in definitions:
+        definitions[cls.__name__] = {}
+        found = _object(cls, definitions)
+        if cls is ContextVariable:
+            found = _with_distributions(found, definitions)
+        definitions[cls.__name__] = found
+    return {"$ref": f"#/$defs/{cls.__name__}"}
+
+
+def _with_distributions(found: Schema, definitions: dict[str, Schema]) -> Schema:
+    """Add the keys of each distribution to those of a context, as they are on one level."""
+    kinds = []
+    for kind, cls in DISTRIBUTIONS.items():
+        own = _object(cls, definitions)
+        properties = found["properties"] | own["properties"] | {"distribution": {"const": kind}}
+        required = [*found["required"], *own.get("required", [])]
+        kinds.append({**found, "properties": properties, "required": required})
+    return {"anyOf": kinds}
+
+
+def _texts(cls: type[Any]) -> dict[str, str]:
+    """Return the texts of a class's Attributes section, those of its bases included."""
+    texts: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        names: list[str] = []
+        inside = False
+        lines = (inspect.cleandoc(base.__doc__) if base.__doc__ else "").splitlines()
+        for line, following in zip(lines, [*lines[1:], ""], strict=True):
+            if set(following) == {"-"}:
+                inside, names = line == "Attributes", []
+            elif inside and line and not line.startswith((" ", "-")):
+                names = [name.strip() for name in line.partition(":")[0].split(",")]
+                texts |= dict.fromkeys(names, "")
+            elif inside and line:
+                for name in names:
+                    texts[name] = f"{texts[name]} {line.strip()}".strip()
+    return texts
+
+
+def _introduction(cls: type[Any]) -> str:
+    """Return the docstring of a class up to its first section, a paragraph a line."""
+    text = inspect.cleandoc(cls.__doc__ or "")
+    found = []
+    for paragraph in text.split("\n\n"):
+        if paragraph.partition("\n")[2].startswith("---"):
+            break
+        found.append(" ".join(paragraph.split()))
+    return "\n\n".join(found)
+
+
+def _default(field: dataclasses.Field[Any]) -> str:
+    if field.default is dataclasses.MISSING:
+        return "required" if field.default_factory is dataclasses.MISSING else ""
+    value = field.default
+    if value is None or value == "" or value != value:
+        return ""
+    if dataclasses.is_dataclass(value):
+        return ""
+    return f"`{json.dumps(value)}`"
+
+
+def _kind(found: Schema) -> str:
+    """Name a type in a word or two."""
+    if "$ref" in found:
+        return "mapping"
+    if "enum" in found:
+        return ", ".join(f"`{choice}`" for choice in found["enum"])
+    if "const" in found:
+        return f"`{found['const']}`"
+    if "anyOf" in found:
+        return " or ".join(dict.fromkeys(_kind(item) for item in found["anyOf"]))
+    if found.get("type") == "array":
+        items = found.get("items") or found["prefixItems"][0]
+        size = f" of {found['maxItems']}" if "maxItems" in found else ""
+        return f"list{size}: {_kind(items)}"
+    words = {"string": "text", "object": "mapping", "boolean": "true or false"}
+    return str(words.get(found.get("type", ""), found.get("type", "any")))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

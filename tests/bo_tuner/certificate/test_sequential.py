@@ -1,0 +1,172 @@
+"""Bounds at every time at once: against quadrature, exact enumeration, and simulation."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from bo_tuner.certificate.sequential import (
+    draws_needed,
+    is_hopeless,
+    is_mean_refuted,
+    is_mean_shown,
+    is_refuted,
+    is_shown,
+    log_evidence,
+    log_mean_evidence,
+    mean_bounds,
+    probability_bounds,
+    spent,
+)
+
+
+def evidence_by_quadrature(k, n, p):
+    """With q' = p u²: the mean over u in (0, 1) of the likelihood ratio."""
+
+    def ratio(u):
+        q = p * u**2
+        return math.exp(k * math.log(u**2) + (n - k) * (math.log1p(-q) - math.log1p(-p)))
+
+    return integrate.quad(ratio, 0.0, 1.0, epsabs=0.0, epsrel=1e-10)[0]
+
+
+def counts(n, k):
+    """Draws of which the last k have the event."""
+    return [False] * (n - k) + [True] * k
+
+
+def ever_crossed(shown, p, most):
+    """Exact probability to cross within `most` draws, each with an event by p; by recursion.
+
+    Parameters: shown[n, k] tells whether k events in n draws cross.
+    """
+    alive, crossed = np.array([1.0]), 0.0
+    for n in range(1, most + 1):
+        alive = np.append(alive, 0.0) * (1.0 - p) + np.append(0.0, alive) * p
+        now = shown[n, : n + 1]
+        crossed += alive[now].sum()
+        alive[now] = 0.0
+    return crossed
+
+
+class TestProbability:
+    @pytest.mark.parametrize("p", [0.01, 0.04, 0.15, 0.5, 0.9])
+    @pytest.mark.parametrize(("n", "k"), [(1, 0), (1, 1), (40, 0), (40, 3), (300, 6), (300, 30)])
+    def test_quadrature(self, n, k, p):
+        expected = evidence_by_quadrature(k, n, p)
+        found = log_evidence(counts(n, k), p)[-1]
+        assert found == pytest.approx(math.log(expected), rel=1e-6, abs=1e-6)
+
+    @pytest.mark.parametrize("p", [0.04, 0.15, 0.5])
+    def test_it_is_a_martingale_at_the_limit_and_falls_above(self, p):
+        """E[E_n] over all samples that there can be."""
+        n = 60
+        evidence = np.exp([log_evidence(counts(n, k), p)[-1] for k in range(n + 1)])
+        for truth in (p, 1.1 * p, 0.5 * (1.0 + p)):
+            mean = stats.binom.pmf(np.arange(n + 1), n, truth) @ evidence
+            assert mean == pytest.approx(1.0) if truth == p else mean < 1.0
+
+    @pytest.mark.parametrize("p", [0.04, 0.15, 0.5])
+    def test_looking_after_every_draw_errs_in_one_of_twenty_at_most(self, p):
+        """Exact. A bound for a fixed number of draws errs far more often if looked at so."""
+        most = 400
+        shown = np.zeros((most + 1, most + 1), dtype=bool)
+        fixed = np.zeros_like(shown)
+        for k in range(most):
+            n = np.arange(k, most + 1)
+            evidence = log_evidence(counts(k, k) + [False] * (most - k), p)
+            # The evidence depends on the numbers only, not on the order.
+            shown[n[n > 0], k] = evidence[n[n > 0] - 1] >= math.log(20.0)
+            fixed[n, k] = stats.binom.cdf(k, n, p) <= 0.05
+        fixed[0] = False
+        assert 0.01 < ever_crossed(shown, p, most) <= 0.05
+        assert ever_crossed(fixed, p, most) > 0.12
+
+    def test_the_bound_is_where_the_evidence_suffices(self):
+        rng = np.random.default_rng(2)
+        events = rng.random(200) < 0.03
+        bounds = probability_bounds(events, 0.95)
+        assert np.all(np.diff(bounds) <= 0.0)
+        for n in (1, 20, 93, 200):
+            assert is_shown(events[:n], bounds[n - 1] + 1e-9, 0.95)
+            assert not is_shown(events[:n], bounds[n - 1] - 1e-9, 0.95)
+        # Close to the one for a fixed number; the lowest so far may even be below it.
+        exact = stats.binomtest(int(events.sum()), 200, alternative="less")
+        high = exact.proportion_ci(0.95, "exact").high
+        assert 0.9 * high < bounds[-1] < 1.5 * high
+
+    def test_only_events(self):
+        assert probability_bounds([True] * 7, 0.95).tolist() == pytest.approx([1.0] * 7)
+
+    def test_refuted_is_the_same_of_the_other_event(self):
+        assert is_refuted([True] * 5, 0.04, 0.95)
+        assert not is_refuted([True, *[False] * 20], 0.04, 0.95)
+        assert is_refuted([True] * 93, 0.96, 0.95)
+        assert not is_refuted([True] * 92, 0.96, 0.95)
+
+    @pytest.mark.parametrize(("allowed", "confidence"), [(0.04, 0.95), (0.15, 0.975), (0.5, 0.5)])
+    def test_draws_needed(self, allowed, confidence):
+        needed = draws_needed(allowed, confidence)
+        assert is_shown([False] * needed, allowed, confidence)
+        assert not is_shown([False] * (needed - 1), allowed, confidence)
+        assert needed >= math.log(1.0 - confidence) / math.log(1.0 - allowed)
+
+    def test_hopeless_is_what_no_further_luck_can_show(self):
+        events = [True] * 4
+        least = next(n for n in range(5, 999) if not is_hopeless(events, n, 0.04, 0.95))
+        assert is_shown(events + [False] * (least - 4), 0.04, 0.95)
+        assert is_hopeless(events, least - 1, 0.04, 0.95)
+
+
+class TestMean:
+    @pytest.mark.parametrize("values", [[0.3], [-0.2, -0.9, 0.1], [-1.0, -1.2, -0.7, -1.1, -0.9]])
+    def test_quadrature(self, values):
+        """The ratio of the two marginal likelihoods, with u = log σ."""
+        x = np.array(values)
+
+        def likelihood(delta, u):
+            return math.exp(-0.5 * np.sum((x / math.exp(u) - delta) ** 2) - u * len(x))
+
+        def alternative(delta, u):
+            return 2.0 * stats.norm.pdf(delta) * likelihood(delta, u)
+
+        above, _ = integrate.dblquad(alternative, -6.0, 6.0, -9.0, 0.0)
+        below, _ = integrate.quad(lambda u: likelihood(0.0, u), -6.0, 6.0)
+        found = log_mean_evidence(x, 0.0)[-1]
+        # A single value tells nothing of a scale that is not known, save its sign.
+        assert found == pytest.approx(math.log(above / below), abs=0.02)
+
+    def test_shift_and_scale_change_nothing(self):
+        x = np.random.default_rng(5).normal(0.5, 1.0, 30)
+        expected = log_mean_evidence(x, 0.9)
+        assert log_mean_evidence(1e4 + 1e-3 * x, 1e4 + 0.9e-3) == pytest.approx(expected, rel=1e-6)
+
+    @pytest.mark.parametrize("deviation", [0.01, 100.0])
+    def test_looking_after_every_value_errs_in_one_of_twenty_at_most(self, deviation):
+        rng = np.random.default_rng(11)
+        runs, most = 300, 200
+        samples = 3.0 + deviation * rng.standard_normal((runs, most))
+        shown = np.mean([is_mean_shown(sample, 3.0, 0.95) for sample in samples])
+        refuted = np.mean([is_mean_refuted(sample, 3.0, 0.95) for sample in samples])
+        error = 3.0 * math.sqrt(0.05 * 0.95 / runs)
+        assert 0.0 < shown <= 0.05 + error
+        assert 0.0 < refuted <= 0.05 + error
+        below = [mean_bounds(sample, 0.95)[-1] < 3.0 for sample in samples[:30]]
+        assert below == [is_mean_shown(sample, 3.0, 0.95) for sample in samples[:30]]
+
+    def test_values_without_noise(self):
+        assert is_mean_shown([0.5] * 8, 1.0, 0.95)
+        assert is_mean_refuted([1.5] * 8, 1.0, 0.95)
+        assert not is_mean_shown([1.0] * 50, 1.0, 0.95)
+        assert not is_mean_refuted([1.0] * 50, 1.0, 0.95)
+
+    def test_few_values_bound_nothing(self):
+        assert mean_bounds([], 0.95).shape == (0,)
+        assert mean_bounds([1.0, 1.1], 0.95).tolist() == [math.inf, math.inf]
+
+
+def test_all_attempts_together_spend_what_one_may():
+    shares = [1.0 - spent(0.95, attempt) for attempt in range(1, 2001)]
+    assert shares[0] == pytest.approx(0.025)
+    assert sum(shares) == pytest.approx(0.05 * (1.0 - 1.0 / 2001))

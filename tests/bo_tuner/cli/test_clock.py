@@ -1,0 +1,74 @@
+"""A run in process and all that is made of it, on a machine whose clock stands beyond 2038.
+
+The clock is that of Python, moved before anything else is imported; files have the real times.
+"""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from axis import node, write_axis
+from commands import environment, python_path, run
+
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+
+SITE = """\
+import datetime
+import time
+
+AHEAD = {ahead}
+real, real_ns = time.time, time.time_ns
+time.time = lambda: real() + AHEAD
+time.time_ns = lambda: real_ns() + AHEAD * 10**9
+
+
+class Moved(datetime.datetime):
+    @classmethod
+    def now(cls, tz=None):
+        return cls.fromtimestamp(time.time(), tz)
+
+
+datetime.datetime = Moved
+"""
+# 32 bits of seconds end in January 2038, without a sign in February 2106.
+AHEAD = {"2040s": 20 * 31_557_600, "2110s": 90 * 31_557_600}
+
+
+@pytest.mark.parametrize("ahead", AHEAD.values(), ids=AHEAD)
+def test_a_study_beyond_2038(tmp_path, make_study, ahead):
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(SITE.format(ahead=ahead))
+    clock = {"PYTHONPATH": python_path(site, tmp_path)}
+    now = "import datetime; print(datetime.datetime.now().year)"
+    done = subprocess.run(
+        [sys.executable, "-c", now], env=environment() | clock, capture_output=True, text=True
+    )
+    year = done.stdout.strip()
+    assert int(year) > 2040
+
+    def command(*arguments):
+        return run(*arguments, folder=tmp_path, env=clock)
+
+    write_axis(tmp_path, "late_axis")
+    (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("late_axis"))))
+    for arguments in (
+        ("tune", "--study", "axis.yaml", "--backend", "inprocess"),
+        ("tune", "--resume", "latest", "--trials", "6"),
+        ("validate", "latest", "--draws", "300"),
+        ("report", "latest"),
+        ("replay", "latest"),
+    ):
+        code, _, err = command(*arguments)
+        assert code == 0, f"{arguments}: {err}"
+    latest = tmp_path / "runs" / "latest"
+    assert f"-{year}" in latest.resolve().name
+    record = read_run(latest)
+    assert record.provenance["started"].startswith(year)
+    assert len(record.trials) == 6
+    assert all(0.0 <= row.seconds < 100.0 for row in record.evaluations)
+    certificate = json.loads((latest / "certificates" / "0001.json").read_text())
+    assert certificate["provenance"]["started"].startswith(year)
+    assert year in (latest / "report.html").read_text()

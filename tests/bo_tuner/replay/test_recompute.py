@@ -1,0 +1,179 @@
+"""Metrics from the bags of a run are those of the run, and others can be had of its signals."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from commands import run
+
+from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.recording import RecordedSignal, Recording, signal_sources
+from bo_tuner.recording.recorder import Recorder
+from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.recording.signal_bag import recorded_runs
+from bo_tuner.replay.recompute import differing, recompute
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.provenance import STUDY_YAML
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_from_mapping, study_to_yaml
+from bo_tuner.trials import Evaluation, Stage, Trial, TrialState
+
+NODE = {"node": "pid"}
+RUNS = 3
+SETPOINT = {"topic": "/setpoint", "field": "data"}
+ODOMETRY = {"angle": {"topic": "/odom", "field": "x"}, "setpoint": SETPOINT}
+
+
+def make_study(**sections):
+    return study_from_mapping(
+        {
+            "name": "servo",
+            "nodes": {"pid": NODE},
+            "parameters": {"kp": NODE | {"type": "double", "bounds": [0, 1], "default": 0.5}},
+            "signals": {
+                "setpoint": SETPOINT,
+                "angle": {"topic": "/joint_states", "field": "position[motor]"},
+            },
+            "run": {"end": {"after": 2.0}},
+            "metrics": {
+                "error": {"of": "setpoint - angle", "measure": "iae"},
+                "peak": {"of": "angle", "measure": "maximum"},
+            },
+            "objective": {"metric": "error"},
+            "budget": {"trials": 1, "initial_trials": 1},
+        }
+        | sections
+    )
+
+
+def recording(seed):
+    """Signals at odd times, of which one began before the run."""
+    rng = np.random.default_rng(seed)
+    time = np.sort(rng.uniform(0.0, 2.0, 200))
+    angle = RecordedSignal(time, 1.0 - np.exp(-3.0 * time) + rng.normal(0.0, 0.01, 200), 2, 1)
+    return Recording(
+        {"setpoint": RecordedSignal(np.array([-0.1, 0.1]), np.array([1.0, 1.0])), "angle": angle},
+        2.0,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A run folder with one trial and its bag."""
+    study = make_study()
+    path = tmp_path / "run"
+    path.mkdir()
+    (path / "study.yaml").write_text(study_to_yaml(study))
+    recorder = Recorder(path / "bags", study, RecordOptions(Policy.ALL))
+    evaluations = []
+    for index in range(RUNS):
+        heard = recording(index)
+        outcome = Collector(study, signal_sources(study, lambda heard=heard: heard)).outcome({})
+        evaluations.append(Evaluation(0, index, Stage.DRAWN, {"kp": 0.5}, {}, 1, outcome))
+        recorder.evaluation(evaluations[-1], heard)
+    trial = Trial(0, {"kp": 0.5}, "default", TrialState.COMPLETE, "", tuple(evaluations))
+    recorder.trial(trial, best=True)
+    summary = recorder.close()
+    assert summary["bags"] == ["trial_0000"], summary
+    provenance = {"algorithm": "IV", "backend": "ros", STUDY_YAML: study_to_yaml(study)}
+    Journal(path / "journal.sqlite", provenance, [trial]).close()
+    return path
+
+
+def test_a_bag_has_the_signals_as_they_were_heard(folder):
+    runs = list(recorded_runs(folder / "bags" / "trial_0000"))
+    assert [(item.trial, item.evaluation["index"]) for item in runs] == [
+        (0, k) for k in range(RUNS)
+    ]
+    for k, item in enumerate(runs):
+        heard = recording(k)
+        assert item.recording.end == heard.end
+        for name, signal in heard.signals.items():
+            found = item.recording.signals[name]
+            assert np.array_equal(found.time, signal.time)
+            assert np.array_equal(found.value, signal.value)
+            assert (found.lost, found.late) == (signal.lost, signal.late)
+
+
+def test_the_same_definition_gives_the_same_number(folder):
+    record = read_run(folder)
+    found = list(recompute(record, record.study))
+    for item, evaluation in zip(found, record.trials[0].evaluations, strict=True):
+        assert item.outcome.metrics == evaluation.outcome.metrics
+        assert differing(record, record.study, item) == []
+
+
+def test_another_study_measures_the_same_signals(folder):
+    other = make_study(
+        metrics={
+            "error": {"of": "setpoint - angle", "measure": "ise"},
+            "least": {"of": "angle", "measure": "minimum"},
+        }
+    )
+    (first, *_) = recompute(read_run(folder), other)
+    heard = recording(0)
+    assert first.outcome.metrics["least"] == heard.signals["angle"].value.min()
+    time = np.concatenate([heard.signals["angle"].time, [2.0]])
+    squared = (1.0 - heard.signals["angle"].value) ** 2
+    # Zero-order hold from the first message on.
+    expected = float(np.sum(np.diff(time) * squared))
+    assert first.outcome.metrics["error"] == pytest.approx(expected)
+    # Another definition under the same name is not held against the record.
+    assert differing(read_run(folder), other, first) == []
+
+
+def test_the_command(folder, tmp_path):
+    code, out, err = run("recompute", folder, "--csv", "out.csv", folder=tmp_path)
+    assert (code, err) == (0, "")
+    assert f"{RUNS} runs; 0 differ from the record" in out
+    with (tmp_path / "out.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    metrics = [e.outcome.metrics for e in read_run(folder).trials[0].evaluations]
+    assert [float(row["error"]) for row in rows] == [item["error"] for item in metrics]
+
+
+def test_a_number_that_is_not_the_recorded_one(folder, tmp_path):
+    metadata = folder / "bags" / "trial_0000" / "metadata.yaml"
+    peak = read_run(folder).trials[0].evaluations[1].outcome.metrics["peak"]
+    metadata.write_text(metadata.read_text().replace(json.dumps(peak), json.dumps(peak + 1.0)))
+    code, out, err = run("recompute", folder, folder=tmp_path)
+    assert (code, err) == (3, "")
+    assert "1 differ from the record" in out
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        (
+            {"signals": ODOMETRY},
+            "has no recording of signal angle (/odom x); it has setpoint, angle",
+        ),
+        (None, "has no bag with signals"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_recomputed(folder, tmp_path, changes, problem):
+    arguments = []
+    if changes is None:
+        (folder / "bags").rename(tmp_path / "elsewhere")
+    else:
+        (tmp_path / "other.yaml").write_text(study_to_yaml(make_study(**changes)))
+        arguments = ["--study", "other.yaml"]
+    code, out, err = run("recompute", folder, *arguments, folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert problem in err
+    assert err.count("\n") == 1
+
+
+def test_metrics_that_nodes_report(folder, tmp_path):
+    code, _, err = run("recompute", folder, "--study", "benchmark", folder=tmp_path)
+    assert code == 2
+    assert "metric tracking_error is reported by a node" in err
+
+
+def test_a_damaged_bag(folder, tmp_path):
+    (bag,) = (folder / "bags" / "trial_0000").glob("*.mcap")
+    bag.write_bytes(bag.read_bytes()[:100])
+    code, _, err = run("recompute", folder, folder=tmp_path)
+    assert code == 2
+    assert "trial_0000: cannot be read" in err

@@ -1,0 +1,131 @@
+"""What nodes say of their parameters, in place of a study or against it."""
+
+import copy
+
+import pytest
+
+from bo_tuner.cli.check import evaluations_of, plot
+from bo_tuner.errors import StudyError
+from bo_tuner.study.descriptors import Described, complete, incomplete, problem
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.study_file import parse_study
+
+TEXT = """
+name: open
+nodes:
+  pid: {node: pid}
+parameters:
+  kp: {node: pid}
+  rate: {node: pid, parameter: loop.rate}
+  mode: {node: pid, choices: [a, b]}
+  fast: {node: pid}
+  "gains[1]": {node: pid, bounds: [0, 9]}
+  steps: {node: pid, type: integer, bounds: [1, 5], default: 2}
+  frame: {node: pid, fixed: map}
+signals: {angle: {topic: a, field: data}}
+run: {end: {after: 1.0}}
+metrics: {error: {of: angle, measure: iae}}
+objective: {metric: error}
+budget: {trials: 4, initial_trials: 2, drawn_contexts: 3, validation_draws: 5}
+"""
+NODE = {
+    "kp": Described("double", 0.5, 0.0, 10.0),
+    "loop.rate": Described("integer", 30, 10.0, 100.0, 10.0),
+    "mode": Described("string", "b"),
+    "fast": Described("boolean", True),
+    "gains": Described("double_array", [1.0, 2.0]),
+    "steps": Described("integer", 3, 1.0, 5.0, 1.0),
+    "frame": Described("string", "odom"),
+    "locked": Described("double", 1.0, read_only=True),
+}
+
+
+def described(nodes):
+    assert nodes == {"pid": "pid"}
+    return {"pid": NODE}
+
+
+def test_what_the_study_leaves_open_comes_from_the_node():
+    study = parse_study(TEXT, describe=described)
+    found = study.parameters
+    assert (found["kp"].type, found["kp"].bounds, found["kp"].default) == ("double", (0, 10), 0.5)
+    assert (found["rate"].bounds, found["rate"].step, found["rate"].default) == ((10, 100), 10, 30)
+    assert (found["mode"].type, found["mode"].default) == ("string", "b")
+    assert (found["fast"].type, found["fast"].default) == ("boolean", True)
+    assert (found["gains[1]"].type, found["gains[1]"].default) == ("double", 2.0)
+    assert study.nodes["pid"].parameters["gains"] == (1.0, 2.0)
+    # What the study says counts.
+    assert found["steps"].default == 2
+    assert found["frame"].fixed == "map"
+
+
+def test_a_whole_study_asks_no_node():
+    text = TEXT.replace(
+        "kp: {node: pid}", "kp: {node: pid, type: double, bounds: [0, 1], default: 1}"
+    )
+    for name in ("rate", "mode", "fast", '"gains', "frame"):
+        text = "\n".join(line for line in text.splitlines() if not line.startswith(f"  {name}"))
+    parse_study(text, describe=lambda nodes: pytest.fail("asked"))
+
+
+def test_without_a_node_to_ask_a_study_is_whole():
+    with pytest.raises(StudyError, match=r"parameters\.kp\.type: missing"):
+        parse_study(TEXT)
+
+
+def test_asking_what_is_open_changes_nothing():
+    mapping = {"nodes": {"pid": {"node": "pid"}}, "parameters": {"g[1]": {"node": "pid"}}}
+    before = copy.deepcopy(mapping)
+    assert incomplete(mapping) == {"pid": ["g[1]"]}
+    assert mapping == before
+
+
+@pytest.mark.parametrize(
+    ("item", "complaint"),
+    [
+        ({"parameter": "kpp"}, "node pid has no parameter 'kpp'; did you mean 'kp'?"),
+        ({"parameter": "locked"}, "bounds: missing; node pid gives no range for it"),
+        ({"parameter": "gains[0]"}, "bounds: missing; node pid gives no range for it"),
+        ({"parameter": "kp[0]"}, "node pid: kp is no array"),
+    ],
+)
+def test_what_no_node_can_say(item, complaint):
+    mapping = {"nodes": {"pid": {"node": "pid"}}, "parameters": {"x": {"node": "pid"} | item}}
+    with pytest.raises(StudyError) as caught:
+        complete(mapping, {"pid": NODE})
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "expected"),
+    [
+        ("kp", {"type": "double", "bounds": [0.0, 9.0], "default": 1.0}, ""),
+        ("kp", {"type": "double", "bounds": [-1.0, 9.0], "default": 1.0}, "-1.0 lies outside"),
+        ("kp", {"type": "double", "fixed": 11.0}, "11.0 lies outside the range of 'kp'"),
+        ("kp", {"type": "integer", "fixed": 1}, "'kp' is of type double in the node, not integer"),
+        ("ki", {"type": "double", "fixed": 1.0}, "the node has no parameter 'ki'"),
+        ("locked", {"type": "double", "fixed": 1.0}, "'locked' is read-only in the node"),
+        ("gains[1]", {"type": "double", "fixed": 1.0}, ""),
+        (
+            "gains[1]",
+            {"type": "integer", "fixed": 1},
+            "type double_array in the node, not",
+        ),
+    ],
+)
+def test_what_a_node_will_not_take(name, fields, expected):
+    item = Parameter(name=name, node="pid", **fields)
+    found = problem(item, NODE.get(item.array or item.parameter), NODE)
+    assert found.startswith(expected) if not expected else expected in found
+    assert bool(found) == bool(expected)
+
+
+def test_a_plot_holds_each_value_until_the_next():
+    assert plot([0.0, 1.0], [0.0, 7.0], 2.0, width=4) == "▁▁██"
+    assert plot([0.0], [3.0], 2.0, width=4) == plot([0.0], [5.0], 2.0, width=4)
+    assert plot([0.0, 1.0], [0.0, float("nan")], 2.0) == "not finite"
+
+
+def test_the_runs_of_a_study_are_counted():
+    """Four trials of three runs, two validations of five; 300 draws each of a certificate."""
+    assert evaluations_of(parse_study(TEXT, describe=described)) == (22, 600)

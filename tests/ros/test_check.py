@@ -1,0 +1,143 @@
+"""`tune --check` on running nodes: every mistake at once, then two runs of the default."""
+
+import json
+import os
+import threading
+
+import pytest
+import rclpy
+from commands import run
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+pytestmark = pytest.mark.ros
+
+
+class Servo(Node):
+    """Approaches /setpoint by `gain` at 100 Hz."""
+
+    def __init__(self, context):
+        super().__init__("servo", context=context)
+        span = [FloatingPointRange(from_value=0.0, to_value=0.9)]
+        self.declare_parameter("gain", 0.25, ParameterDescriptor(floating_point_range=span))
+        self.declare_parameter("model", "a", ParameterDescriptor(read_only=True))
+        self.declare_parameter("filter", True)
+        self.declare_parameter("weights", [1.0, 2.0])
+        self.angle = self.setpoint = 0.0
+        self.angles = self.create_publisher(Float64, "angle", 10)
+        self.create_subscription(Float64, "setpoint", self.follow, 10)
+        self.create_timer(0.01, self.step)
+
+    def follow(self, message):
+        self.setpoint, self.angle = message.data, 0.0
+
+    def step(self):
+        self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
+        self.angles.publish(Float64(data=self.angle))
+
+
+@pytest.fixture(scope="module")
+def servo():
+    context = Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    node = Servo(context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    stop = threading.Event()
+
+    def spin():
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield node
+    stop.set()
+    thread.join()
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def study(tmp_path, **changes):
+    node = {"node": "servo"}
+    sections = {
+        "parameters": {
+            "gain": node,
+            "filter": node,
+            "weights[1]": node | {"bounds": [0.0, 4.0]},
+        },
+        "signals": {
+            "angle": {"topic": "/angle", "field": "data"},
+            "setpoint": {"topic": "setpoint", "field": "data"},
+        },
+    }
+    for section, items in changes.items():
+        sections[section] |= items
+    mapping = {
+        "name": "servo",
+        "nodes": {"servo": node},
+        "run": {
+            "start": [{"publish": {"topic": "/setpoint", "message": {"data": 1.0}}}],
+            "end": {"after": 0.3},
+        },
+        "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
+        "objective": {"metric": "error"},
+        "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
+    }
+    (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
+    return run("tune", "--check", "servo.yaml", folder=tmp_path)
+
+
+def test_a_study_that_is_right(servo, tmp_path):
+    """Bounds, types, defaults and the array come from the node, which is left as it was."""
+    code, out, err = study(tmp_path)
+    assert (code, err) == (0, "")
+    assert "3 parameters and 2 signals are as the study says" in out
+    assert "metrics of the default" in out
+    assert "█" in out
+    assert "study: at most 7 runs beside the checks, about" in out
+    assert "certificate: 600 draws, about" in out
+    assert servo.get_parameter("gain").value == 0.25
+    assert list(servo.get_parameter("weights").value) == [1.0, 2.0]
+    assert not (tmp_path / "runs").exists()
+
+
+def test_every_mistake_is_named_at_once(servo, tmp_path):
+    node = {"node": "servo"}
+    code, out, err = study(
+        tmp_path,
+        parameters={
+            "gain": node | {"type": "double", "bounds": [0.0, 2.0], "default": 0.5},
+            "gian": node | {"type": "double", "fixed": 1.0},
+            "model": node | {"type": "string", "fixed": "b"},
+            "filter": node | {"type": "integer", "fixed": 1},
+        },
+        signals={
+            "angle": {"topic": "/angle", "field": "dat"},
+            "torque": {"topic": "/torque", "field": "data"},
+        },
+    )
+    assert code == 2
+    assert sorted(err.splitlines()) == sorted(
+        [
+            "error: parameters.gain: 2.0 lies outside the range of 'gain' in the node, [0, 0.9]",
+            "error: parameters.gian: the node has no parameter 'gian'; did you mean 'gain'?",
+            "error: parameters.model: 'model' is read-only in the node",
+            "error: parameters.filter: 'filter' is of type boolean in the node, not integer",
+            *[line for line in err.splitlines() if "signals." in line],
+            "6 found; nothing was set",
+        ]
+    )
+    assert "error: signals.angle.field: std_msgs/msg/Float64 has no field 'dat'" in err
+    assert "error: signals.torque.topic: nothing publishes /torque" in err
+    assert "note: parameters.weights" not in out
+
+
+def test_a_node_that_is_not_there(servo, tmp_path):
+    code, _, err = study(tmp_path, parameters={"kp": {"node": "pid"}})
+    assert code == 2
+    assert "there is no node 'pid'" in err
