@@ -94,7 +94,7 @@ def certify(run, default, tuned):
             evaluations(side, parameters, values),
             repeated=(of_worst,) if of_worst else (),
         )
-    certificate = make_certificate(run, trial, evidence, 0.95, "inprocess", None)
+    certificate = make_certificate(run, trial, evidence, len(default), 0.95, 1, "inprocess", None)
     write_certificate(run.path, certificate, evidence)
     return certificate
 
