@@ -6,7 +6,7 @@ import threading
 
 import pytest
 import rclpy
-from commands import run
+from commands import finish, start
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -89,7 +89,7 @@ def study(tmp_path, **changes):
         "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
-    return run("tune", "--check", "servo.yaml", folder=tmp_path)
+    return finish(start("tune", "--check", "servo.yaml", folder=tmp_path))
 
 
 def test_a_study_that_is_right(servo, tmp_path):

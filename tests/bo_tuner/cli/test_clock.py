@@ -9,7 +9,7 @@ import sys
 
 import pytest
 from axis import node, write_axis
-from commands import environment, python_path, run
+from commands import environment, finish, python_path, start
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
@@ -50,7 +50,7 @@ def test_a_study_beyond_2038(tmp_path, make_study, ahead):
     assert int(year) > 2040
 
     def command(*arguments):
-        return run(*arguments, folder=tmp_path, env=clock)
+        return finish(start(*arguments, folder=tmp_path, env=clock))
 
     write_axis(tmp_path, "late_axis")
     (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("late_axis"))))
