@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from commands import python_path, run
+from commands import finish, python_path, start
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.__main__ import COMMANDS as OF_TUNER
@@ -274,7 +274,8 @@ def test_a_wrong_command_is_noticed(line, complaint):
 def tune(folder, *arguments, **environment):
     """Run tune to its end in a folder; returns the run folder's path."""
     path = python_path(EXAMPLE)
-    code, _, err = run("tune", *arguments, folder=folder, env={"PYTHONPATH": path} | environment)
+    changes = {"PYTHONPATH": path} | environment
+    code, _, err = finish(start("tune", *arguments, folder=folder, env=changes))
     return code, err, folder / "runs" / "latest"
 
 

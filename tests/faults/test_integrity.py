@@ -41,21 +41,19 @@ def make_study(**controller):
     return study_from_mapping(mapping)
 
 
-@pytest.fixture
-def nodes(start_node, peer):
-    found = {package: start_node(package) for package in PACKAGES}
-    for package in found:
-        peer.get_parameters(package, ["gain"])
-    return found
-
-
 class Attached:
     """A backend on running nodes, and what somebody else does in the middle of an evaluation."""
 
-    def __init__(self, folder, study):
+    def __init__(self, folder, study, ros_arguments=None):
         self.study = study
         self.meanwhile = None
-        self.backend = RosBackend(study, folder, attach=True, interrupted=self._interrupted)
+        self.backend = RosBackend(
+            study,
+            folder,
+            attach=True,
+            ros_arguments=ros_arguments,
+            interrupted=self._interrupted,
+        )
 
     def _interrupted(self):
         client = self.backend._client
@@ -70,7 +68,8 @@ class Attached:
 
 
 @pytest.fixture
-def attach(nodes, tmp_path):
+def attach(client, tmp_path):
+    """Function that attaches to the pair of this module, which has its shipped parameters."""
     with contextlib.ExitStack() as stack:
 
         def make(study=None):
@@ -272,11 +271,13 @@ class TestOthers:
 def test_nodes_with_more_threads_in_their_environment(start_node, peer, tmp_path, monkeypatch):
     """With two threads OpenBLAS sums the products of these horizons in another order."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    # Beside the pair of this module.
+    namespace = ["-r", "__ns:=/threads"]
     for package in PACKAGES:
-        start_node(package)
-        peer.get_parameters(package, ["gain"])
+        start_node(package, *namespace)
+        peer.get_parameters(f"threads/{package}", ["gain"])
     study = make_study()
-    attached = Attached(tmp_path, study)
+    attached = Attached(tmp_path, study, ["--ros-args", *namespace])
     with contextlib.closing(attached.backend):
         attached.backend.open()
         for horizon in (15, 20):

@@ -19,6 +19,8 @@ INITIAL = {"trials": 3, "initial_trials": 3, "drawn_contexts": 2, "search_evalua
 class Uninterrupted:
     """In place of the interruption by signals."""
 
+    signum = None
+
     def check(self):
         pass
 

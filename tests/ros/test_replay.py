@@ -5,7 +5,7 @@ from collections import defaultdict
 from dataclasses import replace
 
 import pytest
-from commands import run
+from commands import finish, start
 from made_runs import Uninterrupted, make_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -180,12 +180,13 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     record = make_run(folder, study, InProcessBackend(study))
     evaluation = record.trials[0].evaluations[-1]
     assert "the loop diverged" in evaluation.outcome.reason
-    code, out, err = run(
+    process = start(
         *("replay", folder, "0", "--backend", "ros", "--output", "bags"),
         folder=tmp_path,
         env={"COLUMNS": "120"},
         without=("ROS_DOMAIN_ID",),
     )
+    code, out, err = finish(process)
     assert code == 0, err
     assert f"failed, as recorded: {evaluation.outcome.reason}" in out
     bag = tmp_path / "bags" / f"trial_0000_evaluation_{evaluation.index:02d}"

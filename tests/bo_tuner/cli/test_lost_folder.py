@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 from axis import node, write_axis
-from commands import finish, start
+from commands import Fork, finish
 from waiting import count_in, wait_until
 
 from bo_tuner.study.study_file import study_to_yaml
@@ -63,7 +63,7 @@ def test_noticed_before_the_next_write(tmp_path, make_study, take, complaint):
     write_axis(tmp_path, "lost_axis")
     (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("lost_axis"))))
     cuts = tmp_path / "cuts"
-    process = start(
+    process = Fork(
         *("tune", "--study", "axis.yaml", "--backend", "inprocess"),
         folder=tmp_path,
         env={"CUTS": str(cuts), "HOLD": "3"},

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from axis import node, write_axis
-from commands import finish, run, start
+from commands import Fork, finish, run
 from functions import planned
 from waiting import count_in, wait_until
 
@@ -38,7 +38,7 @@ class Runs:
 
     def start(self, name, *arguments, kill=0):
         environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
-        return start("tune", *arguments, folder=self.folder, env=environment)
+        return Fork("tune", *arguments, folder=self.folder, env=environment)
 
     def run(self, name, *arguments, kill=0):
         return finish(self.start(name, *arguments, kill=kill))

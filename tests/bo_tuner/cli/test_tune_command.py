@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from axis import write_axis
-from commands import finish, start
+from commands import Fork, finish, start
 from waiting import DEADLINE, catches, count_in, wait_until
 
 from bo_tuner.cli import tune as tune_command
@@ -39,11 +39,25 @@ def study_file(tmp_path, make_study):
 def tune(tmp_path, study_file):
     """Function that starts the command on the small object."""
 
-    def begin(*arguments, study=study_file, environment=None, **options):
-        command = ("tune", "--backend", "inprocess", "--study", study, *arguments)
-        return start(*command, folder=tmp_path, env=environment, **options)
+    def begin(*arguments, environment=None):
+        return Fork(*command(study_file, *arguments), folder=tmp_path, env=environment)
 
     return begin
+
+
+@pytest.fixture
+def fresh_tune(tmp_path, study_file):
+    """The same with an interpreter of its own, and options of `subprocess.Popen`."""
+
+    def begin(*arguments, environment=None, **options):
+        arguments = command(study_file, *arguments)
+        return start(*arguments, folder=tmp_path, env=environment, **options)
+
+    return begin
+
+
+def command(study, *arguments):
+    return ("tune", "--backend", "inprocess", "--study", study, *arguments)
 
 
 def latest(tmp_path):
@@ -55,8 +69,8 @@ def recorded(folder):
 
 
 class TestRun:
-    def test_feasible(self, tune, tmp_path):
-        code, out, err = finish(tune())
+    def test_feasible(self, fresh_tune, tmp_path):
+        code, out, err = finish(fresh_tune())
         assert code == 0, err
         folder = latest(tmp_path)
         assert {path.name for path in folder.iterdir()} == {
@@ -102,9 +116,9 @@ class TestRun:
         )  # fmt: skip
         assert first == second
 
-    def test_a_terminal_gets_a_bar(self, tune):
+    def test_a_terminal_gets_a_bar(self, fresh_tune):
         leader, follower = pty.openpty()
-        process = tune(
+        process = fresh_tune(
             stdin=follower,
             stdout=follower,
             stderr=follower,
@@ -127,9 +141,9 @@ class TestRun:
         assert "incumbent: trial" in text
         assert "validation" in text
 
-    def test_a_terminal_without_our_signs(self, tune):
+    def test_a_terminal_without_our_signs(self, fresh_tune):
         environment = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
-        code, out, err = finish(tune("--trials", "1", environment=environment))
+        code, out, err = finish(fresh_tune("--trials", "1", environment=environment))
         assert code == 0, err
         assert "keeps all limits" in out
 
@@ -163,8 +177,8 @@ class TestInterruption:
         assert not (folder / "best.yaml").exists()
 
     @pytest.mark.parametrize("delay", [0.0, 0.3])
-    def test_at_the_start(self, tune, delay):
-        process = tune()
+    def test_at_the_start(self, fresh_tune, delay):
+        process = fresh_tune()
         # Python itself needs a moment until it can be told anything.
         wait_until(lambda: catches(process.pid), "its handlers", process)
         time.sleep(delay)
@@ -186,11 +200,11 @@ class TestInterruption:
 
 
 class TestFaults:
-    def test_a_full_disk(self, tune, tmp_path):
+    def test_a_full_disk(self, fresh_tune, tmp_path):
         def limit():
             resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
-        process = tune("--trials", "200", environment={"PEAK": "2"}, preexec_fn=limit)
+        process = fresh_tune("--trials", "200", environment={"PEAK": "2"}, preexec_fn=limit)
         code, _, err = finish(process)
         assert code == 1, err
         last = err.splitlines()[-1]
@@ -212,10 +226,10 @@ class TestFaults:
         assert code == 1
         assert "trials.csv: cannot be written: Is a directory" in err.splitlines()[-1]
 
-    def test_a_reader_that_went_away(self, tune):
+    def test_a_reader_that_went_away(self, fresh_tune):
         """As in `tune | head -0`."""
         leader, follower = os.pipe()
-        process = tune("--trials", "1", stdout=follower)
+        process = fresh_tune("--trials", "1", stdout=follower)
         os.close(follower)
         os.close(leader)
         _, err = process.communicate(timeout=DEADLINE)

@@ -228,7 +228,7 @@ class TestCertificate:
         write_certificate(record, record.trials[1])
         # The evidence of n draws without a violation reaches 20 at n = 3787.
         assert "300 draws, the study requires 3787" in certificate_problem(record, record.trials[1])
-        write_certificate(record, record.trials[1], draws=2995)
+        write_certificate(record, record.trials[1], draws=3787)
         assert certificate_problem(record, record.trials[1]) == ""
 
     @pytest.mark.parametrize(

@@ -235,6 +235,11 @@ def _worst_case(
     top = max(worst, key=lambda w: w.mean.upper if on_mean else w.violation_bound)
     where = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items()) or "always"
     says = "at most" if passed else "may be"
+    if on_mean and not np.isfinite(top.mean.upper):
+        return passed, (
+            f"{top.evaluations} evaluations in the worst context ({where}) are too few to bound "
+            "the mean over noise"
+        )
     if on_mean:
         return passed, (
             f"mean over noise in the worst context ({where}) {says} {top.mean.upper:.4g}, "

@@ -72,6 +72,7 @@ def page() -> str:
         "",
         "```yaml",
         "# yaml-language-server: $schema=<share/bo_tuner>/config/study.schema.json",
+        "name: my_study",
         "```",
     ]
     for title, cls in _sections():

@@ -109,7 +109,10 @@ class NodeParameters:
         request = SetParametersAtomically.Request(parameters=to_messages(changes))
         result = self._call(self._setters[key], request, key, timeout).result
         if not result.successful:
-            raise RefusedError(f"{key} refused its parameters: {result.reason}")
+            # The refusal of rclpy does not name what is not declared.
+            missing = [name for name in changes if name not in self._names[key]]
+            also = f" (it has not declared {', '.join(missing)})" if missing else ""
+            raise RefusedError(f"{key} refused its parameters: {result.reason}{also}")
         known.update(changes)
         # A node may take what it has not declared.
         self._names[key] += [name for name in changes if name not in self._names[key]]

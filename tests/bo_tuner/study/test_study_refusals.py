@@ -1,0 +1,289 @@
+"""What a study may not say, and with which words it is refused."""
+
+import math
+
+import pytest
+from drive_text import mapping, put, refusal
+
+NUMBERS_REFUSED = [
+    ("3", "found text '3'"),
+    (True, "found true"),
+    (None, "found nothing"),
+    ([3], "found a list of 1"),
+    ({"x": 3}, "found a mapping"),
+]
+
+
+class TestRefusedTypes:
+    @pytest.mark.parametrize(("value", "found"), [(3.0, "found 3.0"), *NUMBERS_REFUSED[:2]])
+    @pytest.mark.parametrize("key", ["default", "fixed"])
+    def test_integer_parameter(self, key, value, found):
+        changed = put({"node": "drive", "type": "integer", key: value}, "parameters", "window")
+        if key == "default":
+            changed["parameters"]["window"]["bounds"] = [1, 9]
+        assert refusal(changed) == f"parameters.window.{key}: expected an integer, {found}"
+
+    @pytest.mark.parametrize(("value", "found"), [(3.0, "found 3.0"), *NUMBERS_REFUSED])
+    def test_integer_setting(self, value, found):
+        message = refusal(put(value, "budget", "trials"))
+        assert message == f"budget.trials: expected an integer, {found}"
+
+    @pytest.mark.parametrize(
+        ("value", "found"),
+        [
+            *NUMBERS_REFUSED,
+            (math.nan, "found nan"),
+            (math.inf, "found inf"),
+            (-math.inf, "found -inf"),
+        ],
+    )
+    def test_double_setting(self, value, found):
+        message = refusal(put(value, "constraints", "worst", "upper"))
+        assert message.startswith("constraints.worst.upper: expected a ")
+        assert message.endswith(found)
+
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    @pytest.mark.parametrize(
+        "path",
+        [
+            ("parameters", "gains.kp", "default"),
+            ("parameters", "offset", "fixed"),
+            ("contexts", "load", "nominal"),
+            ("trigger", "timeout"),
+        ],
+    )
+    def test_double_that_is_not_finite(self, path, value):
+        assert refusal(put(value, *path)).startswith(
+            f"{'.'.join(path)}: expected a finite number, found"
+        )
+
+    @pytest.mark.parametrize("value", [None, 3, "text", [1]])
+    @pytest.mark.parametrize("section", ["nodes", "parameters", "contexts", "metrics", "budget"])
+    def test_section_that_is_no_mapping(self, section, value):
+        assert refusal(put(value, section)).startswith(f"{section}: expected a mapping")
+
+    def test_integers_beyond_64_bits(self):
+        assert "64-bit" in refusal(put(2**63, "seed"))
+        assert "64-bit" in refusal(put(10**5000, "parameters", "gains.kp", "default"))
+
+
+class TestRefusedValues:
+    @pytest.mark.parametrize(
+        ("path", "value", "problem"),
+        [
+            (
+                "parameters/gains.kp/bounds",
+                [5, -5],
+                "lower bound 5.0 is not below upper bound -5.0",
+            ),
+            ("parameters/window/bounds", [3, 3], "both bounds are 3; use fixed: 3"),
+            (
+                "parameters/gains.kp/bounds",
+                [0, 1, 2],
+                "expected bounds [lower, upper], found a list of 3",
+            ),
+            (
+                "parameters/window/bounds",
+                None,
+                "missing; expected [lower, upper] (or tied_to or fixed instead)",
+            ),
+            ("parameters/window/default", None, "missing; expected the hand-tuned value"),
+            ("parameters/window/default", 10, "10 lies outside the bounds [1, 9]"),
+            ("parameters/window/bounds", [1, 2**60], "expected bounds of at most 2^53 in size"),
+            (
+                "parameters/window/type",
+                "float",
+                "unknown 'float'; expected one of double, integer, boolean, string",
+            ),
+            (
+                "parameters/window/minimum_correlation",
+                1.0,
+                "expected a number between 0 and 1, both excluded, found 1.0",
+            ),
+            (
+                "parameters/gains.kp/minimum_correlation",
+                0.1,
+                "applies to integers only; leave it out",
+            ),
+            ("parameters/offset/bounds", [1, 2], "a fixed parameter has no bounds; leave it out"),
+            ("parameters/offset/default", 3, "3 differs from the fixed value 2.0; leave it out"),
+            ("parameters/echo/bounds", [1, 2], "a tied parameter has no bounds; leave it out"),
+            (
+                "parameters/echo/tied_to",
+                "windw",
+                "there is no other parameter 'windw'; did you mean 'window'?",
+            ),
+            ("metrics/peak/node", "drve", "there is no node 'drve'; did you mean 'drive'?"),
+            ("seed_parameter/node", "drve", "there is no node 'drve'; did you mean 'drive'?"),
+            ("trigger/node", ["drive"], "expected text, found a list of 1"),
+            ("objective/metric", "eror", "there is no metric 'eror'; did you mean 'error'?"),
+            (
+                "constraints/worst/metric",
+                "speed",
+                "there is no metric 'speed'; expected one of error, peak",
+            ),
+            (
+                "constraints/current/kind",
+                "worst-case",
+                "unknown 'worst-case'; did you mean 'worst_case'?",
+            ),
+            ("constraints/current/probability", "96 %", "expected a number, found text '96 %'"),
+            (
+                "constraints/current/probability",
+                96,
+                "expected a number between 0 and 1, both excluded, found 96.0",
+            ),
+            (
+                "constraints/worst/probability",
+                0.4,
+                "expected at least 0.5 of a worst_case constraint, found 0.4",
+            ),
+            ("trigger/timeout", 0, "expected a number above 0, found 0.0"),
+            ("budget/search_evaluations", -1, "expected an integer of at least 0, found -1"),
+            ("budget/initial_trials", 13, "13 are more than the 12 trials in all"),
+            ("metrics", {}, "expected at least one"),
+            (
+                "name",
+                "two words",
+                "expected a name of letters, digits, _ and -, found text 'two words'",
+            ),
+            (
+                "name",
+                "../evil",
+                "expected a name of letters, digits, _ and -, found text '../evil'",
+            ),
+            (
+                "nodes/drive/node",
+                "/drive",
+                "expected a node name without leading slash such as axis, found text '/drive'",
+            ),
+            (
+                "nodes/drive/result",
+                "a b",
+                "expected a topic name such as ~/cut_result, found text 'a b'",
+            ),
+            (
+                "nodes/drive/object",
+                "drives.Drive",
+                "expected module:name such as axis.simulation:Axis, found text 'drives.Drive'",
+            ),
+            (
+                "contexts/load/distribution",
+                "normal",
+                "unknown 'normal'; did you mean 'truncated_normal'?",
+            ),
+            (
+                "contexts/load/mean",
+                1.0,
+                "unknown key; expected one of node, distribution, unit, parameter, bounds, nominal",
+            ),
+        ],
+    )
+    def test_problem_at_the_value(self, path, value, problem):
+        keys = path.split("/")
+        assert refusal(put(value, *keys)) == f"{'.'.join(keys)}: {problem}"
+
+    @pytest.mark.parametrize(
+        ("path", "value", "message"),
+        [
+            (
+                "constraints/current",
+                {"kind": "chance", "metric": "peak", "upper": 3},
+                "constraints.current.probability: missing; a chance constraint needs one, such as "
+                "0.96",
+            ),
+            (
+                "constraints/second",
+                {"kind": "worst_case", "metric": "error", "upper": 1},
+                "constraints.second.kind: 'worst' is already a worst_case constraint; expected "
+                "at most one",
+            ),
+            (
+                "order",
+                [["span", "window"]],
+                "order[0]: expected 'span' <= 'window', found the defaults 4 and 3",
+            ),
+            (
+                "order",
+                [["window", "spam"]],
+                "order[0][1]: there is no parameter 'spam'; did you mean 'span'?",
+            ),
+            (
+                "order",
+                [["window"]],
+                "order[0]: expected [smaller, larger], two names of parameters, found a list of 1",
+            ),
+            (
+                "nodes/drive/package",
+                "drives",
+                "nodes.drive.executable: missing; package alone does not start a node",
+            ),
+            (
+                "nodes/drive/parameters",
+                {"x": None},
+                "nodes.drive.parameters.x: expected a number, text, true, false or a list of "
+                "these, found nothing",
+            ),
+            (
+                "nodes/drive/parameters",
+                {"x": math.nan},
+                "nodes.drive.parameters.x: expected a finite number, found nan",
+            ),
+            (
+                "nodes/drive/parameters",
+                {"x": [1, 2.0]},
+                "nodes.drive.parameters.x: expected a list of values of one type, at least one",
+            ),
+            (
+                "nodes/drive/parameters",
+                {"window": 3},
+                "parameters.window: parameter 'window' of node 'drive' is already set by "
+                "nodes.drive",
+            ),
+            (
+                "seed_parameter/parameter",
+                "window",
+                "seed_parameter: parameter 'window' of node 'drive' is already set by "
+                "parameters.window",
+            ),
+            (
+                "contexts/load",
+                {"node": "drive"},
+                "contexts.load.distribution: missing; expected one of truncated_normal, "
+                "uniform, beta, triangular, discrete",
+            ),
+        ],
+    )
+    def test_problem_elsewhere(self, path, value, message):
+        assert refusal(put(value, *path.split("/"))) == message
+
+    @pytest.mark.parametrize("name", ["1st", "a b", "a..b", ".a", "a.", "", "\u00e4", "a\nb"])
+    def test_names_that_ros_does_not_take(self, name):
+        changed = put(mapping()["parameters"]["gains.kp"], "parameters", name)
+        assert "expected a ROS parameter name such as gains.kp" in refusal(changed)
+
+    @pytest.mark.parametrize(
+        ("path", "suggestion"),
+        [
+            (("trials",), "expected one of name, nodes"),
+            (("objectiv",), "did you mean 'objective'?"),
+            (("parameters", "window", "bound"), "did you mean 'bounds'?"),
+            (("parameters", "window", "name"), "expected one of node, type"),
+            (("contexts", "load", "distributon"), "did you mean 'distribution'?"),
+            (("budget", "trails"), "did you mean 'trials'?"),
+        ],
+    )
+    def test_unknown_key(self, path, suggestion):
+        message = refusal(put(1, *path))
+        assert message.startswith(f"{'.'.join(path)}: unknown key; {suggestion}")
+
+    @pytest.mark.parametrize("key", ["name", "nodes", "metrics", "objective", "budget"])
+    def test_missing_section(self, key):
+        changed = mapping()
+        del changed[key]
+        assert refusal(changed) == f"{key}: missing"
+
+    @pytest.mark.parametrize("key", [1, None, True, ("a",)])
+    def test_key_that_is_no_text(self, key):
+        assert "expected text as a key" in refusal(put(1, key))
+        assert "expected a name" in refusal(put({}, "metrics", key))
