@@ -88,7 +88,7 @@ def certify(run, default, tuned):
             ("tuned", trial.parameters, tuned),
         ]
     ):
-        of_worst = evaluations(side, parameters, [v for v in values if v][:20], Stage.CHECK_WORST)
+        of_worst = evaluations(side, parameters, [v for v in values if v][:2], Stage.CHECK_WORST)
         evidence[name] = Evidence(
             parameters,
             evaluations(side, parameters, values),
