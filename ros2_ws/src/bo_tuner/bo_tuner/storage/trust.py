@@ -15,7 +15,7 @@ from pathlib import Path
 
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.study.study import NodeSpec, PythonMetric, Study
-from bo_tuner.study.study_file import load_study, shipped_studies, study_to_mapping
+from bo_tuner.study.study_file import shipped_nodes, study_to_mapping
 
 OF_A_RUN = ("name", "description", "seed", "budget", "start")
 """Sections of a study that do not matter: they say how much is run, not what."""
@@ -73,12 +73,8 @@ def python_functions(study: Study) -> list[str]:
 
 @cache
 def _shipped() -> frozenset[str]:
-    return frozenset(
-        program
-        for name in shipped_studies()
-        for node in load_study(name).nodes.values()
-        for program in _programs(node)
-    )
+    # Whole studies would cost each command a second, for distributions that it may not need.
+    return frozenset(program for node in shipped_nodes() for program in _programs(node))
 
 
 def _programs(node: NodeSpec) -> list[str]:

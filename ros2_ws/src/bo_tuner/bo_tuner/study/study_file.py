@@ -56,6 +56,16 @@ def shipped_studies() -> list[str]:
     return sorted(path.stem for path in (config_directory() / "studies").glob("*.yaml"))
 
 
+def shipped_nodes() -> list[NodeSpec]:
+    """Return the nodes of all shipped studies, without what else is in these."""
+    nodes: list[NodeSpec] = []
+    for name in shipped_studies():
+        path = config_directory() / "studies" / f"{name}.yaml"
+        content = arguments(Study, strict_yaml.parse(read_text(path, path.name)).value)
+        nodes += _build_named(NodeSpec, content["nodes"]).values()
+    return nodes
+
+
 Describe = Callable[[Mapping[str, str]], Descriptions]
 """Asks nodes, ROS names by keys in the study, for all their parameters."""
 
