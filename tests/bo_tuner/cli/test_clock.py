@@ -16,7 +16,11 @@ from bo_tuner.study.study_file import study_to_yaml
 
 SITE = """\
 import datetime
+import sys
 import time
+
+# Plotly uses it where it is installed; its extensions crash with a datetime of Python's.
+sys.modules["pandas"] = None
 
 AHEAD = {ahead}
 real, real_ns = time.time, time.time_ns

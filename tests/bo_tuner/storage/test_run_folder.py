@@ -149,7 +149,7 @@ class TestParameterFile:
     def test_an_integer_has_none(self, tmp_path):
         study = load_study("benchmark")
         defaults = study.search_space().defaults
-        _, content = self.write(tmp_path, study, defaults | {"control_horizon": 7.0})
+        _, content = self.write(tmp_path, study, defaults | {"control_horizon": 7})
         values = content["/**/mpc_controller"]["ros__parameters"]
         assert values == defaults | {"control_horizon": 7}
         assert isinstance(values["control_horizon"], int)
