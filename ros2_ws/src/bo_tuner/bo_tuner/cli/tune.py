@@ -55,7 +55,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
-  tune --check my_axis.yaml            is the study right? on nodes that are running
+  tune --check my_axis.yaml            try the study on nodes that are running
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
