@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import select
 import sys
 from collections.abc import Sequence
 
@@ -17,7 +16,7 @@ from bo_tuner.cli.common import (
     trial_of,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
-from bo_tuner.cli.streams import say_error
+from bo_tuner.cli.streams import ask, say_error
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -206,12 +205,7 @@ def _shown(row: Difference) -> tuple[str, str]:
 
 def _confirmed(question: str, interruption: Interruption) -> bool:
     """Return whether the user answers y or yes."""
-    sys.stdout.write(question)
-    sys.stdout.flush()
-    # A read would continue after a signal, so wait until there is input.
-    while not select.select([sys.stdin], [], [], 0.1)[0]:
-        interruption.check()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+    return ask(question, interruption).lower() in ("y", "yes")
 
 
 def _warn(text: str) -> None:

@@ -3,10 +3,12 @@
 import contextlib
 import io
 import os
+import select
 import sys
 from io import TextIOWrapper
 from typing import TextIO
 
+from bo_tuner.interruption import Interruption
 from bo_tuner.text import one_line
 
 STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
@@ -36,6 +38,16 @@ def say_error(text: str) -> None:
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"{one_line(text)}\n")
         sys.stderr.flush()
+
+
+def ask(question: str, interruption: Interruption) -> str:
+    """Return the line that the user answers, without its end; empty at the end of the input."""
+    sys.stdout.write(question)
+    sys.stdout.flush()
+    # A read would continue after a signal, so wait until there is input.
+    while not select.select([sys.stdin], [], [], 0.1)[0]:
+        interruption.check()
+    return sys.stdin.readline().strip()
 
 
 def discard_output() -> None:

@@ -17,6 +17,7 @@ from bo_tuner.cli.common import (
     run_folder,
     split_ros_arguments,
 )
+from bo_tuner.cli.init import FIRST_STUDY, write_first_study
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
@@ -55,6 +56,7 @@ examples:
   tune --study full --trials 80        four parameters
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --init my_axis.yaml             write a first study for running nodes
   tune --check my_axis.yaml            try the study on nodes that are running
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
@@ -146,6 +148,23 @@ def make_parser() -> Parser:
         "and signals, try two runs of the default, and say how long the study would take; nothing "
         "is recorded, and the nodes get back their values",
     )
+    parser.add_argument(
+        "--init",
+        type=Path,
+        nargs="?",
+        const=FIRST_STUDY,
+        metavar="FILE",
+        help="look at the nodes that are running and write a first study for them, with comments, "
+        f"to a new file (default: {FIRST_STUDY}); asks on a terminal what to take of them",
+    )
+    for option, what in (
+        ("--nodes", "nodes to tune"),
+        ("--parameters", "parameters to tune, such as gain or node:gain"),
+        ("--signals", "signals to record, such as /topic or /topic:field"),
+    ):
+        parser.add_argument(
+            option, nargs="+", metavar="NAME", help=f"with --init: {what}, instead of being asked"
+        )
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
         "--quiet",
@@ -186,6 +205,20 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    if arguments.init is not None:
+        if arguments.study is not None or arguments.check is not None:
+            parser.error("--init writes a study, and takes none")
+        return write_first_study(
+            arguments.init,
+            arguments.nodes,
+            arguments.parameters,
+            arguments.signals,
+            ros_arguments,
+            interruption,
+        )
+    for name in ("nodes", "parameters", "signals"):
+        if getattr(arguments, name) is not None:
+            parser.error(f"--{name} needs --init")
     if arguments.check is not None:
         return check_study(arguments.check, ros_arguments, interruption)
     # Nodes that run can say what the study leaves open.

@@ -27,6 +27,8 @@ class Described:
         Its range; infinite, and 0, where it has none.
     read_only
         Whether it cannot be set.
+    description
+        What the node says of it in words.
     """
 
     type: str
@@ -35,6 +37,7 @@ class Described:
     upper: float = math.inf
     step: float = 0.0
     read_only: bool = False
+    description: str = ""
 
     @property
     def has_range(self) -> bool:

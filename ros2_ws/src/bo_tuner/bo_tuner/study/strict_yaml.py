@@ -17,6 +17,8 @@ from bo_tuner.study.checks import show
 from bo_tuner.text import one_line
 
 MAX_DEPTH = 20
+LONGEST_LINE = 10**9
+"""Where none is to be broken."""
 
 Scalar = None | bool | int | float | str
 
@@ -167,6 +169,15 @@ def dump(value: object) -> str:
     return str(
         yaml.serialize(_represent(value), Dumper=yaml.SafeDumper, allow_unicode=True, width=100)
     )
+
+
+def dump_line(value: object) -> str:
+    """Return the same on one line, in braces and brackets."""
+    # In a list, since what is in brackets is written so itself.
+    text = yaml.serialize(
+        _represent([value]), Dumper=yaml.SafeDumper, allow_unicode=True, width=LONGEST_LINE
+    )
+    return str(text).strip()[1:-1]
 
 
 def _represent(value: object) -> Any:

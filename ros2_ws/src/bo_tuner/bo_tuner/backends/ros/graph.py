@@ -48,6 +48,11 @@ class Graph:
         ``--ros-args`` of the node that looks.
     interrupted
         Asked while waiting; raises what shall end the wait.
+
+    Attributes
+    ----------
+    node
+        The node that looks.
     """
 
     def __init__(self, ros_arguments: Sequence[str], interrupted: Callable[[], None]) -> None:
@@ -59,17 +64,17 @@ class Graph:
                 context=self._context,
                 signal_handler_options=SignalHandlerOptions.NO,
             )
-            self._node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
+            self.node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
         except (RuntimeError, ValueError) as error:
             self._context.try_shutdown()
             raise BackendError(f"cannot use --ros-args: {str(error).split(', at /')[0]}") from error
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
 
     def close(self) -> None:
         """Leave ROS."""
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
         self._context.try_shutdown()
 
     def describe(self, node: str) -> dict[str, Described]:
@@ -87,11 +92,11 @@ class Graph:
                 (DescribeParameters, "describe_parameters"),
                 (GetParameters, "get_parameters"),
             ):
-                client = self._node.create_client(kind, f"{node}/{service}")
-                stack.callback(self._node.destroy_client, client)
+                client = self.node.create_client(kind, f"{node}/{service}")
+                stack.callback(self.node.destroy_client, client)
                 clients.append(client)
             if not self.wait(lambda: all(client.service_is_ready() for client in clients)):
-                near = checks.suggestion(node, self._node.get_node_names())
+                near = checks.suggestion(node, self.node.get_node_names())
                 raise BackendError(f"{node}: no such node; {near}")
             lister, describer, getter = clients
             request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
@@ -114,9 +119,9 @@ class Graph:
             finally:
                 recorder.close()
 
-    def wait(self, condition: Callable[[], bool]) -> bool:
-        """Wait until a condition holds, at most `DISCOVERY` seconds; whether it did."""
-        deadline = time.monotonic() + DISCOVERY
+    def wait(self, condition: Callable[[], bool], seconds: float = DISCOVERY) -> bool:
+        """Wait until a condition holds, at most some seconds; whether it did."""
+        deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
                 return False
@@ -165,7 +170,9 @@ def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
     found = to_value(value)
     ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
     if not ranges:
-        return Described(kind, found, read_only=descriptor.read_only)
+        return Described(
+            kind, found, read_only=descriptor.read_only, description=descriptor.description
+        )
     (given,) = ranges[:1]
     return Described(
         kind,
@@ -174,4 +181,5 @@ def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
         float(given.to_value),
         float(given.step),
         descriptor.read_only,
+        descriptor.description,
     )

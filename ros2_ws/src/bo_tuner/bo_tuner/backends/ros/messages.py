@@ -21,6 +21,15 @@ from bo_tuner.study.signals import FieldPart
 FLOATS = ("float", "double", "long double")
 OCTET = "octet"
 HEADER_TYPE = "std_msgs/msg/Header"
+NO_SIGNALS = (
+    HEADER_TYPE,
+    "builtin_interfaces/msg/Time",
+    "builtin_interfaces/msg/Duration",
+    "std_msgs/msg/MultiArrayLayout",
+)
+"""Messages within messages whose numbers say when, or in which order, not what."""
+MOST_ITEMS = 12
+"""Of an array whose items are offered as signals; longer ones are images, scans, covariances."""
 
 
 class ItemMissingError(Exception):
@@ -102,6 +111,31 @@ def number_reader(cls: Any, path: Sequence[FieldPart]) -> Callable[[Any], float]
     return read
 
 
+def number_fields(message: Any) -> dict[str, bool | int | float]:
+    """Return the numbers in a message that can be signals, by the path that `number_reader` takes.
+
+    An array has the items that it has in this message, by the names beside it where there are any.
+    """
+    found: dict[str, bool | int | float] = {}
+    for name, kind in _types(type(message)).items():
+        value = getattr(message, name)
+        if isinstance(kind, BasicType):
+            if kind.typename != OCTET:
+                found[name] = _number(kind, value)
+        elif isinstance(kind, NamespacedType):
+            if type_name(type(value)) not in NO_SIGNALS:
+                found |= {f"{name}.{k}": number for k, number in number_fields(value).items()}
+        elif (
+            isinstance(kind, AbstractNestedType)
+            and isinstance(kind.value_type, BasicType)
+            and kind.value_type.typename != OCTET
+            and len(value) <= MOST_ITEMS
+        ):
+            for label, item in zip(_labels(message, len(value)), value, strict=True):
+                found[f"{name}[{label}]"] = _number(kind.value_type, item)
+    return found
+
+
 def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> Any:
     """Make a message of the values of its fields; a header without a stamp gets `stamp`.
 
@@ -131,6 +165,26 @@ def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> A
     ):
         message.header.stamp = stamp
     return message
+
+
+def _number(kind: BasicType, value: Any) -> bool | int | float:
+    """Return a number of a message, which may be NumPy's, as Python's."""
+    if kind.typename == "boolean":
+        return bool(value)
+    return float(value) if kind.typename in FLOATS else int(value)
+
+
+def _labels(message: Any, size: int) -> list[str]:
+    """Name the items of an array: by the names beside it if these fit, else by their position."""
+    names = getattr(message, "name", None)
+    if not isinstance(names, list) or len(names) != size or len(set(names)) < size:
+        return [str(index) for index in range(size)]
+    # A name of digits only would be read as a position.
+    readable = all(
+        isinstance(name, str) and name and not name.isdigit() and not set(name) & set("[]")
+        for name in names
+    )
+    return names if readable else [str(index) for index in range(size)]
 
 
 def _types(cls: Any) -> dict[str, AbstractType]:

@@ -1,0 +1,221 @@
+"""``tune --init``: write a first study for the nodes that are running."""
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from rich.table import Table
+
+from bo_tuner.backends.ros.graph import opened_graph
+from bo_tuner.backends.ros.survey import survey
+from bo_tuner.cli.exit_codes import EXIT_OK
+from bo_tuner.cli.streams import ask, say_error
+from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.study import checks
+from bo_tuner.study.first_study import (
+    first_study,
+    parameter_offers,
+    signal_offers,
+    suggested_signals,
+)
+from bo_tuner.study.study_file import parse_study
+from bo_tuner.text import one_line, shown
+
+SPAN = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
+FIRST_STUDY = Path("study.yaml")
+Offer = TypeVar("Offer")
+Row = Callable[[Offer], Sequence[str]]
+
+
+class Chooser:
+    """Lets the user choose of what was found: by an option, on a terminal, or else as suggested.
+
+    Parameters
+    ----------
+    interruption
+        Ends a question on a signal.
+    """
+
+    def __init__(self, interruption: Interruption) -> None:
+        self._interruption = interruption
+
+    def choose(
+        self,
+        what: str,
+        given: Sequence[str] | None,
+        offers: Sequence[Offer],
+        suggested: Sequence[Offer],
+        names: Callable[[Offer], Sequence[str]],
+        row: Row[Offer],
+    ) -> list[Offer]:
+        """Return the offers that are chosen, at least one.
+
+        Parameters
+        ----------
+        what
+            Their name in the plural, which is that of the option too.
+        given
+            The option.
+        offers, suggested
+            All of them, and those to take unless the user says otherwise.
+        names
+            Names of an offer, one of which the option holds.
+        row
+            What to show of an offer.
+
+        Raises
+        ------
+        StudyError
+            If the option names what is not there, or nothing is chosen.
+        """
+        if given is not None:
+            return _named(what, given, offers, names)
+        chosen = list(suggested)
+        if offers and sys.stdin.isatty():
+            chosen = self._asked(what, offers, suggested, row)
+        if not chosen:
+            known = [names(offer)[0] for offer in offers]
+            hint = f"name some of {', '.join(known[:10])}" if known else "there are none"
+            raise StudyError(f"--{what}: nothing is chosen; {hint}")
+        return chosen
+
+    def _asked(
+        self, what: str, offers: Sequence[Offer], suggested: Sequence[Offer], row: Row[Offer]
+    ) -> list[Offer]:
+        table = Table(title=what, title_justify="left", show_header=False)
+        for index, offer in enumerate(offers, start=1):
+            mark = "*" if offer in suggested else ""
+            table.add_row(f"{index}", mark, *(one_line(cell) for cell in row(offer)))
+        plain_console().print(table)
+        while True:
+            answer = ask(
+                f"{what}: numbers such as 1 3-5, or Enter for those with *: ", self._interruption
+            )
+            if not answer:
+                return list(suggested)
+            try:
+                return [offers[i - 1] for i in numbers(answer, len(offers))]
+            except StudyError as error:
+                say_error(str(error))
+
+
+def numbers(text: str, most: int) -> list[int]:
+    """Return the numbers from 1 to `most` that a text such as ``1 3-5`` lists, in order.
+
+    Raises
+    ------
+    StudyError
+        If it lists anything else.
+    """
+    found: set[int] = set()
+    for word in text.replace(",", " ").split():
+        match = SPAN.fullmatch(word)
+        low, high = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
+        if not 1 <= low <= high <= most:
+            raise StudyError(f"expected numbers from 1 to {most}, found {checks.quoted(word)}")
+        found |= set(range(low, high + 1))
+    return sorted(found)
+
+
+def _named(
+    what: str,
+    given: Sequence[str],
+    offers: Sequence[Offer],
+    names: Callable[[Offer], Sequence[str]],
+) -> list[Offer]:
+    chosen: list[Offer] = []
+    for name in given:
+        found = [offer for offer in offers if name in names(offer)]
+        if not found:
+            hint = checks.suggestion(name, dict.fromkeys(n for o in offers for n in names(o)))
+            raise StudyError(f"--{what}: there is no {checks.quoted(name)}; {hint}")
+        chosen += [offer for offer in found if offer not in chosen]
+    return chosen
+
+
+def write_first_study(
+    path: Path,
+    nodes: Sequence[str] | None,
+    parameters: Sequence[str] | None,
+    signals: Sequence[str] | None,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> int:
+    """Write a first study for what runs; returns the exit code.
+
+    Parameters
+    ----------
+    path
+        File to write; it must not be there.
+    nodes, parameters, signals
+        What to take of each; None to ask on a terminal, or to take what is suggested.
+    ros_arguments
+        ``--ros-args`` of the node that looks.
+    interruption
+        Ends the command on a signal.
+
+    Raises
+    ------
+    StudyError
+        If the file is there, or something is named that is not there.
+    BackendError
+        If no nodes can be had.
+    """
+    _check_path(path)
+    with opened_graph(ros_arguments, interruption.check) as graph:
+        seen, notes = survey(graph)
+    for note in notes:
+        say(f"note: {note}")
+    chooser = Chooser(interruption)
+    offers = {node.name: parameter_offers(node)[0] for node in seen.nodes}
+    tuned = chooser.choose(
+        "nodes",
+        None if nodes is None else [name.lstrip("/") for name in nodes],
+        [node for node in seen.nodes if offers[node.name]],
+        [node for node in seen.nodes if any(offer.suggested for offer in offers[node.name])],
+        lambda node: [node.name],
+        lambda node: [node.name, f"{len(offers[node.name])} parameters that can be tuned"],
+    )
+    of_nodes = [offer for node in tuned for offer in offers[node.name]]
+    chosen = chooser.choose(
+        "parameters",
+        parameters,
+        of_nodes,
+        [offer for offer in of_nodes if offer.suggested],
+        lambda offer: [str(offer), offer.name],
+        lambda offer: [str(offer), shown(offer.fields["default"]), offer.remark],
+    )
+    near = suggested_signals(seen.topics, [node.name for node in tuned])
+    recorded = chooser.choose(
+        "signals",
+        signals,
+        [offer for topic in seen.topics for offer in signal_offers(topic)],
+        near,
+        lambda offer: [str(offer), offer.topic.name],
+        lambda offer: [str(offer), shown(offer.topic.fields[offer.field]), offer.remark],
+    )
+    text = first_study(str(path), seen, tuned, chosen, recorded)
+    # Nothing is written that `tune --study` would refuse.
+    parse_study(text, str(path))
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        _check_path(path)
+    say(f"{path}: {len(chosen)} parameters and {len(recorded)} signals; now read it, and settle")
+    say("each CHECK in it: bounds, what a run does, what good means; then")
+    say(f"  tune --check {path}")
+    return EXIT_OK
+
+
+def _check_path(path: Path) -> None:
+    if path.suffix not in (".yaml", ".yml"):
+        raise StudyError(f"--init: expected a file name that ends in .yaml, found {path}")
+    if path.exists() or path.is_symlink():
+        raise StudyError(f"{path}: is there already, and is not overwritten; give another name")
+    if not path.absolute().parent.is_dir():
+        raise StudyError(f"{path}: there is no folder {path.parent}")

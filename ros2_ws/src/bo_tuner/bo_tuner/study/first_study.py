@@ -1,0 +1,432 @@
+"""A first study for running nodes that know nothing of the tuner, as a text with comments.
+
+What is seen of the nodes is offered as parameters and signals; what is chosen of it is written
+out, and the rest as comments. Nothing is invented silently: each guess is marked `CHECK`.
+"""
+
+import math
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from typing import Any
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.descriptors import Described
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.signals import Signal
+from bo_tuner.study.strict_yaml import dump_line
+from bo_tuner.text import one_line
+
+OF_EVERY_NODE = ("use_sim_time", "start_type_description_service")
+"""Parameters that say how a node talks, not what it does; so do those below `qos_overrides`."""
+WANTED = re.compile(r"set_?point|reference|target|desired|wanted|goal", re.IGNORECASE)
+"""In the name of a topic: it carries what another signal shall follow."""
+MOST_ITEMS = 12
+"""Of an array whose items are offered."""
+DECADES = 100.0
+"""Ratio of positive bounds from which the logarithm is searched."""
+CHECK = "CHECK"
+SECONDS = 2.0
+"""Of a run, until somebody says better."""
+
+
+@dataclass(frozen=True)
+class SeenNode:
+    """A node, by its name relative to the namespace, and what it says of its parameters."""
+
+    name: str
+    parameters: Mapping[str, Described]
+
+
+@dataclass(frozen=True)
+class SeenTopic:
+    """A topic with numbers.
+
+    Attributes
+    ----------
+    name, type
+        Of the topic, and of its messages.
+    fields
+        The numbers that can be signals: their value in a message that was heard, by field. Of a
+        topic that was silent those that every message has, as in an empty one.
+    publishers, listeners
+        Names of nodes.
+    """
+
+    name: str
+    type: str
+    fields: Mapping[str, bool | int | float] = field(hash=False)
+    publishers: tuple[str, ...] = ()
+    listeners: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What runs: nodes with parameters, topics with numbers, and services that need no request."""
+
+    nodes: tuple[SeenNode, ...]
+    topics: tuple[SeenTopic, ...]
+    services: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ParameterOffer:
+    """A parameter that could be tuned.
+
+    Attributes
+    ----------
+    node
+        Name of its node.
+    name
+        Its name in the node; an item of an array is ``weights[1]``.
+    fields
+        Its entry in a study, without the node.
+    remark
+        Where its bounds come from.
+    suggested
+        Whether it is taken unless somebody says otherwise.
+    """
+
+    node: str
+    name: str
+    fields: Mapping[str, Any] = field(hash=False)
+    remark: str
+    suggested: bool
+
+    def __str__(self) -> str:
+        return f"{self.node}:{self.name}"
+
+
+@dataclass(frozen=True)
+class SignalOffer:
+    """A field of a topic that could be a signal."""
+
+    topic: SeenTopic
+    field: str
+
+    def __str__(self) -> str:
+        return f"{self.topic.name}:{self.field}"
+
+    @property
+    def remark(self) -> str:
+        """Who publishes it."""
+        if not self.topic.publishers:
+            return "nobody publishes it, so the run will"
+        names = " and ".join(self.topic.publishers)
+        return f"from {names}" + (", which would mix" if len(self.topic.publishers) > 1 else "")
+
+
+def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, str]]:
+    """Return the parameters of a node that could be tuned, and why the others could not, by name.
+
+    Suggested are real numbers, and integers whose range the node gives; any other integer may be a
+    port or a count, and a truth value or a text a choice of the user's.
+    """
+    offers: list[ParameterOffer] = []
+    others: dict[str, str] = {}
+    for name, described in node.parameters.items():
+        if name in OF_EVERY_NODE or name.startswith("qos_overrides."):
+            continue
+        if described.read_only:
+            others[name] = "read-only"
+        elif described.type in ("double", "integer", "boolean"):
+            try:
+                offers.append(_offer(node.name, name, described))
+            except StudyError as error:
+                others[name] = error.problem
+        elif described.type == "double_array" and isinstance(described.value, (list, tuple)):
+            if len(described.value) > MOST_ITEMS:
+                others[name] = f"an array of {len(described.value)}; write its items as {name}[0]"
+            offers += _items(node.name, name, described.value[:MOST_ITEMS])
+        elif described.type == "string":
+            others[name] = "a text; write choices: [...] to tune it"
+        else:
+            others[name] = described.type.replace("_", " ") or "not set"
+    return offers, others
+
+
+def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> list[SignalOffer]:
+    """Return the signals that are taken unless somebody says otherwise.
+
+    These are what the tuned nodes publish and hear from others, each from one publisher; all topics
+    if that is nothing.
+    """
+    single = [topic for topic in topics if len(topic.publishers) == 1]
+    near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
+    return [offer for topic in near or single for offer in signal_offers(topic)][: maxima.SIGNALS]
+
+
+def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
+    """Return the signals that a topic could give."""
+    return [SignalOffer(topic, name) for name in topic.fields]
+
+
+def first_study(
+    source: str,
+    seen: Seen,
+    nodes: Sequence[SeenNode],
+    parameters: Sequence[ParameterOffer],
+    signals: Sequence[SignalOffer],
+) -> str:
+    """Write a study.
+
+    Parameters
+    ----------
+    source
+        Name of its file.
+    seen
+        All that runs; what is not taken is offered in comments.
+    nodes
+        Those to tune; of these only the ones with a parameter that is taken are written.
+    parameters, signals
+        Those to take, at least one each.
+
+    Returns
+    -------
+    str
+        YAML that `bo_tuner.study.study_file.parse_study` reads.
+    """
+    stem = PurePath(source).stem
+    tuned = [node for node in nodes if any(offer.node == node.name for offer in parameters)]
+    keys = _node_keys([node.name for node in nodes])
+    names = _signal_names(signals)
+    wanted = next((s for s in signals if not s.topic.publishers), None) or next(
+        (s for s in signals if WANTED.search(s.topic.name)), None
+    )
+    lines = [
+        "# A first study, written by `tune --init` from the nodes that were running.",
+        f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
+        f"# Then: tune --check {source}",
+        f"#       tune --study {source} --attach",
+        f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
+        "",
+        "nodes:",
+        *(f"  {keys[node.name]}: {dump_line(_node_fields(node, parameters))}" for node in tuned),
+        "",
+        "parameters:",
+        *_parameter_lines(nodes, parameters, keys),
+        "",
+        "signals:",
+        *_signal_lines(seen.topics, names),
+        "",
+        *_run_lines(seen, names, wanted),
+        "",
+        *_metric_lines(names, wanted, {node.name for node in tuned}),
+        "",
+        "budget: {trials: 20, initial_trials: 8, drawn_contexts: 1, validation_draws: 5}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _offer(node: str, name: str, described: Described) -> ParameterOffer:
+    fields: dict[str, Any] = {"type": described.type}
+    remark, has_range = "", described.has_range and described.type != "boolean"
+    if has_range:
+        kind = int if described.type == "integer" else float
+        lower, upper = kind(described.lower), kind(described.upper)
+        fields |= {"bounds": [lower, upper], "default": described.value}
+        if described.step > (1 if kind is int else 0):
+            fields["step"] = kind(described.step)
+        if lower > 0 and upper >= DECADES * lower:
+            fields["scale"] = "log"
+        remark = "range of the node"
+    elif described.type == "boolean":
+        fields["default"] = described.value
+    else:
+        fields |= _guessed(described.value)
+        remark = f"{CHECK}: a guess; the node gives no range"
+    if described.description:
+        remark += f"{'; ' if remark else ''}{one_line(described.description)}"
+    # Whatever a study would refuse is no offer.
+    Parameter(name=name, node=node, **fields)
+    return ParameterOffer(node, name, fields, remark, described.type == "double" or has_range)
+
+
+def _items(node: str, name: str, values: Sequence[object]) -> Iterator[ParameterOffer]:
+    for index, value in enumerate(values):
+        fields = {"type": "double", **_guessed(value)}
+        item = f"{name}[{index}]"
+        try:
+            Parameter(name=item, node=node, **fields)
+        except StudyError:
+            continue
+        remark = f"{CHECK}: a guess; an array has no range"
+        yield ParameterOffer(node, item, fields, remark, suggested=False)
+
+
+def _guessed(value: object) -> dict[str, Any]:
+    """Guess bounds around a value: a tenth to ten times it, an integer a quarter to four times."""
+    if isinstance(value, int):
+        low, high = (1, 10) if value == 0 else (max(1, abs(value) // 4), 4 * abs(value))
+        return {"bounds": [0, high] if value == 0 else _signed(value, low, high), "default": value}
+    if not isinstance(value, float) or not math.isfinite(value):
+        raise StudyError(f"its value is {value}")
+    if value == 0.0:
+        return {"bounds": [0.0, 1.0], "default": 0.0}
+    bounds = [float(f"{end:.3g}") for end in _signed(value, abs(value) / 10, abs(value) * 10)]
+    return {"bounds": bounds, "default": value} | ({"scale": "log"} if value > 0 else {})
+
+
+def _signed(value: float, low: Any, high: Any) -> list[Any]:
+    return [low, high] if value > 0 else [-high, -low]
+
+
+def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[str, Any]:
+    """Return a node's entry; it has the arrays of whose items some are tuned."""
+    taken = [offer.name for offer in parameters if offer.node == node.name]
+    arrays = {name.partition("[")[0] for name in taken if name.endswith("]")}
+    values = {
+        name: list(seen.value)
+        for name, seen in node.parameters.items()
+        if name in arrays and isinstance(seen.value, (list, tuple))
+    }
+    return {"node": node.name} | ({"parameters": values} if values else {})
+
+
+def _node_keys(names: Sequence[str]) -> dict[str, str]:
+    """Return the keys of nodes in the study: the last part of the name where that is clear."""
+    last = [name.rpartition("/")[2] for name in names]
+    return {
+        name: short if last.count(short) == 1 else name.replace("/", "_")
+        for name, short in zip(names, last, strict=True)
+    }
+
+
+def _parameter_lines(
+    nodes: Sequence[SeenNode], taken: Sequence[ParameterOffer], keys: Mapping[str, str]
+) -> Iterator[str]:
+    names = [offer.name for offer in taken]
+    for node in nodes:
+        offers, others = parameter_offers(node)
+        # Those that are taken first.
+        for offer in sorted(offers, key=lambda offer: offer not in taken):
+            key = keys[node.name]
+            fields: dict[str, Any] = {"node": key, **offer.fields}
+            name = offer.name
+            if names.count(name) > (offer in taken):
+                name = f"{key}.{name}"
+                fields["parameter"] = offer.name
+            remark = f"  # {offer.remark}" if offer.remark else ""
+            mark = "" if offer in taken else "# "
+            yield f"  {mark}{dump_line(name)}: {dump_line(fields)}{remark}"
+        for name, why in others.items():
+            yield f"  # {one_line(name)} of {keys[node.name]}: {one_line(why)}"
+
+
+def _signal_names(signals: Iterable[SignalOffer]) -> dict[SignalOffer, str]:
+    """Name signals: a field by its own words, and `data` by its topic."""
+    names: dict[SignalOffer, str] = {}
+    for offer in signals:
+        topic = _words(offer.topic.name)
+        last = offer.topic.name.rpartition("/")[2]
+        short = _words(last if offer.field == "data" else offer.field)
+        candidates = [short, f"{topic}_{short}", *(f"signal_{i}" for i in range(len(names) + 1))]
+        names[offer] = next(
+            name for name in candidates if name not in names.values() and _is_signal(name, offer)
+        )
+    return names
+
+
+def _words(text: str) -> str:
+    return re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+
+
+def _is_signal(name: str, offer: SignalOffer) -> bool:
+    try:
+        Signal(name=name, topic=offer.topic.name, field=offer.field)
+    except StudyError:
+        return False
+    return True
+
+
+def _signal_lines(topics: Iterable[SeenTopic], names: Mapping[SignalOffer, str]) -> Iterator[str]:
+    for offer, name in names.items():
+        fields = {"topic": offer.topic.name, "field": offer.field}
+        yield f"  {name}: {dump_line(fields)}  # {offer.topic.type}, {offer.remark}"
+    for topic in topics:
+        left = [offer.field for offer in signal_offers(topic) if offer not in names]
+        if left:
+            shown = ", ".join(one_line(name) for name in left)
+            yield f"  # {topic.name} ({topic.type}): {shown}"
+
+
+def _run_lines(
+    seen: Seen, names: Mapping[SignalOffer, str], wanted: SignalOffer | None
+) -> Iterator[str]:
+    own = list({offer.topic.name: offer for offer in names if not offer.topic.publishers}.values())
+    yield "run:"
+    yield f"  # {CHECK}: what brings the system to where every run starts."
+    if own:
+        yield "  before:"
+        for offer in own:
+            yield f"    - publish: {dump_line(_message(offer, 0.0))}"
+    else:
+        yield "  # before:"
+    for service in seen.services:
+        yield f"{'    # ' if own else '  #   '}- call: {dump_line({'service': service})}"
+    yield f"{'    ' if own else '  #   '}- wait: 0.5"
+    if wanted is not None and not wanted.topic.publishers:
+        yield f"  start:  # {CHECK}: this moves the machine."
+        yield f"    - publish: {dump_line(_message(wanted, 1.0))}"
+    else:
+        yield f"  # {CHECK}: what sets it in motion; without it a run only watches."
+        yield "  # start:"
+        silent = [topic for topic in seen.topics if not topic.publishers and topic.fields]
+        topic = silent[0] if silent else SeenTopic("/setpoint", "", {"data": 0.0})
+        offer = SignalOffer(topic, next(iter(topic.fields)))
+        yield f"  #   - publish: {dump_line(_message(offer, 1.0))}"
+    yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]"
+    measured = next((name for offer, name in names.items() if offer != wanted), None)
+    if measured is not None:
+        yield f"  # abort_when: abs({measured}) > 2  # ends a bad run at once"
+
+
+def _message(offer: SignalOffer, value: float) -> dict[str, Any]:
+    """Return a step's topic and message, in which one field has a value."""
+    # As the message has it: an integer takes no 1.0, and a truth value no number.
+    nested: Any = type(offer.topic.fields[offer.field])(value)
+    for part in reversed(offer.field.split(".")):
+        nested = _in_field(part, nested)
+    return {"topic": offer.topic.name, "message": nested}
+
+
+def _in_field(part: str, value: object) -> dict[str, object]:
+    name, _, item = part.rstrip("]").partition("[")
+    return {name: [value] if item else value}
+
+
+def _metric_lines(
+    names: Mapping[SignalOffer, str], wanted: SignalOffer | None, tuned: Collection[str]
+) -> Iterator[str]:
+    followers = [offer for offer in names if wanted is None or offer.topic != wanted.topic]
+    outputs = [offer for offer in followers if set(offer.topic.publishers) & set(tuned)]
+    measured = next(
+        (offer for offer in followers if offer not in outputs),
+        followers[0] if followers else next(iter(names)),
+    )
+    constraints = []
+    name = names[measured]
+    yield f"metrics:  # {CHECK}: what good means"
+    if wanted is not None and measured != wanted:
+        target = names[wanted]
+        yield f"  error: {dump_line({'of': f'{target} - {name}', 'measure': 'iae'})}"
+        overshoot = {"of": name, "measure": "overshoot", "target": target, "unit": "%"}
+        yield f"  overshoot: {dump_line(overshoot)}"
+        constraints.append(("overshoot", 5.0))
+    else:
+        yield f"  # Subtract what {name} shall be: {{of: 1.5 - {name}, measure: iae}}."
+        yield f"  error: {dump_line({'of': name, 'measure': 'rms'})}"
+    if outputs:
+        effort = {"of": names[outputs[0]], "measure": "total_variation"}
+        yield f"  effort: {dump_line(effort)}"
+        constraints.append(("effort", 10.0))
+    yield ""
+    yield "objective: {metric: error}"
+    if constraints:
+        yield f"# {CHECK}: limits; `tune --check` shows what the present parameters reach."
+        yield "# constraints:"
+    for metric, upper in constraints:
+        fields = {"kind": "chance", "metric": metric, "upper": upper, "probability": 0.9}
+        yield f"#   {metric}: {dump_line(fields)}"

@@ -1,0 +1,223 @@
+"""The text of a first study: it parses, takes what was chosen, and offers the rest in comments."""
+
+import math
+
+import pytest
+
+from bo_tuner.numerics.signal_metrics import MEASURES
+from bo_tuner.study.descriptors import Described
+from bo_tuner.study.first_study import (
+    Seen,
+    SeenNode,
+    SeenTopic,
+    SignalOffer,
+    first_study,
+    parameter_offers,
+    signal_offers,
+    suggested_signals,
+)
+from bo_tuner.study.strict_yaml import dump_line, parse
+from bo_tuner.study.study_file import parse_study
+
+STATES = SeenTopic(
+    "/joint_states",
+    "sensor_msgs/msg/JointState",
+    {"position[motor]": 0.1, "velocity[motor]": 0.0},
+    ("motor",),
+    ("pid",),
+)
+TORQUE = SeenTopic("/torque", "std_msgs/msg/Float64", {"data": 0.2}, ("pid",), ("motor",))
+SETPOINT = SeenTopic("/setpoint", "std_msgs/msg/Float64", {"data": 0.0}, (), ("pid",))
+CAMERA = SeenTopic("/exposure", "std_msgs/msg/Int32", {"data": 3}, ("camera",))
+
+
+def pid(**parameters):
+    return SeenNode("pid", {"kp": Described("double", 0.5)} | parameters)
+
+
+def offers(**parameters):
+    found, others = parameter_offers(SeenNode("pid", parameters))
+    return {offer.name: offer for offer in found}, others
+
+
+def written(nodes, topics, signals=None, take=lambda offer: offer.suggested, source="first.yaml"):
+    """The text for these, and the study that it is."""
+    parameters = [o for node in nodes for o in parameter_offers(node)[0] if take(o)]
+    if signals is None:
+        signals = suggested_signals(topics, [node.name for node in nodes])
+    seen = Seen(tuple(nodes), tuple(topics), ("/motor/reset",))
+    text = first_study(source, seen, nodes, parameters, signals)
+    return text, parse_study(text)
+
+
+class TestParameters:
+    def test_range_step_and_description_are_those_of_the_node(self):
+        described = Described("double", 0.5, 0.0, 2.0, 0.25, description="gain\nof the loop")
+        (offer,) = offers(kp=described)[0].values()
+        assert offer.fields == {
+            "type": "double",
+            "bounds": [0.0, 2.0],
+            "step": 0.25,
+            "default": 0.5,
+        }
+        assert offer.remark == "range of the node; gain of the loop"
+        assert offer.suggested
+
+    @pytest.mark.parametrize(
+        ("kind", "value", "bounds", "scale"),
+        [
+            ("double", 0.5, [0.05, 5.0], "log"),
+            ("double", -2.0, [-20.0, -0.2], None),
+            ("double", 0.0, [0.0, 1.0], None),
+            ("integer", 8, [2, 32], None),
+            ("integer", 1, [1, 4], None),
+            ("integer", 0, [0, 10], None),
+            ("integer", -8, [-32, -2], None),
+        ],
+    )
+    def test_without_a_range_the_bounds_are_a_guess_and_say_so(self, kind, value, bounds, scale):
+        offer = offers(kp=Described(kind, value))[0]["kp"]
+        assert offer.fields["bounds"] == bounds
+        assert offer.fields.get("scale") == scale
+        assert "CHECK" in offer.remark
+
+    def test_a_range_of_decades_is_searched_by_its_logarithm(self):
+        found, _ = offers(
+            wide=Described("double", 1.0, 0.01, 1.0), narrow=Described("double", 1.0, 0.02, 1.0)
+        )
+        assert found["wide"].fields["scale"] == "log"
+        assert "scale" not in found["narrow"].fields
+
+    def test_suggested_are_real_numbers_and_integers_with_a_range(self):
+        found, others = offers(
+            kp=Described("double", 0.5),
+            port=Described("integer", 8080),
+            horizon=Described("integer", 10, 1.0, 50.0),
+            filter=Described("boolean", True),
+            weights=Described("double_array", [1.0, 2.0]),
+            frame=Described("string", "map"),
+            serial=Described("double", 7.0, read_only=True),
+            use_sim_time=Described("boolean", False),
+        )
+        assert {name for name, offer in found.items() if offer.suggested} == {"kp", "horizon"}
+        assert set(found) == {"kp", "port", "horizon", "filter", "weights[0]", "weights[1]"}
+        assert set(others) == {"frame", "serial"}
+
+    @pytest.mark.parametrize(
+        "described",
+        [
+            Described("double", math.nan),
+            Described("double", math.inf),
+            Described("double", 1e308),
+            Described("double", 5e-324),
+            Described("double", 1.0, 1.0, 1.0),
+            Described("double", 3.0, 0.0, 2.0),
+            Described("integer", 2**62, -(2.0**63), 2.0**63),
+            Described("", None),
+        ],
+    )
+    def test_what_a_study_would_refuse_is_told_not_offered(self, described):
+        found, others = offers(odd=described)
+        assert not found
+        assert list(others) == ["odd"]
+
+    def test_a_long_array_offers_its_first_items(self):
+        found, others = offers(covariance=Described("double_array", [1.0] * 36))
+        assert list(found) == [f"covariance[{i}]" for i in range(12)]
+        assert "covariance[0]" in others["covariance"]
+
+
+class TestStudy:
+    def test_a_passive_study_of_what_the_tuned_nodes_publish_and_hear(self):
+        text, study = written([pid()], [CAMERA, STATES, SETPOINT, TORQUE])
+        assert {n: (s.topic, s.field) for n, s in study.signals.items()} == {
+            "position_motor": ("/joint_states", "position[motor]"),
+            "velocity_motor": ("/joint_states", "velocity[motor]"),
+            "torque": ("/torque", "data"),
+        }
+        assert study.run.start == study.run.before == ()
+        assert study.objective.metric == "error"
+        assert "# /exposure (std_msgs/msg/Int32): data" in text
+        assert "#   - call: {service: /motor/reset}" in text
+        assert "#   - publish: {topic: /setpoint, message: {data: 1.0}}" in text
+
+    def test_a_topic_that_nobody_publishes_is_published_by_the_run_and_followed(self):
+        signals = [
+            *signal_offers(SETPOINT),
+            SignalOffer(STATES, "position[motor]"),
+            *signal_offers(TORQUE),
+        ]
+        _, study = written([pid()], [STATES, SETPOINT, TORQUE], signals)
+        (before, _), (start,) = study.run.before, study.run.start
+        assert before.publish.message == {"data": 0.0}
+        assert (start.publish.topic, start.publish.message) == ("/setpoint", {"data": 1.0})
+        assert study.metrics["error"].of == "setpoint - position_motor"
+        assert study.metrics["overshoot"].target == "setpoint"
+        assert study.metrics["effort"].of == "torque"
+        assert {metric.measure for metric in study.metrics.values()} <= set(MEASURES)
+
+    @pytest.mark.parametrize(
+        ("fields", "message"),
+        [
+            ({"linear.x": 0.0, "angular.z": 0.0}, {"linear": {"x": 1.0}}),
+            ({"data": 0}, {"data": 1}),
+            ({"data": False}, {"data": True}),
+            ({"data[0]": 0.0}, {"data": [1.0]}),
+        ],
+    )
+    def test_the_step_has_the_form_of_the_message(self, fields, message):
+        command = SeenTopic("/command", "x_msgs/msg/X", fields, (), ("pid",))
+        _, study = written([pid()], [command], signal_offers(command)[:1])
+        assert study.run.start[0].publish.message == message
+
+    def test_everything_taken_parses_too_also_equal_names_in_two_nodes(self):
+        left, right = (
+            SeenNode(name, {"kp": Described("double", 0.5), "w": Described("double_array", [1.0])})
+            for name in ("left/pid", "right/pid")
+        )
+        _, study = written([left, right], [STATES], take=lambda offer: True)
+        assert {key: node.node for key, node in study.nodes.items()} == {
+            "left_pid": "left/pid",
+            "right_pid": "right/pid",
+        }
+        assert study.parameters["left_pid.kp"].parameter == "kp"
+        assert study.parameters["right_pid.w[0]"].parameter == "w[0]"
+        assert study.nodes["left_pid"].parameters == {"w": (1.0,)}
+
+    def test_every_offer_in_a_comment_parses_when_it_is_taken(self):
+        node = pid(filter=Described("boolean", True), port=Described("integer", 80))
+        text, _ = written([node], [STATES])
+        for name in ("filter", "port"):
+            text = text.replace(f"# {name}: {{", f"{name}: {{")
+        assert set(parse_study(text).parameters) == {"kp", "filter", "port"}
+
+    def test_names_of_signals_are_valid_and_differ(self):
+        topics = [
+            SeenTopic("/a/data", "x_msgs/msg/X", {"data": 0.0}, ("pid",)),
+            SeenTopic("/b/data", "x_msgs/msg/X", {"data": 0.0}, ("pid",)),
+            SeenTopic("/t", "x_msgs/msg/X", {"data": 0.0, "abs": 1.0, "x" * 80: 1.0}, ("pid",)),
+            SeenTopic(f"/{'long/' * 20}x", "x_msgs/msg/X", {"x" * 80: 1.0}, ("pid",)),
+            SeenTopic("/c", "x_msgs/msg/X", {"position[a b]": 0.0, "position[a.b]": 0.0}, ("pid",)),
+        ]
+        _, study = written([pid()], topics)
+        assert len(study.signals) == 8
+
+    def test_text_of_a_node_stays_in_its_comment(self):
+        text = "a: b\n  evil: {node: pid} # \x1b[2J"
+        node = pid(evil=Described("double", 1.0, description=text))
+        _, study = written([node], [STATES], source="of mine.yaml")
+        assert study.name == "first"
+        assert set(study.parameters) == {"kp", "evil"}
+
+    def test_several_publishers_are_not_suggested(self):
+        mixed = SeenTopic("/torque", "x_msgs/msg/X", {"data": 0.0}, ("pid", "pid"), ())
+        assert suggested_signals([mixed], ["pid"]) == []
+
+
+@pytest.mark.parametrize(
+    "value", [{"a": "position[m]"}, {"a": "on: #x"}, [1e-7, "1e-7", True, "no"], "a" * 300, {}]
+)
+def test_a_line_of_yaml_reads_back(value):
+    line = dump_line({"value": value})
+    assert "\n" not in line
+    assert parse(line).value == {"value": value}

@@ -1,0 +1,206 @@
+"""`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
+
+import os
+import pty
+import select
+import threading
+
+import pytest
+import rclpy
+from commands import environment, finish, run, start
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState, LaserScan
+from servo import System
+from std_msgs.msg import Float64, Float64MultiArray
+from waiting import DEADLINE
+
+from bo_tuner.backends.ros.messages import number_fields, number_reader
+from bo_tuner.cli.init import numbers
+from bo_tuner.errors import StudyError
+from bo_tuner.study.signals import field_path
+from bo_tuner.study.study_file import load_study
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def servo():
+    context = Context()
+    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
+    node = System(context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    stop = threading.Event()
+
+    def spin():
+        while not stop.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield node
+    stop.set()
+    thread.join()
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_no_node_is_told_in_a_line(tmp_path):
+    """Ahead of the tests with nodes."""
+    code, out, err = run("tune", "--init", folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: no node with parameters found in 5 s in domain ")
+    assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
+    code, out, err = run("tune", "--init", folder=tmp_path)
+    assert (code, err) == (0, "")
+    assert "tune --check study.yaml" in out
+    study = load_study(tmp_path / "study.yaml")
+    assert list(study.parameters) == ["gain", "limited"]
+    assert study.parameters["limited"].bounds == (0.0, 2.0)
+    assert study.parameters["gain"].default == servo.get_parameter("gain").value
+    assert {signal.field for signal in study.signals.values()} == {
+        "position[other]",
+        "position[motor]",
+        "data[0]",
+        "data[1]",
+        "data",
+    }
+    text = (tmp_path / "study.yaml").read_text()
+    assert "# count: {node: servo, type: integer," in text
+    assert "# serial of servo: read-only" in text
+    assert "- call: {service: /servo/reset}" in text
+
+
+def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
+    code, _, err = run(
+        *("tune", "--init", "servo.yaml", "--nodes", "/servo", "--parameters", "servo:gain"),
+        *("--signals", "/setpoint", "/joint_states:position[motor]"),
+        folder=tmp_path,
+    )
+    assert (code, err) == (0, "")
+    study = load_study(tmp_path / "servo.yaml")
+    assert (list(study.parameters), list(study.signals)) == (
+        ["gain"],
+        ["setpoint", "position_motor"],
+    )
+    code, out, err = run("tune", "--check", "servo.yaml", folder=tmp_path)
+    assert (code, err) == (0, "")
+    assert "1 parameters and 2 signals are as the study says" in out
+
+
+def test_what_is_not_there_is_refused_with_the_nearest_name(servo, tmp_path):
+    for option, name, near in (
+        ("--nodes", "sevro", "servo"),
+        ("--parameters", "gian", "gain"),
+        ("--signals", "/joint_staets", "/joint_states"),
+    ):
+        code, _, err = run("tune", "--init", option, name, folder=tmp_path)
+        assert code == 2
+        assert err == f"error: {option}: there is no '{name}'; did you mean '{near}'?\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_on_a_terminal_it_asks(servo, tmp_path):
+    leader, follower = pty.openpty()
+    process = start(
+        *("tune", "--init", "asked.yaml", "--signals", "/plain"),
+        folder=tmp_path,
+        env=environment(TERM="dumb"),
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+    )
+    os.close(follower)
+    try:
+        for question, answer in (
+            ("nodes: numbers", b"\n"),
+            ("parameters: numbers", b"9\n"),
+            ("expected numbers from 1 to 3, found '9'", b"2-3\n"),
+        ):
+            said = ""
+            while question not in said:
+                assert select.select([leader], [], [], DEADLINE)[0], said
+                said += os.read(leader, 4096).decode()
+            os.write(leader, answer)
+        assert process.wait(DEADLINE) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(leader)
+    assert list(load_study(tmp_path / "asked.yaml").parameters) == ["count", "limited"]
+
+
+def test_a_file_that_is_there_is_not_overwritten(tmp_path):
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("mine")
+    code, out, err = finish(start("tune", "--init", "mine.yaml", folder=tmp_path))
+    assert (code, out) == (2, "")
+    assert err == (
+        "error: mine.yaml: is there already, and is not overwritten; give another name\n"
+    )
+    assert mine.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--init", "mine"), "expected a file name that ends in .yaml, found mine"),
+        (("--init", "none/mine.yaml"), "none/mine.yaml: there is no folder none"),
+        (("--init", "mine.yaml", "--check", "benchmark"), "--init writes a study, and takes none"),
+        (("--nodes", "pid"), "--nodes needs --init"),
+    ],
+)
+def test_options_that_do_not_fit(tmp_path, arguments, expected):
+    code, _, err = run("tune", *arguments, folder=tmp_path)
+    assert code == 2
+    assert expected in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        (Float64(data=2.0), {"data": 2.0}),
+        (Float64MultiArray(data=[1.0, 2.0]), {"data[0]": 1.0, "data[1]": 2.0}),
+        (
+            JointState(name=["a.b", "c"], position=[1.0, 2.0], velocity=[3.0]),
+            {"position[a.b]": 1.0, "position[c]": 2.0, "velocity[0]": 3.0},
+        ),
+        (
+            JointState(name=["1", "0"], position=[5.0, 6.0]),
+            {"position[0]": 5.0, "position[1]": 6.0},
+        ),
+        (
+            JointState(name=["a", "a"], position=[5.0, 6.0]),
+            {"position[0]": 5.0, "position[1]": 6.0},
+        ),
+    ],
+)
+def test_the_numbers_in_a_message(message, expected):
+    found = number_fields(message)
+    assert {key: found.get(key) for key in expected} == expected
+    for key, value in found.items():
+        assert number_reader(type(message), field_path(key))(message) == value
+
+
+def test_stamps_and_long_arrays_are_no_numbers_to_follow():
+    pose = number_fields(PoseWithCovarianceStamped())
+    assert set(pose) == {
+        *(f"pose.pose.position.{axis}" for axis in "xyz"),
+        *(f"pose.pose.orientation.{axis}" for axis in "xyzw"),
+    }
+    assert not any("ranges" in key for key in number_fields(LaserScan(ranges=[1.0] * 300)))
+
+
+def test_numbers_that_are_chosen():
+    assert numbers("1 3-5, 4", 5) == [1, 3, 4, 5]
+    for text in ("0", "6", "2-1", "1-6", "x", "-", "1-", "²"):
+        with pytest.raises(StudyError):
+            numbers(text, 5)
