@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros.backend import HELD
+from bo_tuner.backends.ros.held_parameters import HELD
 from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import find_evaluation

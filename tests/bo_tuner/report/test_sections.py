@@ -49,13 +49,15 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
 def test_every_trial_is_a_point_of_its_kind(analysis):
     figure, _ = convergence(analysis).figures
     places = {}
-    for kind in (Outcome.WITHIN, Outcome.VIOLATES, Outcome.FAILED):
+    for kind in (Outcome.WITHIN, Outcome.VIOLATES, Outcome.OUTLIER, Outcome.FAILED):
         points = named(figure.panels[0], kind, Points)
         places |= dict.fromkeys([] if points is None else list(points.x), kind)
     for number, trial in enumerate(analysis.record.trials):
         gain = trial.parameters["gain"]
         if gain > 0.6:
             assert places[number] == Outcome.FAILED
+        elif number in analysis.models.outliers:
+            assert places[number] == Outcome.OUTLIER
         else:
             # The worst load is 2, so the peak is 4 gain at most.
             worst = trial.worst_case.value

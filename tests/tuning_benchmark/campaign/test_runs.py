@@ -36,7 +36,7 @@ def test_a_run_ends_with_the_trial_that_reaches_its_evaluations(study, small):
 def test_checks_keep_to_the_evaluations_left_for_them(study, monkeypatch):
     """Whatever a check says, there are no more than the reserved evaluations allow."""
     monkeypatch.setattr(recommendation, "_check", refuted(recommendation._check))
-    results = [run_and_judge(study, IV, 1, RunSize(80, n, 3), JUDGE) for n in (0, 19, 20, 45)]
+    results = [run_and_judge(study, IV, 1, RunSize(120, n, 3), JUDGE) for n in (0, 19, 20, 45)]
     assert [result["check_cuts"] for result in results] == [0, 0, 20, 40]
 
 

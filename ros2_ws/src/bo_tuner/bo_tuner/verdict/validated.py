@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from bo_tuner.study.parts import EXPECTATION
+from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.limits import Sample
@@ -63,7 +63,7 @@ def validated(
         trial=trial,
         evidence=f"the same {tuned.draws} fresh draws of context and noise",
         reasons=tuple(reasons),
-        default_reasons=tuple(_problems(study, default)),
+        default_reasons=tuple(_problems(study, default) + _doubts(study, default)),
         quantities=quantities(
             study,
             *observed_sides,
@@ -117,9 +117,21 @@ def _problems(study: Study, found: Validation) -> list[str]:
     return problems
 
 
+def _doubts(study: Study, found: Validation) -> list[str]:
+    """Return the worst-case limits that draws exceeded, but too few to refute them.
+
+    Nobody searched for the default's worst context, so nothing else speaks for it.
+    """
+    return [
+        f"{_broken(study, sample)}, its worst context was not searched"
+        for sample in found.constraints.values()
+        if sample.holds and sample.violations and study.constraints[sample.name].kind == WORST_CASE
+    ]
+
+
 def _broken(study: Study, sample: Sample) -> str:
     constraint = study.constraints[sample.name]
-    if constraint.statistic == EXPECTATION:
+    if constraint.statistic == EXPECTATION and not sample.holds:
         return f"{sample.name}: the mean over the draws is above {constraint.upper:g}"
     limit = f"{constraint.upper:g} {study.metrics[constraint.metric].unit}".rstrip()
     return f"{sample.name}: {sample.violations} of {sample.count} draws above {limit}"

@@ -198,8 +198,8 @@ class Verdict:
                 if certified
                 else "The default kept all limits, too."
             )
-        verb = "is not shown to keep all limits" if certified else "did not keep all limits"
-        return f"The default {verb}: {'; '.join(self.default_reasons)}."
+        reasons = "; ".join(self.default_reasons)
+        return f"The default is not shown to keep all limits: {reasons}."
 
     def _changes(self) -> list[str]:
         """Return the changes, by what they are: what improved first."""

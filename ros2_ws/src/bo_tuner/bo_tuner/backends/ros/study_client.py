@@ -7,6 +7,7 @@ from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.trigger import TriggeredRun
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.study import Study
 
 LONGEST_LEASE = 21.0
@@ -94,14 +95,15 @@ class StudyClient:
         self.parameters.check(wanted, self.parameters.tell(wanted))
         self.results.begin()
         try:
-            said = self._triggered.run() if run is None else {}
-            if run is not None:
-                run()
-            anew = self.restarted()
-            self._refuse_twins()
-            if anew:
-                name = self._study.nodes[anew[0]].node
-                raise LostError(f"{name} was started anew in the evaluation")
+            try:
+                said = self._triggered.run() if run is None else {}
+                if run is not None:
+                    run()
+            except FailedRunError:
+                # That a node was started anew explains the rest, such as a gap in a signal.
+                self._refuse_other_nodes()
+                raise
+            self._refuse_other_nodes()
             self.parameters.check(wanted, {})
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
@@ -152,6 +154,15 @@ class StudyClient:
                 problems.append(f"{self._study.nodes[key].node} is not parked: {error}")
         self.parameters.overlook()
         return problems
+
+    def _refuse_other_nodes(self) -> None:
+        """Refuse an evaluation after which the nodes are not those that it began with."""
+        anew = self.restarted()
+        # A twin looks like a node that was started anew.
+        self._refuse_twins()
+        if anew:
+            name = self._study.nodes[anew[0]].node
+            raise LostError(f"{name} was started anew in the evaluation")
 
     def _refuse_twins(self) -> None:
         if twins := self.presence.twins(LONGEST_LEASE):
