@@ -99,6 +99,7 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert "3 parameters and 2 signals are as the study says" in out
     assert "metrics of the default" in out
     assert "█" in out
+    assert "…" not in out, "no number is cut off in a terminal of 80 columns"
     assert "study: at most 7 runs beside the checks, about" in out
     assert "certificate: 600 draws, about" in out
     assert servo.get_parameter("gain").value == 0.25

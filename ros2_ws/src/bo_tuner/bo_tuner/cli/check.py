@@ -28,8 +28,10 @@ from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 RUNS = 2
-WIDTH = 60
-"""Characters of a plot."""
+WIDTH, LEAST_WIDTH = 60, 10
+"""Characters of a plot, where there is room, and at least."""
+BESIDE_PLOT = 44
+"""Characters of the other columns of the table of signals, and of its lines, but for the names."""
 BARS = " ▁▂▃▄▅▆▇█"
 
 
@@ -140,6 +142,9 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
 
 
 def _plot(study: Study, recording: Recording) -> None:
+    console = plain_console()
+    names = max((len(name) for name in recording.signals), default=0)
+    width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
     table = Table(title=f"signals of run {RUNS - 1}, {recording.end:.3g} s", title_justify="left")
     for column in ("signal", "messages", "least", "over the run", "largest"):
         table.add_column(column, no_wrap=True)
@@ -150,10 +155,14 @@ def _plot(study: Study, recording: Recording) -> None:
         low, high = float(np.min(seen.value)), float(np.max(seen.value))
         count = f"{seen.messages}"
         table.add_row(
-            name, count, f"{low:.4g}", plot(seen.time, seen.value, recording.end), f"{high:.4g}"
+            name,
+            count,
+            f"{low:.4g}",
+            plot(seen.time, seen.value, recording.end, width),
+            f"{high:.4g}",
         )
     if recording.signals:
-        plain_console().print(table)
+        console.print(table)
 
 
 def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
