@@ -1,5 +1,6 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
+import contextlib
 import os
 import pty
 import select
@@ -11,6 +12,7 @@ from commands import environment, finish, run, start
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from sensor_msgs.msg import JointState, LaserScan
 from servo import System
 from std_msgs.msg import Float64, Float64MultiArray
@@ -25,11 +27,12 @@ from bo_tuner.study.study_file import load_study
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture(scope="module")
-def servo():
+@contextlib.contextmanager
+def at_work(make_node):
+    """A node in a thread."""
     context = Context()
     rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    node = System(context)
+    node = make_node(context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     stop = threading.Event()
@@ -40,12 +43,20 @@ def servo():
 
     thread = threading.Thread(target=spin)
     thread.start()
-    yield node
-    stop.set()
-    thread.join()
-    executor.shutdown()
-    node.destroy_node()
-    context.try_shutdown()
+    try:
+        yield node
+    finally:
+        stop.set()
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def servo():
+    with at_work(System) as node:
+        yield node
 
 
 def test_no_node_is_told_in_a_line(tmp_path):
@@ -54,6 +65,25 @@ def test_no_node_is_told_in_a_line(tmp_path):
     assert (code, out) == (2, "")
     assert err.startswith("error: no node with parameters found in 5 s in domain ")
     assert err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_idle_node_is_told_in_a_line(tmp_path):
+    """The items of an array are known from messages only."""
+
+    def idle(context):
+        node = Node("idle", context=context)
+        node.declare_parameter("gain", 1.0)
+        node.create_publisher(JointState, "joint_states", 10)
+        return node
+
+    with at_work(idle):
+        code, out, err = run("tune", "--init", folder=tmp_path)
+    assert code == 2
+    assert out == (
+        "note: left out: /joint_states: silent for 1 s, so the items of its arrays are unknown\n"
+    )
+    assert err == ("error: no topic has a number that could be a signal while the nodes are idle\n")
     assert not list(tmp_path.iterdir())
 
 

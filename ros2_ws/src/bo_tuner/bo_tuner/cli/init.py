@@ -12,7 +12,7 @@ from bo_tuner.backends.ros.graph import opened_graph
 from bo_tuner.backends.ros.survey import survey
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.cli.streams import ask, say_error
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study import checks
@@ -87,6 +87,9 @@ class Chooser:
         self, what: str, offers: Sequence[Offer], suggested: Sequence[Offer], row: Row[Offer]
     ) -> list[Offer]:
         table = Table(title=what, title_justify="left", show_header=False)
+        for column in ("number", "suggested", "name", "now", "remark"):
+            # Folded, since a name that is cut off tells nothing.
+            table.add_column(column, overflow="fold")
         for index, offer in enumerate(offers, start=1):
             mark = "*" if offer in suggested else ""
             table.add_row(f"{index}", mark, *(one_line(cell) for cell in row(offer)))
@@ -163,13 +166,15 @@ def write_first_study(
     StudyError
         If the file is there, or something is named that is not there.
     BackendError
-        If no nodes can be had.
+        If there is no node with parameters, or no topic with numbers.
     """
     _check_path(path)
     with opened_graph(ros_arguments, interruption.check) as graph:
         seen, notes = survey(graph)
     for note in notes:
         say(f"note: {note}")
+    if not seen.topics:
+        raise BackendError("no topic has a number that could be a signal while the nodes are idle")
     chooser = Chooser(interruption)
     offers = {node.name: parameter_offers(node)[0] for node in seen.nodes}
     tuned = chooser.choose(
@@ -178,7 +183,7 @@ def write_first_study(
         [node for node in seen.nodes if offers[node.name]],
         [node for node in seen.nodes if any(offer.suggested for offer in offers[node.name])],
         lambda node: [node.name],
-        lambda node: [node.name, f"{len(offers[node.name])} parameters that can be tuned"],
+        lambda node: [node.name, "", f"{len(offers[node.name])} parameters that can be tuned"],
     )
     of_nodes = [offer for node in tuned for offer in offers[node.name]]
     chosen = chooser.choose(

@@ -108,7 +108,7 @@ def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
     """Return the topics with numbers, and why others are left out."""
     found, notes = [], []
     heard: dict[str, bytes] = {}
-    subscriptions = []
+    listened = {}
     classes = {}
     for name, types in sorted(graph.node.get_topic_names_and_types()):
         if name in OF_ROS or _is_hidden(name):
@@ -123,13 +123,11 @@ def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
             qos = QoSProfile(
                 depth=1, reliability=offered.reliability, durability=offered.durability
             )
-            subscriptions.append(
-                graph.node.create_subscription(
-                    classes[name], name, _keep(heard, name), qos, raw=True
-                )
+            listened[name] = graph.node.create_subscription(
+                classes[name], name, _keep(heard, name), qos, raw=True
             )
-    graph.wait(lambda: len(heard) == len(subscriptions), LISTEN)
-    for subscription in subscriptions:
+    graph.wait(lambda: len(heard) == len(listened), LISTEN)
+    for subscription in listened.values():
         graph.node.destroy_subscription(subscription)
     for name, cls in classes.items():
         try:
@@ -141,6 +139,8 @@ def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
             publishers = _ends(graph, graph.node.get_publishers_info_by_topic(name))
             listeners = _ends(graph, graph.node.get_subscriptions_info_by_topic(name))
             found.append(SeenTopic(name, type_name(cls), fields, publishers, listeners))
+        elif name in listened and name not in heard:
+            notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
     return found, notes
 
 
