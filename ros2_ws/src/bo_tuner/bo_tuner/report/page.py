@@ -114,7 +114,7 @@ def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
     environment.filters["panels"] = _panels
-    scripts = [_plotly(), _template("report.js")]
+    scripts = [_plotly(), _template("report.js"), _template("tables.js")]
     return environment.get_template("report.html").render(
         study=analysis.study,
         record=analysis.record,
