@@ -101,6 +101,61 @@ def test_texts_of_a_study_do_no_harm(chromium, harmful_page):
     assert harm in browser.evaluate("document.querySelector('#figure-slices').textContent")
 
 
+TRIALS = "document.querySelector('#trials table.sortable')"
+SHOWN = (
+    f"[...{TRIALS}.tBodies[0].rows].filter(r => !r.hidden)"
+    ".map(r => [...r.cells].map(c => c.textContent.trim()))"
+)
+
+
+def test_the_trials_can_be_sorted_by_value(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page)
+    head = f"[...{TRIALS}.tHead.rows[0].cells].find(c => c.textContent.startsWith('lambda_mpc'))"
+    column = browser.evaluate(f"{head}.cellIndex")
+    for order in ("ascending", "descending"):
+        browser.evaluate(f"{head}.querySelector('button').click()")
+        assert browser.evaluate(f"{head}.getAttribute('aria-sort')") == order
+        found = [float(row[column]) for row in browser.evaluate(SHOWN)]
+        assert found == sorted(found, reverse=order == "descending")
+    assert browser.errors == []
+
+
+def test_the_trials_can_be_filtered_by_words(chromium, feed_axis_page, feed_axis_run):
+    browser = opened(chromium, feed_axis_page)
+
+    def filtered(words):
+        browser.evaluate(
+            "(() => { const input = document.querySelector('#trials .filter input');"
+            f"input.value = {json.dumps(words)}; input.dispatchEvent(new Event('input')); }})()"
+        )
+        return browser.evaluate(SHOWN)
+
+    record = read_run(feed_axis_run)
+    (result,) = filtered("result")
+    assert result[0] == str(record.summary["trial"])
+    assert filtered("result nowhere") == []
+    assert len(filtered("")) == len(record.trials)
+
+
+def test_a_wide_table_says_on_a_phone_that_it_scrolls(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page, width=390)
+    browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+    cues = """[...document.querySelectorAll('.scroll')].map(s => [s.scrollWidth > s.clientWidth + 1,
+        s.previousElementSibling?.matches('.cue:not([hidden])') ?? false])"""
+    browser.wait_for(f"{cues}.every(([wide, cue]) => wide === cue)")
+    assert any(wide for wide, _ in browser.evaluate(cues))
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_four_tiles_stand_in_one_row(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page)
+    tops = browser.evaluate(
+        "[...document.querySelectorAll('.tiles li')].map(t => t.getBoundingClientRect().top)"
+    )
+    assert len(tops) == 4
+    assert len(set(tops)) == 1
+
+
 def test_a_phone_needs_no_sideways_scrolling(chromium, feed_axis_page):
     browser = opened(chromium, feed_axis_page, width=390)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390

@@ -95,7 +95,7 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
 def test_every_trial_is_listed_with_its_values(page, tuned):
     rows = table(page, f"{len(tuned.trials)} trials")
     for trial in tuned.trials:
-        origin, gain, mean, worst, evaluations, outcome = rows[str(trial.number)]
+        origin, gain, mean, worst, evaluations, outcome, _ = rows[str(trial.number)]
         assert (origin, gain) == (trial.origin, f"{trial.parameters['gain']:.4g}")
         values = trial.observations("error")
         if trial.parameters["gain"] > 0.6:
@@ -109,6 +109,21 @@ def test_every_trial_is_listed_with_its_values(page, tuned):
             every = [*values, *checked]
             assert mean == f"{math.fsum(every) / len(every):.4g}"
             assert int(evaluations) >= len(trial.evaluations)
+
+
+def test_the_result_and_the_nearest_trials_are_marked(page, tuned):
+    rows = table(page, f"{len(tuned.trials)} trials")
+    marks = {int(number): row[-1] for number, row in rows.items() if number.isdigit()}
+    result = tuned.trials[tuned.summary["trial"]]
+    assert [number for number, mark in marks.items() if mark == "result"] == [result.number]
+    # One parameter on a linear scale, so the distance is that of the gain itself.
+    distance = {
+        t.number: abs(t.parameters["gain"] - result.parameters["gain"]) for t in tuned.trials
+    }
+    near = [distance[number] for number, mark in marks.items() if mark == "neighbour"]
+    far = [distance[number] for number, mark in marks.items() if not mark]
+    assert len(near) == 3
+    assert max(near) <= min(far)
 
 
 def test_failures_are_listed_with_what_repeats_them(page, tuned):
@@ -139,7 +154,7 @@ def test_only_our_scripts_may_run(page):
     running = [text for kind, text in page.scripts if kind != "application/json"]
     digests = [hashlib.sha256(text.encode()).digest() for text in running]
     assert {f"'sha256-{base64.b64encode(d).decode()}'" for d in digests} == allowed
-    assert len(running) == 2
+    assert len(running) == 3
     assert "default-src 'none'" in policy
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bo_tuner.figures.figure import Points
 from bo_tuner.report.sections.trade_off import pareto_front, trade_off
 
 numbers = st.integers(-3, 3).map(float)
@@ -33,3 +34,15 @@ def test_a_looser_limit_costs_nothing(analysis):
     assert found == sorted(found, reverse=True)
     (study,) = [row for row in table.rows if row[0] == "1"]
     assert study[3] == "+0.0 %"
+
+
+def test_the_default_is_where_the_verdict_has_it(analysis):
+    (figure,) = trade_off(analysis).figures
+    (default,) = [
+        element
+        for element in figure.panels[0].elements
+        if isinstance(element, Points) and element.name == "default"
+    ]
+    found = {q.label: q.default for q in analysis.verdict.quantities}
+    assert list(default.x) == [found["largest peak"]]
+    assert list(default.y) == [found["mean error"]]

@@ -55,11 +55,12 @@ class Parser(argparse.ArgumentParser):
             help="show version and commit, and exit",
         )
 
-    def add_run_argument(self, what: str = "run folder") -> None:
-        """Add the positional argument ``run``."""
+    def add_run_argument(self, what: str = "run folder", *, several: bool = False) -> None:
+        """Add the positional argument ``run``; if there may be `several`, it is a list."""
         self.add_argument(
             "run",
             type=Path,
+            nargs="+" if several else None,
             metavar="RUN",
             help=f"{what}, or '{LATEST}' for {RUNS / LATEST}",
         )

@@ -5,17 +5,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bo_tuner.cli.common import Parser, guarded, read_result
-from bo_tuner.cli.exit_codes import EXIT_OK
+from bo_tuner.cli.exit_codes import EXIT_OK, EXIT_USAGE
+from bo_tuner.cli.streams import say_error
+from bo_tuner.errors import RunRecordError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import NAME, figures, sections, write_page
+from bo_tuner.report.comparison import comparison, names
+from bo_tuner.report.page import NAME, figures, sections, write_comparison, write_page
 from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,
 trajectories, surrogates, sensitivity to the parameters, times and failures.
-The file needs no network; the run may still be in progress.
+The file needs no network; the run may still be in progress. Of several runs,
+compare verdicts, parameters, numbers and convergence side by side.
 """
 
 EPILOG = """\
@@ -30,18 +34,23 @@ examples:
   report latest                           the latest run in runs/
   report runs/benchmark-20260801-101500   into its folder, as report.html
   report latest --output answer.html      elsewhere
+  report runs/a runs/b runs/c             compared, as comparison.html
   report latest --figures plots --format png,svg
 """
 
+COMPARISON = "comparison.html"
 FORMATS = ("png", "svg")
 
 
 def make_parser() -> Parser:
     """Return the parser of the command line."""
     parser = Parser("report", DESCRIPTION, EPILOG)
-    parser.add_run_argument()
+    parser.add_run_argument("run folder, or several to compare", several=True)
     parser.add_argument(
-        "--output", type=Path, metavar="FILE", help=f"HTML file (default: RUN/{NAME})"
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help=f"HTML file (default: RUN/{NAME}; of several runs: {COMPARISON})",
     )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write the figures to this folder"
@@ -69,13 +78,22 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         Ends the command on a signal.
     """
     arguments = make_parser().parse_args(argv)
-    record = read_result(arguments.run)
+    analyses = _read(arguments.run)
+    if not analyses:
+        return EXIT_USAGE
     if arguments.trust:
-        trust(record.study)
-    analysis = Analysis(record)
-    parts = sections(analysis)
-    interruption.check()
-    path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
+        for analysis in analyses:
+            trust(analysis.study)
+    if len(analyses) == 1:
+        (analysis,) = analyses
+        parts = sections(analysis)
+        interruption.check()
+        path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
+    else:
+        parts = comparison(dict(zip(names(analyses), analyses, strict=True)))
+        interruption.check()
+        title = f"{len(analyses)} runs side by side"
+        path = write_comparison(title, parts, arguments.output or Path(COMPARISON))
     say(f"report: {path}")
     if arguments.figures is not None:
         # Matplotlib takes a second to load.
@@ -86,6 +104,23 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 say(f"figure: {written}")
             interruption.check()
     return EXIT_OK
+
+
+def _read(runs: Sequence[Path]) -> list[Analysis]:
+    """Read all runs; none if one cannot be read, with a line on each of these."""
+    found: dict[Path, Analysis] = {}
+    readable = True
+    for run in runs:
+        try:
+            analysis = Analysis(read_result(run))
+            path = analysis.record.path.resolve()
+            if path in found:
+                raise RunRecordError(f"{run}: named twice; expected different runs")
+            found[path] = analysis
+        except RunRecordError as error:
+            say_error(f"error: {error}")
+            readable = False
+    return list(found.values()) if readable else []
 
 
 def _formats(text: str) -> tuple[str, ...]:

@@ -25,6 +25,10 @@ class Table:
         Indices of the columns to align right.
     folded
         Whether the table is collapsed at first.
+    sortable
+        Whether the reader can sort and filter the rows.
+    marked
+        Indices of rows that stand out.
     """
 
     caption: str
@@ -32,6 +36,8 @@ class Table:
     rows: Sequence[Sequence[str]]
     numeric: Sequence[int] = ()
     folded: bool = False
+    sortable: bool = False
+    marked: Sequence[int] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

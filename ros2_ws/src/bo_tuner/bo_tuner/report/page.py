@@ -93,7 +93,21 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
     OutputError
         If the file cannot be written.
     """
-    text = render(analysis, parts, os.path.relpath(analysis.record.path, path.parent))
+    return _write(path, render(analysis, parts, os.path.relpath(analysis.record.path, path.parent)))
+
+
+def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
+    """Write the page that compares runs to `path` and return it.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    return _write(path, _page("comparison.html", sections=parts, title=title))
+
+
+def _write(path: Path, text: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -104,6 +118,18 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
 
 def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path."""
+    return _page(
+        "report.html",
+        sections=parts,
+        study=analysis.study,
+        record=analysis.record,
+        answer=answer(analysis),
+        base=quote(f"{run}/"),
+    )
+
+
+def _page(template: str, **content: object) -> str:
+    """Fill a template that extends the base of all pages."""
     environment = Environment(
         loader=PackageLoader("bo_tuner.report"),
         autoescape=True,
@@ -114,13 +140,9 @@ def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
     environment.filters["panels"] = _panels
-    scripts = [_plotly(), _template("report.js")]
-    return environment.get_template("report.html").render(
-        study=analysis.study,
-        record=analysis.record,
-        answer=answer(analysis),
-        base=quote(f"{run}/"),
-        sections=parts,
+    scripts = [_plotly(), _template("report.js"), _template("tables.js")]
+    return environment.get_template(template).render(
+        **content,
         style=_template("report.css"),
         light=LIGHT,
         dark=DARK,

@@ -24,6 +24,10 @@ FILES = (
 )
 
 
+MOST_NUMBERS = 3
+"""Numbers beside the certificate: more tiles than four are not read at a glance."""
+
+
 @dataclass(frozen=True)
 class Tile:
     """A key figure: the tuned value, remarks with its references, and its status."""
@@ -84,9 +88,9 @@ def answer(analysis: Analysis) -> Answer:
 
 
 def _tiles(analysis: Analysis) -> list[Tile]:
-    """Return the certificate, and the numbers that matter: of limits, effort and the objective."""
+    """Return the certificate, and the numbers that matter most."""
     verdict = analysis.verdict
-    tiles = [_of_quantity(q) for q in verdict.quantities if _matters(analysis, q)]
+    tiles = [_of_quantity(q) for q in _that_matter(analysis)]
     found = analysis.certificate
     if found is not None and found.trial == verdict.trial:
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
@@ -99,10 +103,29 @@ def _tiles(analysis: Analysis) -> list[Tile]:
     return tiles
 
 
-def _matters(analysis: Analysis, quantity: Quantity) -> bool:
-    """Return whether a number has a tile: the means of limited metrics have none."""
-    limited = {constraint.metric for constraint in analysis.study.constraints.values()}
-    return quantity.holds is not None or quantity.metric not in limited
+def _that_matter(analysis: Analysis) -> list[Quantity]:
+    """Return the numbers with a tile in the order of the verdict: `MOST_NUMBERS`, if possible.
+
+    Each limit that is not kept has one. Then come the worst case, the objective, the other
+    metrics without a limit, and the limits that are kept; all others stand in the table.
+    """
+    study, found = analysis.study, analysis.verdict.quantities
+    limited = {constraint.metric for constraint in study.constraints.values()}
+    worst = study.worst_case_constraint
+
+    def rank(quantity: Quantity) -> int:
+        if quantity.holds is False:
+            return 0
+        if worst is not None and quantity.holds and quantity.metric == worst.metric:
+            return 1
+        if quantity.metric == study.objective.metric:
+            return 2
+        return 4 if quantity.holds else 3
+
+    eligible = [q for q in found if q.holds is not None or q.metric not in limited]
+    broken = sum(q.holds is False for q in eligible)
+    chosen = sorted(eligible, key=rank)[: max(MOST_NUMBERS, broken)]
+    return [quantity for quantity in found if quantity in chosen]
 
 
 def _of_quantity(quantity: Quantity) -> Tile:

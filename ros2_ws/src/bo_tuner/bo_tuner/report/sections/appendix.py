@@ -1,12 +1,18 @@
 """The tables at the end of the report: all trials, and the provenance of the run."""
 
+import numpy as np
+
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.study.study_file import study_to_yaml
 
+RESULT, NEIGHBOUR = "result", "neighbour"
+NEIGHBOURS = 3
+"""So many trials next to the result are marked."""
+
 
 def all_trials(analysis: Analysis) -> Section:
-    """List all trials."""
+    """List all trials, with marks on the result and on the trials next to it."""
     study = analysis.study
     names = study.search_space().names
     metric = study.metrics[study.objective.metric]
@@ -15,28 +21,48 @@ def all_trials(analysis: Analysis) -> Section:
     header.append(_with_unit(f"mean {metric.name}", metric.unit))
     if worst is not None:
         header.append(_with_unit(f"worst {worst.metric}", study.metrics[worst.metric].unit))
-    header += ["evaluations", "outcome"]
+    header += ["evaluations", "outcome", "mark"]
+    marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
         row.append(number(analysis.mean_objective(trial)))
         if worst is not None:
             row.append(number(trial.worst_case.value if trial.worst_case else None))
-        rows.append([*row, str(len(trial.evaluations)), analysis.outcome(trial)])
+        row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]
+        rows.append(row)
     return Section(
         name="trials",
         title="All trials",
-        lead="As a table for other programs: trials.csv and evaluations.csv in the run folder.",
+        lead=f"Sorted by a click on a heading. Marked are the result and the {NEIGHBOURS} trials "
+        "nearest to it between the bounds of the parameters: where they do far worse, the result "
+        "is sensitive. As a table for other programs: trials.csv and evaluations.csv in the run "
+        "folder.",
         tables=[
             Table(
                 caption=f"{len(rows)} trials",
                 header=header,
                 rows=rows,
-                numeric=range(2, len(header) - 1),
+                numeric=[0, *range(2, len(header) - 2)],
                 folded=True,
+                sortable=True,
+                marked=[k for k, row in enumerate(rows) if row[-1] == RESULT],
             )
         ],
     )
+
+
+def _marks(analysis: Analysis) -> dict[int, str]:
+    """Return the marks of trials by their number."""
+    result = analysis.answer
+    if result is None:
+        return {}
+    space = analysis.study.search_space()
+    place = space.to_cube(result.parameters)
+    others = [trial for trial in analysis.trials if trial.number != result.number]
+    distances = [np.linalg.norm(space.to_cube(trial.parameters) - place) for trial in others]
+    nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
+    return {others[k].number: NEIGHBOUR for k in nearest} | {result.number: RESULT}
 
 
 def provenance(analysis: Analysis) -> Section:

@@ -84,7 +84,7 @@ def _objective(analysis: Analysis) -> Figure:
     scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
     y = Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale)
     means = np.array([analysis.mean_objective(trial) for trial in trials])
-    incumbents = _incumbents(analysis)
+    found = incumbents(analysis)
     shown = _within_sight(analysis, means, scale)
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
     panels = [
@@ -93,7 +93,7 @@ def _objective(analysis: Analysis) -> Figure:
             x=Axis(label=label),
             y=y,
             elements=[
-                *_incumbent_lines(incumbents, places),
+                *_incumbent_lines(found, places),
                 *_default_line(analysis),
                 *_points(analysis, places, shown),
             ],
@@ -110,7 +110,7 @@ def _objective(analysis: Analysis) -> Figure:
         "there; its line is the posterior mean of the surrogate, which a single lucky sample "
         "hardly changes. Failed trials, which have no value, and values far above the others are "
         "at the top.",
-        alternative=_summary(analysis, incumbents),
+        alternative=_summary(analysis, found),
         panels=panels,
         columns=2,
     )
@@ -184,7 +184,7 @@ def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
     return drawn
 
 
-def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
+def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
     trials = analysis.record.trials
     options = ALGORITHMS[analysis.record.algorithm].models
@@ -197,15 +197,15 @@ def _incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     return found
 
 
-def _incumbent_lines(incumbents: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:
+def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:
     """Return two lines: incumbents believed feasible, and the least violating ones."""
     lines: list[Element] = []
-    places = [x[k] for k, _ in incumbents]
+    places = [x[k] for k, _ in found]
     for feasible, name, color, dash in (
         (True, "incumbent", Color.BLUE, Dash.SOLID),
         (False, "incumbent, not feasible", Color.GRAY, Dash.DOTTED),
     ):
-        y = [c.objective if c.believed_feasible is feasible else math.nan for _, c in incumbents]
+        y = [c.objective if c.believed_feasible is feasible else math.nan for _, c in found]
         if not np.all(np.isnan(y)):
             lines.append(
                 Line(
@@ -215,7 +215,7 @@ def _incumbent_lines(incumbents: Sequence[tuple[int, Candidate]], x: Array) -> l
                     color=color,
                     dash=dash,
                     step=True,
-                    hover=[f"{name}: trial {c.trial.number}" for _, c in incumbents],
+                    hover=[f"{name}: trial {c.trial.number}" for _, c in found],
                 )
             )
     return lines
@@ -248,9 +248,9 @@ def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
     return np.where(finite, np.minimum(seen, top), top)
 
 
-def _summary(analysis: Analysis, incumbents: Sequence[tuple[int, Candidate]]) -> str:
+def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
     unit = analysis.study.metrics[analysis.study.objective.metric].unit
-    feasible = [(k, c) for k, c in incumbents if c.believed_feasible]
+    feasible = [(k, c) for k, c in found if c.believed_feasible]
     if not feasible:
         return "No trial is believed feasible, so there is no incumbent."
     (_, first), (_, last) = feasible[0], feasible[-1]

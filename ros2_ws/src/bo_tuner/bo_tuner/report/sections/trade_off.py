@@ -21,7 +21,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, change, number, quantity
 from bo_tuner.report.sections.convergence import LOOKS, describe
-from bo_tuner.study.parts import LOG
+from bo_tuner.study.parts import LOG, Constraint
 from bo_tuner.trials import Trial
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
@@ -58,7 +58,7 @@ def trade_off(analysis: Analysis) -> Section | None:
                 name="trade-off",
                 title=f"Mean {objective.name} against worst {limited.name}, all trials",
                 caption="Estimates of the trials themselves, with the noise of a few evaluations "
-                "each; the lowest ones were also lucky.",
+                "each; the lowest ones were also lucky. The default has the numbers of the answer.",
                 alternative="; ".join(
                     f"trial {trials[k].number}: {number(float(means[k]))} at worst "
                     f"{number(float(worst[k]))}"
@@ -78,6 +78,7 @@ def trade_off(analysis: Analysis) -> Section | None:
                                 dash=Dash.DOTTED,
                                 hover=[f"front: trial {trials[k].number}" for k in front],
                             ),
+                            *_default(analysis, constraint),
                             *_points(analysis, trials, means, worst),
                         ],
                     )
@@ -134,6 +135,31 @@ def _other_limits(
             else "–",
         ]
         for factor in LIMITS
+    ]
+
+
+def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
+    """Return the default as the verdict has it; nothing before a verdict compares it."""
+    study, found = analysis.study, analysis.verdict.quantities
+    objective = study.objective.metric
+    means = [q.default for q in found if q.metric == objective and q.difference is not None]
+    largest = [q for q in found if q.metric == constraint.metric and q.limit == constraint.upper]
+    if not means or not largest or not np.isfinite([means[0], largest[0].default]).all():
+        return []
+    return [
+        Points(
+            x=[largest[0].default],
+            y=[means[0]],
+            name="default",
+            color=Color.INK,
+            marker=Marker.SQUARE,
+            size=10,
+            hover=[
+                f"default, in {analysis.verdict.evidence}\n"
+                f"mean {objective} {quantity(means[0], study.metrics[objective].unit)}\n"
+                f"{largest[0].label} {quantity(largest[0].default, largest[0].unit)}"
+            ],
+        )
     ]
 
 

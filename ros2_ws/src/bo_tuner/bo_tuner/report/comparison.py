@@ -1,0 +1,195 @@
+"""Several runs side by side: verdicts, parameters, numbers and convergence."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle, product
+
+from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.sections.convergence import incumbents
+from bo_tuner.study.parts import LOG
+from bo_tuner.verdict.verdict import Quantity, Status
+
+LINES = tuple(
+    product(
+        (Dash.SOLID, Dash.DASHED, Dash.DOTTED),
+        (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.INK),
+    )
+)
+"""Dash and colour of the lines of one run after the other."""
+
+MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
+
+
+def comparison(runs: Mapping[str, Analysis]) -> list[Section]:
+    """Compare runs.
+
+    Parameters
+    ----------
+    runs
+        At least two runs by the names that they have on the page.
+    """
+    return [_verdicts(runs), _parameters(runs), _numbers(runs), _convergence(runs)]
+
+
+def names(analyses: Sequence[Analysis]) -> list[str]:
+    """Return the names of the runs' folders; their paths if two folders have the same name."""
+    paths = [analysis.record.path.resolve() for analysis in analyses]
+    unique = len({path.name for path in paths}) == len(paths)
+    return [path.name if unique else str(path) for path in paths]
+
+
+def _verdicts(runs: Mapping[str, Analysis]) -> Section:
+    rows = []
+    for name, analysis in runs.items():
+        record, verdict = analysis.record, analysis.verdict
+        rows.append(
+            [
+                name,
+                MARKS[verdict.status] + verdict.headline,
+                "–" if verdict.trial is None else str(verdict.trial),
+                verdict.evidence,
+                analysis.study.name,
+                f"{record.algorithm}, {record.backend}, seed {record.study.seed}",
+                f"{len(record.trials)} of {analysis.study.budget.trials}",
+            ]
+        )
+    damaged = [f"{name}: {a.record.damage}" for name, a in runs.items() if a.record.damage]
+    return Section(
+        name="verdicts",
+        title="Verdicts",
+        lead="Each verdict is that of the run's own report, and rests on the draws of that run.",
+        tables=[
+            Table(
+                caption="The results",
+                header=["run", "verdict", "trial", "evidence", "study", "how", "trials"],
+                rows=rows,
+                numeric=[2, 6],
+            )
+        ],
+        notes=[f"The record is damaged: {damage}." for damage in damaged],
+    )
+
+
+def _parameters(runs: Mapping[str, Analysis]) -> Section:
+    rows: dict[str, None] = {}
+    for analysis in runs.values():
+        rows |= dict.fromkeys(analysis.study.parameters)
+
+    def cell(analysis: Analysis, name: str) -> str:
+        found = analysis.answer
+        if found is None or name not in found.parameters:
+            return "–"
+        return f"{number(found.parameters[name])} ({number(analysis.defaults[name])})"
+
+    units = {n: item.unit for a in runs.values() for n, item in a.study.parameters.items()}
+    return Section(
+        name="parameters",
+        title="Parameters",
+        lead="The result of each run, or its best so far; the default is in brackets.",
+        tables=[_side_by_side("Parameter sets", runs, {n: units[n] for n in rows}, cell)],
+    )
+
+
+def _numbers(runs: Mapping[str, Analysis]) -> Section:
+    found = {
+        id(analysis): {q.label: q for q in analysis.verdict.quantities}
+        for analysis in runs.values()
+    }
+    units = {label: q.unit for of_run in found.values() for label, q in of_run.items()}
+
+    def cell(analysis: Analysis, label: str) -> str:
+        quantity = found[id(analysis)].get(label)
+        return "–" if quantity is None else _in_words(quantity)
+
+    return Section(
+        name="numbers",
+        title="Numbers",
+        lead="The tuned value of each run, and what its verdict says of it against the run's "
+        "own default, which is in brackets.",
+        tables=[_side_by_side("Numbers of the verdicts", runs, units, cell)],
+        notes=[
+            "Runs with different seeds, budgets or studies draw different contexts and noise, so "
+            "part of the difference between two columns is chance. Only differences from the "
+            "default are measured in the same draws."
+        ],
+    )
+
+
+def _in_words(quantity: Quantity) -> str:
+    text = f"{number(quantity.tuned)} ({number(quantity.default)})"
+    if quantity.holds is not None:
+        text += f", limit {number(quantity.limit)} {'kept' if quantity.holds else 'NOT kept'}"
+    if quantity.difference is not None:
+        text += f", {quantity.change}"
+    return text
+
+
+def _side_by_side(
+    caption: str,
+    runs: Mapping[str, Analysis],
+    units: Mapping[str, str],
+    cell: Callable[[Analysis, str], str],
+) -> Table:
+    """Return a table with a column for each run, and a row for each name with its unit."""
+    return Table(
+        caption=caption,
+        header=["", *runs],
+        rows=[
+            [f"{name} [{unit}]" if unit else name, *(cell(a, name) for a in runs.values())]
+            for name, unit in units.items()
+        ],
+    )
+
+
+def _convergence(runs: Mapping[str, Analysis]) -> Section:
+    panels: dict[tuple[str, str], list[Line]] = {}
+    scales: dict[tuple[str, str], Scale] = {}
+    without = []
+    for (name, analysis), (dash, color) in zip(runs.items(), cycle(LINES), strict=False):
+        study = analysis.study
+        objective = study.objective.metric, study.metrics[study.objective.metric].unit
+        found = incumbents(analysis)
+        if not any(candidate.believed_feasible for _, candidate in found):
+            without.append(name)
+            continue
+        scales.setdefault(objective, Scale.LOG if study.objective.scale == LOG else Scale.LINEAR)
+        panels.setdefault(objective, []).append(
+            Line(
+                x=[float(k) for k, _ in found],
+                y=[c.objective if c.believed_feasible else math.nan for _, c in found],
+                name=name,
+                color=color,
+                dash=dash,
+                step=True,
+                hover=[f"{name}: trial {c.trial.number}" for _, c in found],
+            )
+        )
+    figure = Figure(
+        name="comparison",
+        title="The incumbent of each run",
+        caption="The parameter set that would be the result if the run ended there, by the "
+        "posterior mean of the run's own surrogate; a line begins where one is believed feasible.",
+        alternative="; ".join(
+            f"{line.name}: {number(float(line.y[-1]))} at the end"
+            for lines in panels.values()
+            for line in lines
+        ),
+        panels=[
+            Panel(
+                x=Axis(label="trial"),
+                y=Axis(label=f"mean {metric}", unit=unit, scale=scales[metric, unit]),
+                elements=lines,
+            )
+            for (metric, unit), lines in panels.items()
+        ],
+        columns=min(2, max(1, len(panels))),
+    )
+    return Section(
+        name="convergence",
+        title="Convergence",
+        lead="How soon each run found what it found, by its own models.",
+        figures=[figure] if panels else [],
+        notes=[f"{name}: no trial is believed feasible." for name in without],
+    )

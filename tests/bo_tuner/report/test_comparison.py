@@ -1,0 +1,91 @@
+"""Runs side by side: each run says on the page what its own report says."""
+
+import pytest
+
+from bo_tuner.cli import report as report_command
+from bo_tuner.interruption import Interruption
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.comparison import comparison, names
+from bo_tuner.report.content import number
+
+
+@pytest.fixture(scope="module")
+def both(analysis, axis_run):
+    """Two runs: one whose trials with large gains fail, and one that finds nothing feasible."""
+    never = {"kind": "worst_case", "metric": "peak", "upper": -1.0}
+    return [analysis, Analysis(axis_run(constraints={"never": never}))]
+
+
+@pytest.fixture(scope="module")
+def parts(both):
+    return {s.name: s for s in comparison(dict(zip(names(both), both, strict=True)))}
+
+
+def rows(section):
+    (table,) = section.tables
+    return {row[0]: row[1:] for row in table.rows}
+
+
+def test_the_verdicts_are_those_of_the_runs(both, parts):
+    found = rows(parts["verdicts"])
+    for name, analysis in zip(names(both), both, strict=True):
+        headline, trial, evidence, *_ = found[name]
+        assert headline.endswith(analysis.verdict.headline)
+        assert trial == str(analysis.verdict.trial)
+        assert evidence == analysis.verdict.evidence
+    good, bad = both
+    assert (good.verdict.feasible, bad.verdict.feasible) == (True, False)
+    assert found[names(both)[1]][0].startswith("✗ ")
+
+
+def test_parameters_and_numbers_stand_side_by_side(both, parts):
+    results = [number(analysis.answer.parameters["gain"]) for analysis in both]
+    ((name, values),) = rows(parts["parameters"]).items()
+    assert name.startswith("gain [")
+    assert values == [f"{result} (0.5)" for result in results]
+    (cells,) = [cells for name, cells in rows(parts["numbers"]).items() if "mean error" in name]
+    for cell, analysis in zip(cells, both, strict=True):
+        (quantity,) = [q for q in analysis.verdict.quantities if q.label == "mean error"]
+        assert cell.startswith(f"{number(quantity.tuned)} ({number(quantity.default)})")
+        assert cell.endswith(str(quantity.change))
+    assert any("NOT kept" in of_run[1] for of_run in rows(parts["numbers"]).values())
+
+
+def test_a_run_without_an_incumbent_is_named(both, parts):
+    (figure,) = parts["convergence"].figures
+    lines = [line.name for panel in figure.panels for line in panel.elements]
+    assert lines == names(both)[:1]
+    assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is believed feasible."]
+
+
+@pytest.fixture
+def report(capsys):
+    """Function that runs the command; returns its exit code, output and errors."""
+
+    def run(*arguments):
+        code = report_command.run([str(a) for a in arguments], Interruption())
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_the_command_writes_one_page_of_its_own(report, both, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = report(*(analysis.record.path for analysis in both))
+    assert (code, out, err) == (0, "report: comparison.html\n", "")
+    text = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    assert "2 runs side by side" in text
+    assert all(name in text for name in names(both))
+    assert "<img" not in text
+
+
+def test_each_run_that_cannot_be_read_is_one_line(report, tuned, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    code, out, err = report(tuned.path, "nowhere", "empty", tuned.path)
+    assert (code, out) == (2, "")
+    missing, empty, twice = err.splitlines()
+    assert missing == "error: nowhere: no such run folder"
+    assert empty == "error: empty: no run folder: it has no study.yaml"
+    assert twice == f"error: {tuned.path}: named twice; expected different runs"
+    assert not (tmp_path / "comparison.html").exists()
