@@ -1,7 +1,7 @@
 """One table per node for its parameters: type, range, unit and text in one line each.
 
 A node's parameters are the fields of a frozen dataclass. `parameter` attaches to a field what a
-user must know about it; `specifications` reads the table back (ROS descriptors and the README's
+user must know about it; `specifications` reads the table back (ROS descriptors and the documents'
 tables come from it) and `build` turns a mapping into a checked instance, or refuses it and names
 the value and the rule that it breaks. Rules between parameters belong in the dataclass's
 ``__post_init__``. The values themselves are data: `load_defaults` reads them from a ROS parameter

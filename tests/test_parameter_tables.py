@@ -1,4 +1,4 @@
-"""What the README says of parameters must be what the nodes declare."""
+"""What the documents say of parameters must be what the nodes declare."""
 
 import re
 from pathlib import Path
@@ -9,11 +9,11 @@ from feed_axis_common.parameters import specifications
 from milling_plant import settings as plant
 from mpc_controller import settings as controller
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+INTERFACES = (Path(__file__).parents[1] / "docs" / "interfaces.md").read_text(encoding="utf-8")
 
 
 def rows(node):
-    section = re.search(rf"<!-- parameters: {node} -->\n(.*?)<!-- end -->", README, re.DOTALL)
+    section = re.search(rf"<!-- parameters: {node} -->\n(.*?)<!-- end -->", INTERFACES, re.DOTALL)
     lines = section.group(1).splitlines()[2:]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
