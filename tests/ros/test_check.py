@@ -1,15 +1,11 @@
 """`tune --check` on running nodes: every mistake at once, then two runs of the default."""
 
 import json
-import os
-import threading
 
 import pytest
-import rclpy
 from commands import finish, start
+from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
@@ -41,25 +37,8 @@ class Servo(Node):
 
 @pytest.fixture(scope="module")
 def servo():
-    context = Context()
-    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    node = Servo(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stop = threading.Event()
-
-    def spin():
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    yield node
-    stop.set()
-    thread.join()
-    executor.shutdown()
-    node.destroy_node()
-    context.try_shutdown()
+    with at_work(Servo) as node:
+        yield node
 
 
 def study(tmp_path, **changes):

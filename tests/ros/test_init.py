@@ -1,17 +1,13 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
-import contextlib
 import os
 import pty
 import select
-import threading
 
 import pytest
-import rclpy
 from commands import environment, finish, run, start
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from node_threads import at_work
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, LaserScan
 from servo import System
@@ -25,32 +21,6 @@ from bo_tuner.study.signals import field_path
 from bo_tuner.study.study_file import load_study
 
 pytestmark = pytest.mark.ros
-
-
-@contextlib.contextmanager
-def at_work(make_node):
-    """A node in a thread."""
-    context = Context()
-    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    node = make_node(context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    stop = threading.Event()
-
-    def spin():
-        while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield node
-    finally:
-        stop.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
 
 
 @pytest.fixture(scope="module")

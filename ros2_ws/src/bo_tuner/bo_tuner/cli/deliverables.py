@@ -1,6 +1,5 @@
 """The files derived from a run's record: the report and the bundle."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +8,8 @@ from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
-from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.storage.run_folder import REPORT, SUMMARY, without_nan
+from bo_tuner.storage.run_folder import REPORT, SUMMARY, write_json
 from bo_tuner.tuning.summary import with_summary
 
 Tell = Callable[[str], None]
@@ -48,6 +46,5 @@ def _with_verdict(record: RunRecord) -> RunRecord:
     if all(record.summary.get(key) == value for key, value in current.items()):
         return record
     summary = {**record.summary, **current}
-    text = json.dumps(without_nan(summary), indent=2, allow_nan=False)
-    write_atomically(record.path / SUMMARY, text + "\n")
+    write_json(record.path / SUMMARY, summary)
     return replace(record, summary=summary)

@@ -197,8 +197,13 @@ class RunFolder:
             If the file cannot be written.
         """
         self.check()
-        text = json.dumps(without_nan(content), indent=2, allow_nan=False)
-        return write_atomically(self.path / name, text + "\n")
+        return write_json(self.path / name, content)
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> Path:
+    """Write a file as `RunFolder.write_json` does, of a folder that nobody holds open."""
+    text = json.dumps(without_nan(content), indent=2, allow_nan=False)
+    return write_atomically(path, text + "\n")
 
 
 def _check_latest(path: Path) -> None:

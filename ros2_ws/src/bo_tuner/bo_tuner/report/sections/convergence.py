@@ -95,7 +95,7 @@ def _objective(analysis: Analysis) -> Figure:
             elements=[
                 *_incumbent_lines(found, places),
                 *_default_line(analysis),
-                *_points(analysis, places, shown),
+                *trial_points(analysis, analysis.trials, places, shown),
             ],
         )
         for title, label, places in (
@@ -142,7 +142,7 @@ def _worst_case(analysis: Analysis) -> Figure:
                 y=Axis(label=f"worst {metric.name}", unit=metric.unit),
                 elements=[
                     Limit(value=constraint.upper, name="limit"),
-                    *_points(analysis, places, shown),
+                    *trial_points(analysis, analysis.trials, places, shown),
                 ],
             )
         ],
@@ -150,9 +150,10 @@ def _worst_case(analysis: Analysis) -> Figure:
     )
 
 
-def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
+def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array) -> list[Element]:
+    """Return a point for each trial at (x, y), by its outcome, and the mark of the result."""
     drawn: list[Element] = []
-    outcomes = np.array([analysis.outcome(trial) for trial in analysis.trials])
+    outcomes = np.array([analysis.outcome(trial) for trial in trials])
     for kind, (color, marker, filled) in LOOKS.items():
         chosen = np.flatnonzero(outcomes == kind)
         if len(chosen):
@@ -164,23 +165,23 @@ def _points(analysis: Analysis, x: Array, y: Array) -> list[Element]:
                     color=color,
                     marker=marker,
                     filled=filled,
-                    hover=[describe(analysis, analysis.trials[k]) for k in chosen],
+                    hover=[describe(analysis, trials[int(k)]) for k in chosen],
                 )
             )
     answer = analysis.answer
-    if answer is not None:
-        place = next(k for k, t in enumerate(analysis.trials) if t.number == answer.number)
-        drawn.append(
-            Points(
-                x=[x[place]],
-                y=[y[place]],
-                name="tuned",
-                color=Color.BLUE,
-                marker=Marker.STAR,
-                size=11,
-                hover=[describe(analysis, answer)],
+    for k, trial in enumerate(trials):
+        if answer is not None and trial.number == answer.number:
+            drawn.append(
+                Points(
+                    x=[x[k]],
+                    y=[y[k]],
+                    name="tuned",
+                    color=Color.BLUE,
+                    marker=Marker.STAR,
+                    size=11,
+                    hover=[describe(analysis, trial)],
+                )
             )
-        )
     return drawn
 
 

@@ -20,7 +20,7 @@ from bo_tuner.figures.figure import (
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, change, number, quantity
-from bo_tuner.report.sections.convergence import LOOKS, describe
+from bo_tuner.report.sections.convergence import trial_points
 from bo_tuner.study.parts import LOG, Constraint
 from bo_tuner.trials import Trial
 
@@ -79,7 +79,7 @@ def trade_off(analysis: Analysis) -> Section | None:
                                 hover=[f"front: trial {trials[k].number}" for k in front],
                             ),
                             *_default(analysis, constraint),
-                            *_points(analysis, trials, means, worst),
+                            *trial_points(analysis, trials, worst, means),
                         ],
                     )
                 ],
@@ -161,35 +161,3 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
             ],
         )
     ]
-
-
-def _points(analysis: Analysis, trials: list[Trial], means: Array, worst: Array) -> list[Element]:
-    outcomes = np.array([analysis.outcome(trial) for trial in trials])
-    drawn: list[Element] = [
-        Points(
-            x=worst[outcomes == kind],
-            y=means[outcomes == kind],
-            name=kind,
-            color=color,
-            marker=marker,
-            filled=filled,
-            hover=[describe(analysis, trials[k]) for k in np.flatnonzero(outcomes == kind)],
-        )
-        for kind, (color, marker, filled) in LOOKS.items()
-        if (outcomes == kind).any()
-    ]
-    answer = analysis.answer
-    for k, trial in enumerate(trials):
-        if answer is not None and trial.number == answer.number:
-            drawn.append(
-                Points(
-                    x=[worst[k]],
-                    y=[means[k]],
-                    name="tuned",
-                    color=Color.BLUE,
-                    marker=Marker.STAR,
-                    size=11,
-                    hover=[describe(analysis, trial)],
-                )
-            )
-    return drawn
