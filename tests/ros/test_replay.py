@@ -5,12 +5,9 @@ from collections import defaultdict
 from dataclasses import replace
 
 import pytest
+from bag_readers import READERS, with_rosbags
 from commands import finish, start
 from made_runs import Uninterrupted, make_run
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
@@ -40,20 +37,6 @@ def small_study(**plant_parameters):
     mapping = json.loads(json.dumps(study_to_mapping(study)))
     mapping["nodes"]["plant"]["parameters"] = plant_parameters
     return study_from_mapping(mapping)
-
-
-def with_rosbags(bag):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Reader(bag) as reader:
-        for connection, time, data in reader.messages():
-            yield connection.topic, time, store.deserialize_cdr(data, connection.msgtype)
-
-
-def with_mcap(bag):
-    with (bag / f"{bag.name}.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            yield channel.topic, message.log_time, decoded
 
 
 def in_process(parameters, evaluation):
@@ -130,7 +113,7 @@ def bag_of(record):
     return record.path / "replay" / f"trial_0001_evaluation_{evaluation.index:02d}"
 
 
-@pytest.mark.parametrize("read", [with_rosbags, with_mcap])
+@pytest.mark.parametrize("read", READERS)
 def test_default_and_tuned_run_side_by_side(attached, read):
     record, _, lines = attached
     bag = bag_of(record)

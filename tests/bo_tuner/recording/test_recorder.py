@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Reader
+from bag_readers import READERS, with_mcap, with_rosbags
 from rosbags.typesys import Stores, get_typestore
 
 from bo_tuner.recording import recorder as recorder_module
@@ -98,23 +96,6 @@ def record(recorder, trial, best=False, samples=50):
     recorder.trial(trial, best)
 
 
-def read_with_rosbags(bag):
-    with Reader(bag) as reader:
-        return [
-            (connection.topic, time, STORE.deserialize_cdr(data, connection.msgtype))
-            for connection, time, data in reader.messages()
-        ]
-
-
-def read_with_mcap(bag):
-    with (bag / f"{bag.name}.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [
-            (channel.topic, message.log_time, decoded)
-            for _, channel, message, decoded in reader.iter_decoded_messages()
-        ]
-
-
 @pytest.fixture
 def recorder(tmp_path, monkeypatch):
     """Function that makes a recorder of `tmp_path`; all are closed in the end."""
@@ -152,7 +133,7 @@ class TestTime:
 
 
 class TestBag:
-    @pytest.mark.parametrize("read", [read_with_rosbags, read_with_mcap])
+    @pytest.mark.parametrize("read", READERS)
     def test_two_independent_readers_get_what_was_written(self, recorder, tmp_path, read):
         trial = trial_of(7, evaluations=3)
         it = recorder()
@@ -203,7 +184,7 @@ class TestBag:
         record(it, replace(trial_of(0)), samples=50)
         summary = it.close()
         data = custom_data(tmp_path / "trial_0000")
-        kept = len(read_with_rosbags(tmp_path / "trial_0000"))
+        kept = len(with_rosbags(tmp_path / "trial_0000"))
         assert int(data["dropped_messages"]) == summary["dropped_messages"] == 51 - kept > 0
         assert data["lost_messages"] == "3"
         assert summary["lost_messages"] == 3
@@ -214,7 +195,7 @@ class TestBag:
             record(it, trial_of(3), samples=samples)
             bags = it.close()["bags"]
         assert bags == ["trial_0003", "trial_0003_part2"]
-        assert [len(read_with_rosbags(tmp_path / name)) for name in bags] == [11, 21]
+        assert [len(with_rosbags(tmp_path / name)) for name in bags] == [11, 21]
 
     def test_checks_and_validation_have_bags_of_their_own(self, recorder, tmp_path):
         it = recorder(Policy.NOTABLE)
@@ -230,7 +211,7 @@ class TestBag:
         it.phase_ended()
         names = ["trial_0003", "check_0003", "check_0001", "validation"]
         assert it.close()["bags"] == names
-        assert [len(read_with_mcap(tmp_path / name)) for name in names[1:]] == [2, 1, 2]
+        assert [len(with_mcap(tmp_path / name)) for name in names[1:]] == [2, 1, 2]
         data = [custom_data(tmp_path / name) for name in names]
         assert all(each["complete"] == "true" for each in data)
         assert [evaluation["stage"] for evaluation in json.loads(data[1]["evaluations"])] == [
@@ -346,7 +327,7 @@ class TestCutOff:
         (partial,) = partial_bags(tmp_path)
         bag = recover(partial)
         assert bag == tmp_path / "trial_0002"
-        assert len(read_with_rosbags(bag)) == len(read_with_mcap(bag)) == 120
+        assert len(with_rosbags(bag)) == len(with_mcap(bag)) == 120
         data = custom_data(bag)
         assert data["complete"] == "false"
         assert data["state"] == "interrupted"
@@ -359,7 +340,7 @@ class TestCutOff:
         (file,) = partial.rglob("*.mcap")
         data = file.read_bytes()
         file.write_bytes(data[:-cut_by])
-        found = read_with_rosbags(recover(partial))
+        found = with_rosbags(recover(partial))
         assert len(found) in (40, 80, 120)
         assert [m.velocity[0] for _, _, m in found] == [float(k % 40) for k in range(len(found))]
 
@@ -376,7 +357,7 @@ class TestCutOff:
         # The second one now claims to be longer than the file.
         data[chunks[1] + 1 : chunks[1] + 9] = b"\xff" * 8
         file.write_bytes(data)
-        assert len(read_with_rosbags(recover(partial))) == 40
+        assert len(with_rosbags(recover(partial))) == 40
 
     @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"garbage" * 50, None])
     def test_nothing_to_recover(self, tmp_path, content):
@@ -412,7 +393,7 @@ class TestCutOff:
         assert it.close()["incomplete"] == ["trial_0004"]
         data = custom_data(tmp_path / "trial_0004")
         assert data["state"] == "interrupted"
-        assert len(read_with_rosbags(tmp_path / "trial_0004")) == 1
+        assert len(with_rosbags(tmp_path / "trial_0004")) == 1
 
 
 class TestTrouble:

@@ -7,10 +7,8 @@ from math import nextafter
 import numpy as np
 import pytest
 from axis import node, write_axis
+from bag_readers import READERS, with_rosbags
 from made_runs import INITIAL, Uninterrupted, make_run
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Reader
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.protocol import SequentialBackend
@@ -323,19 +321,6 @@ def event(node):
     return EVENTS, bytes(STORE.serialize_cdr(message, EVENTS.type))
 
 
-def with_rosbags(bag):
-    with Reader(bag) as reader:
-        for connection, time, data in reader.messages():
-            yield connection.topic, time, STORE.deserialize_cdr(data, connection.msgtype)
-
-
-def with_mcap(bag):
-    with (bag / f"{bag.name}.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            yield channel.topic, message.log_time, decoded
-
-
 class TestSideBySide:
     SIDES = {  # noqa: RUF012
         "default": [event("/axis"), state(100.0, 1.0), state(100.5, 2.0)],
@@ -343,7 +328,7 @@ class TestSideBySide:
         "tuned": [event("/axis"), state(250.75, 3.0), state(251.75, 5.0), state(251.25, 4.0)],
     }
 
-    @pytest.mark.parametrize("read", [with_rosbags, with_mcap])
+    @pytest.mark.parametrize("read", READERS)
     def test_both_begin_at_the_same_time(self, tmp_path, read):
         bag = tmp_path / "replay" / "trial_0001_evaluation_02"
         assert write_side_by_side(bag, self.SIDES, {"seed": "7", "context": {"load": 1.5}})

@@ -6,22 +6,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
+from bag_readers import READERS
+from short_cuts import SHORT, small_study
 
 from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import custom_data
-from bo_tuner.study.study_file import load_study, study_to_mapping
 from bo_tuner.trials import TrialState
 from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
 
 pytestmark = pytest.mark.ros
 
-# Short cuts: their number makes the run, not their length.
-SHORT = {"samples_per_level": 10}
 SAMPLES = 60
 PERIOD = 20_000_000
 LOOP = {
@@ -31,37 +26,6 @@ LOOP = {
 }
 RESULTS = ("/x_axis/milling_plant/cut_result", "/x_axis/mpc_controller/cut_result")
 REFERENCE = "/x_axis/mpc_controller/joint_trajectory"
-
-
-def small_study(trials, **plant_parameters):
-    study = study_to_mapping(
-        load_study("benchmark").replace(
-            trials=trials,
-            initial_trials=trials,
-            drawn_contexts=2,
-            search_evaluations=2,
-            validation_draws=2,
-        )
-    )
-    study["nodes"]["plant"]["parameters"] = SHORT | plant_parameters
-    return json.loads(json.dumps(study))
-
-
-def with_rosbags(bag):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Reader(bag) as reader:
-        for connection, time, data in reader.messages():
-            yield connection.topic, time, store.deserialize_cdr(data, connection.msgtype)
-
-
-def with_mcap(bag):
-    with (bag / f"{bag.name}.mcap").open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            yield channel.topic, message.log_time, decoded
-
-
-READERS = pytest.mark.parametrize("read", [with_rosbags, with_mcap])
 
 
 class Tap:
@@ -107,7 +71,7 @@ def recorded(start_tune):
     return trials, [command.run_folder / "bags" / f"trial_{t.number:04d}" for t in trials]
 
 
-@READERS
+@pytest.mark.parametrize("read", READERS)
 def test_every_message_of_every_evaluation_is_there(recorded, read):
     trials, bags = recorded
     for trial, bag in zip(trials, bags, strict=True):
@@ -133,7 +97,7 @@ def test_every_message_of_every_evaluation_is_there(recorded, read):
         assert [e["seed"] for e in evaluations] == [e.seed for e in of_trial]
 
 
-@READERS
+@pytest.mark.parametrize("read", READERS)
 def test_values_are_those_of_the_evaluation_in_process_bit_for_bit(recorded, read):
     _, bags = recorded
     bag = bags[0]
@@ -157,7 +121,7 @@ def test_values_are_those_of_the_evaluation_in_process_bit_for_bit(recorded, rea
         )
 
 
-@READERS
+@pytest.mark.parametrize("read", READERS)
 def test_time_is_simulated_time_and_only_moves_on(recorded, read):
     _, bags = recorded
     for bag in bags:
@@ -186,7 +150,7 @@ def test_the_metadata_tells_the_trial(recorded):
             assert there["metrics"] == dict(here.outcome.metrics)
 
 
-@READERS
+@pytest.mark.parametrize("read", READERS)
 def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, read):
     command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
     bags = command.run_folder / "bags"

@@ -8,38 +8,22 @@ import sys
 from pathlib import Path
 
 import pytest
+from short_cuts import small_study
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
 
 NAMESPACE = "/x_axis"
-# Short cuts: their number makes the run, not their length.
-SHORT = {"samples_per_level": 10}
 NODES = ("milling_plant", "mpc_controller")
 TUNED_OR_SET = {
     "milling_plant": ["stiffness_factor", "damping_factor", "seed"],
     "mpc_controller": ["control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf"],
 }
-
-
-def small_study(trials, **plant_parameters):
-    """The benchmark with all trials in the initial design, which no measured time can change."""
-    study = study_to_mapping(
-        load_study("benchmark").replace(
-            trials=trials,
-            initial_trials=trials,
-            drawn_contexts=2,
-            search_evaluations=2,
-            validation_draws=2,
-        )
-    )
-    study["nodes"]["plant"]["parameters"] = SHORT | plant_parameters
-    return json.loads(json.dumps(study))
 
 
 @pytest.fixture(scope="module")
