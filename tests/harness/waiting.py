@@ -9,7 +9,7 @@ import signal
 import time
 from pathlib import Path
 
-DEADLINE = 100.0
+DEADLINE = 300.0
 
 
 def wait_until(condition, what, process=None, said=lambda: ""):

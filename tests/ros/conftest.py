@@ -203,7 +203,7 @@ class Peer:
         while len(futures) < 20:
             futures.append(client.call_async(request))
             # A late answer to an earlier request is as good.
-            if self._spin(lambda: any(f.done() for f in futures), DEADLINE / 20):
+            if self._spin(lambda: any(f.done() for f in futures), DEADLINE / 60):
                 answered = next(f for f in futures if f.done())
                 for future in futures:
                     client.remove_pending_request(future)

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import DEADLINE
 
 pytestmark = pytest.mark.ros
 
@@ -88,7 +89,7 @@ def test_nodes_that_still_import(ros_environment, tmp_path, package, module):
             assert node.stdout.readline() == "importing\n"
             for signum in signals:
                 node.send_signal(signum)
-            output, _ = node.communicate(timeout=30.0)
+            output, _ = node.communicate(timeout=DEADLINE)
         finally:
             node.kill()
             node.wait()

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 from commands import finish, python_path, start
-from waiting import wait_until
+from waiting import DEADLINE, wait_until
 
 from tuning_benchmark import command as command
 
@@ -82,14 +82,14 @@ def test_an_output_that_goes_away_leaves_the_records(benchmark, tmp_path, gone, 
     output = nowhere()
     process = benchmark("out", stderr=output)
     os.close(output)
-    process.communicate(timeout=100)
+    process.communicate(timeout=DEADLINE)
     assert process.returncode == code
     before = records_of(tmp_path / "out")
     assert before
     output = nowhere()
     process = benchmark("out", "--page-only", stdout=output)
     os.close(output)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == code
     assert "Traceback" not in err
     code_without, _, err = finish(benchmark("out", "--page-only"))

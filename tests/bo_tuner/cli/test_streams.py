@@ -8,7 +8,7 @@ import sys
 import pytest
 from axis import node, write_axis
 from commands import environment, finish, run, start
-from waiting import count_in, wait_until
+from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
@@ -100,7 +100,7 @@ def test_a_pipe_that_nobody_reads(runs, command, to_error):
     streams = {"stdout": writing} | ({"stderr": writing} if to_error else {})
     process = start(name, "runs/latest", *options, folder=runs, **streams)
     os.close(writing)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 128 + signal.SIGPIPE
     if not to_error:
         assert err.splitlines()[-1] == "error: nobody reads the output any more"
@@ -113,7 +113,7 @@ def test_a_tuner_that_nobody_listens_to_stops_with_its_record_whole(runs, tmp_pa
     command = (*TUNE[:-1], str(tmp_path / "unheard"))
     process = start(*command, folder=runs, stdout=writing)
     os.close(writing)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 128 + signal.SIGPIPE
     assert "Traceback" not in err
     code, _, err = run("tune", "--resume", tmp_path / "unheard" / "latest", folder=runs)
@@ -136,7 +136,7 @@ def test_a_full_device(runs, full, command, to_error):
     name, *options = command
     streams = {"stdout": full} | ({"stderr": full} if to_error else {})
     process = start(name, "runs/latest", *options, folder=runs, **streams)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
     if not to_error:
         assert err.splitlines()[-1] == FULL
@@ -148,7 +148,7 @@ def test_a_tuner_whose_output_is_full_stops_with_its_record_whole(runs, tmp_path
     command = (*TUNE[:-1], str(tmp_path / "unwritten"))
     streams = {"stdout": full} | ({"stderr": full} if to_error else {})
     process = start(*command, folder=runs, **streams)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
     if not to_error:
         assert err.splitlines()[-1] == FULL
@@ -171,13 +171,13 @@ def started(name, *arguments, folder, **streams):
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_help_that_cannot_be_written_is_not_given(runs, full, name, option):
     process = started(name, option, folder=runs, stdout=full)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert (process.returncode, err) == (1, f"{FULL}\n")
     reading, writing = os.pipe()
     os.close(reading)
     process = started(name, option, folder=runs, stdout=writing)
     os.close(writing)
-    _, err = process.communicate(timeout=100)
+    _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 128 + signal.SIGPIPE
     assert err == "error: nobody reads the output any more\n"
 

@@ -11,6 +11,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import bag_readers
 import numpy as np
 import pytest
 from bag_readers import READERS, with_mcap, with_rosbags
@@ -315,7 +316,7 @@ class TestCutOff:
     def test_a_killed_writer_loses_no_whole_evaluation(self, tmp_path):
         program = f"""
             import os, signal, sys
-            sys.path.insert(0, {str(Path(__file__).parent)!r})
+            sys.path[:0] = {[str(Path(file).parent) for file in (__file__, bag_readers.__file__)]}
             from pathlib import Path
             from test_recorder import TestCutOff
             bag = TestCutOff().write(Path({str(tmp_path)!r}))

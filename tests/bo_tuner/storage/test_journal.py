@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -185,14 +186,71 @@ class TestDurability:
         monkeypatch.setattr(bo_tuner.storage.journal, "checksum", lambda row: None)
         with pytest.raises(JournalError, match="NOT NULL"):
             Journal(path, {})
-        database = sqlite3.connect(path)
-        try:
-            assert database.execute("PRAGMA user_version").fetchone() == (0,)
-            assert database.execute("SELECT * FROM sqlite_master").fetchall() == []
-        finally:
-            database.close()
-        with pytest.raises(JournalError, match="version 0"):
-            Journal(path, {})
+        assert list(tmp_path.iterdir()) == []
+
+    # Ends the process before its n-th step on the file system, for each n in turn.
+    KILLED_AT_EACH_STEP = """if True:
+        import os, shutil, sys
+        from pathlib import Path
+        from bo_tuner.storage.journal import Journal
+        from bo_tuner.storage.journal_reader import read_journal, salvage
+        STEPS = {"open", "os.rename", "os.remove", "sqlite3.connect"}
+        folder, again = Path(sys.argv[1]), Path(sys.argv[2])
+        step = ended = 0
+        while not ended:
+            shutil.rmtree(again, ignore_errors=True)
+            shutil.copytree(folder, again)
+            path = again / "journal.sqlite"
+            if (child := os.fork()) == 0:
+                left = step
+                def count(event, arguments):
+                    global left
+                    if event in STEPS and str(again) in str(arguments[0]):
+                        left -= 1
+                        if left < 0:
+                            os._exit(9)
+                sys.addaudithook(count)
+                CHANGE
+                os._exit(0)
+            ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+            CHECK
+            step += 1
+        print(step)
+    """
+
+    def steps(self, tmp_path, change, check):
+        code = self.KILLED_AT_EACH_STEP.replace("CHANGE", change).replace("CHECK", check)
+        command = [sys.executable, "-c", code, tmp_path / "run", tmp_path / "again"]
+        return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+    def test_killed_while_it_is_made(self, tmp_path):
+        (tmp_path / "run").mkdir()
+        made = "Journal(path, {'seed': '1'}).close()"
+        assert self.steps(tmp_path, made, f"{made}; read_journal(path)") >= 5
+
+    def test_killed_while_it_is_made_whole(self, tmp_path):
+        path = tmp_path / "run" / "journal.sqlite"
+        made = tmp_path / "made"
+        made.mkdir()
+        trials = [trial(number, [evaluation(number)]) for number in range(100)]
+        with Journal(made / path.name, {"seed": "1"}, trials) as journal:
+            # In the write-ahead log when its writer is killed.
+            record(journal, trial(100, [evaluation(100)]))
+            shutil.copytree(made, path.parent)
+        data = path.read_bytes()
+        # In a page that the log has no newer version of.
+        place = data.index(b'{"error": 0.', len(data) // 2) + 12
+        path.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
+        expected = read_journal(path)
+        assert path.with_name("journal.sqlite-wal").exists()
+        assert expected.damage
+        count = len(expected.evaluations)
+        assert 10 < count < 100
+        check = (
+            f"found, _ = salvage(path); assert len(found.evaluations) == {count}, step; "
+            "assert not read_journal(path).damage"
+        )
+        assert self.steps(tmp_path, "salvage(path)", check) >= 5
 
 
 class TestRefusals:

@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from bo_tuner.errors import JournalError
+from bo_tuner.storage.atomic import synchronize, temporary_path
 from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
@@ -87,13 +88,22 @@ class Journal:
         self._path = path
         check_rollback(path)
         new = not path.exists()
+        if new:
+            evaluations = [evaluation for trial in trials for evaluation in trial.evaluations]
+            create_journal(path, [provenance], evaluations, trials)
         try:
             self._db = sqlite3.connect(path, isolation_level=None)
         except sqlite3.Error as error:
             raise JournalError(f"{path}: {error}") from error
         try:
             harden(self._db)
-            self._open(new, (json.dumps(dict(provenance)),), trials)
+            self._db.execute("PRAGMA journal_mode = WAL")
+            self._db.execute("PRAGMA synchronous = FULL")
+            (version,) = self._db.execute("PRAGMA user_version").fetchone()
+            check_version(path, version)
+            check_schema(path, self._db)
+            if not new:
+                _insert(self._db, "session", (json.dumps(dict(provenance)),))
             self._identity = path.stat()
         except (sqlite3.Error, FileNotFoundError) as error:
             self.close()
@@ -117,45 +127,11 @@ class Journal:
 
     def record_evaluation(self, evaluation: Evaluation) -> None:
         """Append an evaluation."""
-        self._check_file()
-        self._insert_evaluation(evaluation)
-
-    def _insert_evaluation(self, evaluation: Evaluation) -> None:
-        outcome = evaluation.outcome
-        row = (
-            evaluation.trial,
-            evaluation.index,
-            str(evaluation.stage),
-            json.dumps(dict(evaluation.parameters)),
-            json.dumps(dict(evaluation.context)),
-            evaluation.seed,
-            str(outcome.state),
-            _storable(outcome.reason),
-            json.dumps(dict(outcome.metrics)),
-            json.dumps(dict(outcome.details)),
-            float(evaluation.seconds),
-        )
-        self._insert("evaluation", row)
+        self._record("evaluation", _evaluation_row(evaluation))
 
     def record_trial(self, trial: Trial) -> None:
         """Append a trial whose evaluations were recorded before."""
-        self._check_file()
-        self._insert_trial(trial)
-
-    def _insert_trial(self, trial: Trial) -> None:
-        row = (
-            trial.number,
-            json.dumps(dict(trial.parameters)),
-            trial.origin,
-            str(trial.state),
-            _storable(trial.reason),
-            json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
-            json.dumps(trial.warnings),
-            json.dumps(dict(trial.hyperparameters)),
-            len(trial.evaluations),
-            float(trial.seconds),
-        )
-        self._insert("trial", row)
+        self._record("trial", _trial_row(trial))
 
     def count_evaluations(self) -> int:
         """Return the number of evaluations on record, those of earlier sessions included."""
@@ -168,38 +144,98 @@ class Journal:
             self._db.execute("PRAGMA journal_mode = DELETE")
         self._db.close()
 
-    def _open(self, new: bool, session: tuple[str], trials: Sequence[Trial]) -> None:
-        self._db.execute("PRAGMA journal_mode = WAL")
-        self._db.execute("PRAGMA synchronous = FULL")
-        if new:
-            # One transaction: a kill in between must not leave a journal without a version.
-            self._db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA_VERSION}; {SCHEMA}")
-        else:
-            (version,) = self._db.execute("PRAGMA user_version").fetchone()
-            check_version(self._path, version)
-            check_schema(self._path, self._db)
-        self._insert("session", session)
-        if new:
-            for trial in trials:
-                for evaluation in trial.evaluations:
-                    self._insert_evaluation(evaluation)
-                self._insert_trial(trial)
-            self._db.execute("COMMIT")
-
-    def _check_file(self) -> None:
+    def _record(self, table: str, row: tuple[object, ...]) -> None:
         # SQLite would write to a file that nobody can open any more.
         if not is_same_file(self._path, self._identity):
             raise JournalError(f"{self._path}: was deleted, moved or replaced during the run")
-
-    def _insert(self, table: str, row: tuple[object, ...]) -> None:
-        marks = ", ".join("?" * (len(row) + 1))
-        columns = ", ".join((*COLUMNS[table], "checksum"))
         try:
-            self._db.execute(
-                f"INSERT INTO {table} ({columns}) VALUES ({marks})", (*row, checksum(row))
-            )
+            _insert(self._db, table, row)
         except sqlite3.Error as error:
             raise JournalError(f"{self._path}: {error}") from error
+
+
+def create_journal(
+    path: Path,
+    sessions: Sequence[Mapping[str, str]],
+    evaluations: Sequence[Evaluation] = (),
+    trials: Sequence[Trial] = (),
+) -> None:
+    """Write a journal in one step: a kill leaves the whole of it or nothing.
+
+    Parameters
+    ----------
+    path
+        The file; what is there is replaced.
+    sessions
+        Provenance of each process that worked on the run.
+    evaluations, trials
+        What it begins with.
+
+    Raises
+    ------
+    JournalError
+        If it cannot be written.
+    """
+    beside = temporary_path(path)
+    try:
+        beside.unlink(missing_ok=True)
+        with contextlib.closing(sqlite3.connect(beside, isolation_level=None)) as db:
+            # A file that is not finished is thrown away, so nothing will be rolled back.
+            db.execute("PRAGMA journal_mode = MEMORY")
+            db.execute("PRAGMA synchronous = FULL")
+            db.executescript(f"BEGIN; PRAGMA user_version = {SCHEMA_VERSION}; {SCHEMA}")
+            for provenance in sessions:
+                _insert(db, "session", (json.dumps(dict(provenance)),))
+            for evaluation in evaluations:
+                _insert(db, "evaluation", _evaluation_row(evaluation))
+            for trial in trials:
+                _insert(db, "trial", _trial_row(trial))
+            db.execute("COMMIT")
+        beside.replace(path)
+        synchronize(path.parent)
+    except (sqlite3.Error, OSError) as error:
+        raise JournalError(f"{path}: {error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
+    outcome = evaluation.outcome
+    return (
+        evaluation.trial,
+        evaluation.index,
+        str(evaluation.stage),
+        json.dumps(dict(evaluation.parameters)),
+        json.dumps(dict(evaluation.context)),
+        evaluation.seed,
+        str(outcome.state),
+        _storable(outcome.reason),
+        json.dumps(dict(outcome.metrics)),
+        json.dumps(dict(outcome.details)),
+        float(evaluation.seconds),
+    )
+
+
+def _trial_row(trial: Trial) -> tuple[object, ...]:
+    return (
+        trial.number,
+        json.dumps(dict(trial.parameters)),
+        trial.origin,
+        str(trial.state),
+        _storable(trial.reason),
+        json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
+        json.dumps(trial.warnings),
+        json.dumps(dict(trial.hyperparameters)),
+        len(trial.evaluations),
+        float(trial.seconds),
+    )
+
+
+def _insert(db: sqlite3.Connection, table: str, row: tuple[object, ...]) -> None:
+    marks = ", ".join("?" * (len(row) + 1))
+    columns = ", ".join((*COLUMNS[table], "checksum"))
+    db.execute(f"INSERT INTO {table} ({columns}) VALUES ({marks})", (*row, checksum(row)))
 
 
 def checksum(row: Sequence[object]) -> int:

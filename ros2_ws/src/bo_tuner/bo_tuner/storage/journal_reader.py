@@ -16,14 +16,14 @@ from pathlib import Path
 
 from bo_tuner.errors import JournalError
 from bo_tuner.storage import rows
-from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.atomic import synchronize, write_atomically
 from bo_tuner.storage.journal import (
     COLUMNS,
-    Journal,
     check_rollback,
     check_schema,
     check_version,
     checksum,
+    create_journal,
     harden,
 )
 from bo_tuner.study import maxima
@@ -126,6 +126,7 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     JournalError
         As in `read_journal`, or if the new journal cannot be written.
     """
+    _finish_replacement(path)
     content = read_journal(path)
     used = (
         f"everything before it is used ({len(content.trials)} trials, "
@@ -134,16 +135,11 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     if not content.damage:
         lost = _lost_commits(path)
         return content, f"{lost}; {used}" if lost else ""
-    kept = _set_aside(path)
+    kept = _keep_damaged(path)
     sessions = content.sessions or ({},)
-    for provenance in sessions:
-        with Journal(path, provenance):
-            pass
-    with Journal(path, dict(sessions[-1]) | {"salvaged_from": kept.name}) as journal:
-        for evaluation in content.evaluations:
-            journal.record_evaluation(evaluation)
-        for trial in content.trials:
-            journal.record_trial(trial)
+    session = dict(sessions[-1]) | {"salvaged_from": kept.name}
+    create_journal(_whole(path), (*sessions, session), content.evaluations, content.trials)
+    _finish_replacement(path)
     return content, f"{content.damage}; {used}, the damaged file is kept as {kept.name}"
 
 
@@ -270,18 +266,43 @@ def _lost_commits(path: Path) -> str:
     return ""
 
 
-def _set_aside(path: Path) -> Path:
+def _whole(path: Path) -> Path:
+    """Return where the journal stands that is about to take the place of a damaged one."""
+    return path.with_name(f"{path.stem}.whole{path.suffix}")
+
+
+def _keep_damaged(path: Path) -> Path:
+    """Copy a journal and its log, and return the copy's path."""
     number = 1
     while (kept := path.with_name(f"{path.stem}.damaged-{number}{path.suffix}")).exists():
         number += 1
     try:
-        for suffix in ("", "-wal", "-shm"):
+        # The journal last: a copy that a kill has cut short is made again.
+        for suffix in ("-wal", ""):
             file = path.with_name(path.name + suffix)
             if file.exists():
-                file.rename(kept.with_name(kept.name + suffix))
+                write_atomically(kept.with_name(kept.name + suffix), file.read_bytes())
     except OSError as error:
-        raise JournalError(f"{path}: cannot be set aside: {error.strerror}") from error
+        raise JournalError(f"{path}: cannot be copied: {error.strerror}") from error
     return kept
+
+
+def _finish_replacement(path: Path) -> None:
+    """Put a journal that was made whole into its place; also one that a kill has left beside.
+
+    The log goes first: SQLite would add the commits of the damaged journal to the new one.
+    """
+    whole = _whole(path)
+    if not whole.exists():
+        return
+    try:
+        for suffix in ("-wal", "-shm"):
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        synchronize(path.parent)
+        whole.replace(path)
+        synchronize(path.parent)
+    except OSError as error:
+        raise JournalError(f"{path}: cannot be replaced: {error.strerror}") from error
 
 
 def _flat(row: Mapping[str, object]) -> dict[str, object]:
