@@ -102,14 +102,14 @@ def make_trial(number, parameters, errors=(), worst=0.5, noise=0.0):
             )
         ]
         return Trial(number, parameters, "", TrialState.FAILED, "axis: stalled", tuple(evaluations))
-    worst_case = WorstCase(worst, {"load": 1.5}, worst, noise)
+    worst_cases = {"peak": WorstCase(worst, {"load": 1.5}, worst, noise)}
     return Trial(
         number,
         parameters,
         "",
         TrialState.COMPLETE,
         evaluations=tuple(evaluations),
-        worst_case=worst_case,
+        worst_cases=worst_cases,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.certificate.context_tolerance import CREDIBLE, context_tolerance
+from bo_tuner.certificate.context_tolerance import CREDIBLE, context_tolerances
 from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.kernel import latent_covariance
@@ -46,6 +46,13 @@ def evaluations_of(study, function, count=40, noise=0.0, seed=0):
     return evaluations
 
 
+def tolerance_of(study, evaluations):
+    """Of the only worst-case constraint; None if it is not known."""
+    found = context_tolerances(study, evaluations)
+    assert len(found) <= 1
+    return found[0] if found else None
+
+
 def by_name(tolerance):
     return {variable.name: variable for variable in tolerance.variables}
 
@@ -56,7 +63,7 @@ class TestDrift:
     def test_a_line(self, make_study):
         """0.5 + 0.4 (load - 1) + 0.6 (wear - 0.5) breaks at load 2.25, and wear 1.33 alone."""
         study = plane(make_study, load=UNIFORM | {"bounds": [-1.0, 3.0]})
-        found = context_tolerance(
+        found = tolerance_of(
             study,
             evaluations_of(study, lambda load, wear: 0.5 + 0.4 * (load - 1) + 0.6 * (wear - 0.5)),
         )
@@ -83,7 +90,7 @@ class TestDrift:
     def test_a_curve_downwards(self, make_study):
         """0.2 + 2 (wear - 0.5)^2 + 1.2 (1 - load)^2 below 1: load may fall to 1 - sqrt(2/3)."""
         study = plane(make_study)
-        found = context_tolerance(
+        found = tolerance_of(
             study,
             evaluations_of(
                 study, lambda load, wear: 0.2 + 2 * (wear - 0.5) ** 2 + 1.2 * (1 - load) ** 2, 60
@@ -102,7 +109,7 @@ class TestDrift:
             evaluations = evaluations_of(
                 study, lambda load, wear: 0.6 + 0.8 * (load - 1), 25, 0.1, seed
             )
-            band = by_name(context_tolerance(study, evaluations))["load"].up.limit
+            band = by_name(tolerance_of(study, evaluations))["load"].up.limit
             held += band.low <= 1.5 <= band.high
         # Fewer would come about by chance once in a thousand times if it held it in 80 %.
         assert held >= stats.binom.ppf(1e-3, runs, CREDIBLE - 0.1)
@@ -114,7 +121,7 @@ class TestDrift:
             evaluations = evaluations_of(
                 study, lambda load, wear: 0.6 + 0.8 * (load - 1), count, 0.1
             )
-            band = by_name(context_tolerance(study, evaluations))["load"].up.limit
+            band = by_name(tolerance_of(study, evaluations))["load"].up.limit
             widths.append(band.high - band.low)
         assert widths[1] < 0.6 * widths[0]
 
@@ -123,11 +130,11 @@ class TestDrift:
         study = plane(make_study)
         evaluations = evaluations_of(study, lambda load, wear: 0.7, 200, 0.2)
         assert max(evaluation.outcome.metrics["peak"] for evaluation in evaluations) > LIMIT
-        found = context_tolerance(study, evaluations)
+        found = tolerance_of(study, evaluations)
         assert all(v.up.breaks < 0.05 and v.down.breaks < 0.05 for v in found.variables)
 
     def test_a_metric_that_never_changes(self, make_study):
-        found = context_tolerance(
+        found = tolerance_of(
             plane(make_study), evaluations_of(plane(make_study), lambda load, wear: 0.0)
         )
         assert found.worst.median == pytest.approx(0.0, abs=1e-3)
@@ -141,14 +148,14 @@ class TestDrift:
             "probabilities": [0.2, 0.4, 0.2, 0.2],
         }
         study = plane(make_study, load=tool)
-        found = context_tolerance(study, evaluations_of(study, lambda load, wear: 0.15 * load))
+        found = tolerance_of(study, evaluations_of(study, lambda load, wear: 0.15 * load))
         up = by_name(found)["load"].up
         assert (up.bound, up.limit.low, up.limit.median, up.limit.high) == (8.0, 5.0, 5.0, 5.0)
         assert by_name(found)["load"].down.limit.median == 1.0
 
     def test_a_nominal_value_at_its_bound(self, make_study):
         study = plane(make_study, wear=UNIFORM | {"bounds": [0.0, 1.0], "nominal": 0.0})
-        found = context_tolerance(study, evaluations_of(study, lambda load, wear: 0.5 + wear))
+        found = tolerance_of(study, evaluations_of(study, lambda load, wear: 0.5 + wear))
         wear = by_name(found)["wear"]
         assert wear.down.limit.median == wear.down.bound == 0.0
         assert wear.down.breaks == 0.0
@@ -156,14 +163,13 @@ class TestDrift:
 
     def test_nothing_to_tell(self, make_study):
         study = plane(make_study)
-        assert context_tolerance(study, []) is None
-        assert context_tolerance(study, evaluations_of(study, lambda load, wear: load, 4)) is None
+        assert tolerance_of(study, []) is None
+        assert tolerance_of(study, evaluations_of(study, lambda load, wear: load, 4)) is None
         assert (
-            context_tolerance(make_study(contexts={}), [make_evaluation({}) for _ in range(9)])
-            is None
+            tolerance_of(make_study(contexts={}), [make_evaluation({}) for _ in range(9)]) is None
         )
         free = make_study(contexts=None, constraints={})
-        assert context_tolerance(free, [make_evaluation({}) for _ in range(9)]) is None
+        assert tolerance_of(free, [make_evaluation({}) for _ in range(9)]) is None
 
     def test_failed_evaluations_are_left_out(self, make_study):
         study = plane(make_study)
@@ -171,9 +177,7 @@ class TestDrift:
         failed = [
             Evaluation(0, 0, Stage.SEARCH, {}, evaluation.context, 0) for evaluation in evaluations
         ]
-        assert context_tolerance(study, [*failed, *evaluations]) == context_tolerance(
-            study, evaluations
-        )
+        assert tolerance_of(study, [*failed, *evaluations]) == tolerance_of(study, evaluations)
 
 
 def make_evaluation(context):
@@ -212,7 +216,7 @@ def trial(number, parameters, objective, worst):
     )
     return Trial(
         number, parameters, "", TrialState.COMPLETE, evaluations=evaluations,
-        worst_case=WorstCase(worst, context, worst),
+        worst_cases={"overshoot": WorstCase(worst, context, worst)},
     )  # fmt: skip
 
 

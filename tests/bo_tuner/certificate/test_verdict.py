@@ -104,7 +104,7 @@ class TestWorstCase:
         values = np.random.default_rng(1).permutation(normal(30, 0.9, 0.1)).tolist()
         found = judge(make_study(), evidence([0.5] * 100, [values]), 0.95)
         (worst,) = found.constraints[0].worst
-        assert worst.above > 0
+        assert worst.beyond > 0
         assert found.passed
         # Wider than the interval for a number of values that was fixed before.
         fixed = stats.ttest_1samp(values, 0, alternative="less").confidence_interval(0.95).high
@@ -194,7 +194,7 @@ class TestFailures:
         found = judge(make_study(), evidence([None] * 5, [[None, None]]), 0.95)
         assert not found.passed
         assert math.isnan(found.objective.value)
-        assert math.isnan(found.constraints[0].largest)
+        assert math.isnan(found.constraints[0].extreme)
 
     def test_three_lost_in_a_row_end_it(self, make_study, function_backend, failed):
         study = make_study()

@@ -68,7 +68,7 @@ def test_a_run_begins_with_the_trials_of_an_earlier_one(commands, earlier):
     folder = str(earlier.path.resolve())
     carried, new = record.trials[:-2], record.trials[-2:]
     assert [t.parameters for t in carried] == [t.parameters for t in earlier.trials]
-    assert [t.worst_case for t in carried] == [t.worst_case for t in earlier.trials]
+    assert [t.worst_cases for t in carried] == [t.worst_cases for t in earlier.trials]
     assert carried[0].origin == f"default (from {folder})"
     assert all(e.outcome.details["from"] == folder for t in carried for e in t.evaluations)
     metrics = [e.outcome.metrics for t in earlier.trials for e in t.evaluations]

@@ -144,7 +144,9 @@ def test_what_is_not_a_number_becomes_null(make_study, make_trial):
     lines = JsonLines(study, status, out)
     trial = make_trial(0, {"gain": float("inf")}, [1.0])
     trial = dataclasses.replace(
-        trial, worst_case=WorstCase(float("nan"), {"load": float("-inf")}, 0.5), warnings=("ü\n",)
+        trial,
+        worst_cases={"peak": WorstCase(float("nan"), {"load": float("-inf")}, 0.5)},
+        warnings=("ü\n",),
     )
     before = time.time()
     lines.begin(Phase.TUNING, 5)
@@ -154,7 +156,8 @@ def test_what_is_not_a_number_becomes_null(make_study, make_trial):
     phase, told, advice, pause = [strict(line) for line in out.getvalue().splitlines()]
     assert before <= phase["time"] <= time.time()
     assert told["parameters"] == {"gain": None}
-    assert told["worst_case"]["value"] is told["worst_case"]["context"]["load"] is None
+    assert told["worst_cases"]["peak"]["value"] is None
+    assert told["worst_cases"]["peak"]["context"]["load"] is None
     assert told["incumbent"] is told["overhead"] is None
     assert told["warnings"] == ["ü\n"]
     assert (advice["expected_gain"], advice["noise"]) == (None, 0.5)

@@ -82,7 +82,7 @@ def trial_of(number, worst=0.05, state=TrialState.COMPLETE, evaluations=1):
         state,
         "" if state is TrialState.COMPLETE else "stalled",
         tuple(evaluation_of(number, k) for k in range(evaluations)),
-        WorstCase(worst, CONTEXT, worst) if state is TrialState.COMPLETE else None,
+        {"overshoot": WorstCase(worst, CONTEXT, worst)} if state is TrialState.COMPLETE else {},
     )
 
 

@@ -171,7 +171,7 @@ class TestChoice:
         assert find_trial(unfinished, "best") in [trial.number for trial in complete(record)]
 
     def test_worst_has_the_largest_worst_case(self, record):
-        worst = {trial.number: trial.worst_case.value for trial in complete(record)}
+        worst = {trial.number: trial.worst_cases["peak"].value for trial in complete(record)}
         assert find_trial(record, "worst") == max(worst, key=worst.get)
 
     def test_both_ways_to_name_a_trial(self, record, capsys):

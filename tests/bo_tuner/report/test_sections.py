@@ -60,7 +60,7 @@ def test_every_trial_is_a_point_of_its_kind(analysis):
             assert places[number] == Outcome.OUTLIER
         else:
             # The worst load is 2, so the peak is 4 gain at most.
-            worst = trial.worst_case.value
+            worst = trial.worst_cases["peak"].value
             assert places[number] == (Outcome.VIOLATES if worst > 1.0 else Outcome.WITHIN)
     assert len(places) == len(analysis.record.trials)
 

@@ -84,7 +84,7 @@ class TestRoundTrip:
             parameters=parameters,
             state=TrialState.FAILED,
             reason=reason,
-            worst_case=worst,
+            worst_cases={} if worst is None else {"peak": worst},
             warnings=warnings,
         )
         path = tmp_path_factory.mktemp("journal") / "journal.sqlite"
@@ -106,7 +106,7 @@ class TestRoundTrip:
         """An earlier version recorded whatever is a finite number."""
         outcome = Outcome(EvaluationState.COMPLETE, {"error": value}, "", {})
         diverged = trial(1, [evaluation(1, 0), evaluation(1, 1, outcome=outcome)],
-                         worst_case=WorstCase(1e300, {}, 1e300))  # fmt: skip
+                         worst_cases={"peak": WorstCase(1e300, {}, 1e300)})  # fmt: skip
         path = tmp_path / "journal.sqlite"
         with Journal(path, {}) as journal:
             record(journal, trial(0, [evaluation()]), diverged)
@@ -116,7 +116,7 @@ class TestRoundTrip:
         assert first.state is TrialState.COMPLETE
         assert second.state is TrialState.FAILED
         assert second.reason.startswith("metric error is ")
-        assert second.worst_case is None
+        assert not second.worst_cases
         assert second.evaluations[1].outcome.metrics == {}
         assert second.evaluations[0] == evaluation(1, 0)
 
@@ -125,7 +125,7 @@ class TestRoundTrip:
             {"load": 1.25} if field.name == "context" else 0.5 + k
             for k, field in enumerate(dataclasses.fields(WorstCase))
         ]
-        recorded = trial(worst_case=WorstCase(*values))
+        recorded = trial(worst_cases={"peak": WorstCase(*values)})
         with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
             assert read_journal(tmp_path / "j").trials == (recorded,)
@@ -296,7 +296,7 @@ class TestTables:
         recorded = trial(
             evaluations=[evaluation(parameters=parameters, context=context, outcome=outcome)],
             parameters=parameters,
-            worst_case=WorstCase(8.0, {"state": 4.0}, 9.0),
+            worst_cases={"peak": WorstCase(8.0, {"state": 4.0}, 9.0)},
         )
         with Journal(tmp_path / "j", {}) as journal:
             record(journal, recorded)
@@ -315,7 +315,7 @@ class TestTables:
         }
         assert expected.items() <= of_evaluation.items()
         (of_trial,) = rows(tmp_path / "trials.csv")
-        assert of_trial["worst_case.value"] == "8.0"
+        assert of_trial["worst_cases.peak.value"] == "8.0"
         assert of_trial["parameters.gain"] == "6.0"
 
     def test_doubles_read_back_bit_for_bit(self, tmp_path):

@@ -67,8 +67,7 @@ class TestShippedStudies:
         (real_time,) = study.chance_constraints
         assert real_time.probability == 0.96
         assert study.metrics[real_time.metric].key == "return_time_p99"
-        worst = study.worst_case_constraint
-        assert worst is not None
+        (worst,) = study.worst_case_constraints
         assert (worst.metric, worst.upper) == ("overshoot", 0.09)
         assert (study.objective.metric, study.objective.scale) == ("tracking_error", "log")
         assert study.nodes["controller"].inprocess_parameters == {"return_time": "modelled"}
@@ -100,7 +99,7 @@ class TestReading:
             del changed[key]
         study = study_from_mapping(changed)
         assert study.context_space().dimension == 0
-        assert study.worst_case_constraint is None
+        assert study.worst_case_constraints == ()
         assert study.chance_constraints == ()
         assert study == study_from_mapping(
             changed | {"contexts": {}, "constraints": {}, "order": []}

@@ -31,7 +31,8 @@ class TestRefusedTypes:
     @pytest.mark.parametrize(
         ("value", "found"),
         [
-            *NUMBERS_REFUSED,
+            # A limit that is nothing is none: one of two may be left out.
+            *(item for item in NUMBERS_REFUSED if item[0] is not None),
             (math.nan, "found nan"),
             (math.inf, "found inf"),
             (-math.inf, "found -inf"),
@@ -191,12 +192,6 @@ class TestRefusedValues:
                 {"kind": "chance", "metric": "peak", "upper": 3},
                 "constraints.current.probability: missing; a chance constraint needs one, such as "
                 "0.96",
-            ),
-            (
-                "constraints/second",
-                {"kind": "worst_case", "metric": "error", "upper": 1},
-                "constraints.second.kind: 'worst' is already a worst_case constraint; expected "
-                "at most one",
             ),
             (
                 "order",

@@ -82,7 +82,7 @@ def test_confirmation_validation_and_record_judge_the_same_values_alike(
     outcomes = [Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": p}) for p in peaks]
     whole = [replace(e, outcome=o) for e, o in zip(drawn, outcomes, strict=True)]
     trial = replace(make_trial(0, {"gain": 0.5}, [1.0]), evaluations=tuple(whole[:10]))
-    trial = replace(trial, worst_case=None)
+    trial = replace(trial, worst_cases={})
     check = [replace(e, stage=Stage.CHECK_DRAWN) for e in whole[10:]]
     extended, confirmed = with_check(study, trial, check)
     assert confirmed
@@ -126,8 +126,8 @@ def test_a_check_that_broke_off_changes_no_worst_case(make_study, make_trial, co
     broken = [*check[:completed], replace(check[completed], outcome=failed)]
     extended, holds = with_check(study, trial, broken)
     assert not holds
-    assert extended.worst_case == trial.worst_case
+    assert extended.worst_cases == trial.worst_cases
     whole, holds = with_check(study, trial, check)
     assert holds
-    assert whole.worst_case.value == pytest.approx(0.2)
-    assert len(check) == recommendation.CHECK_EVALUATIONS
+    assert whole.worst_cases["peak"].value == pytest.approx(0.2)
+    assert len(check) == recommendation.most_check_evaluations(study)

@@ -38,7 +38,10 @@ def flattering(make_trial):
 def worst_at_two(trials):
     from dataclasses import replace
 
-    return [replace(t, worst_case=replace(t.worst_case, context={"load": 2.0})) for t in trials]
+    return [
+        replace(t, worst_cases={"peak": replace(t.worst_cases["peak"], context={"load": 2.0})})
+        for t in trials
+    ]
 
 
 def test_flattered_candidates_are_refuted(study, make_trial, function_backend):
@@ -69,7 +72,9 @@ def test_what_is_seen_joins_the_record(study, make_trial, function_backend):
     trial = answer.candidate.trial
     x = trial.parameters["x"]
     assert len(trial.observations("error")) == 2 + DRAWN_EVALUATIONS
-    assert trial.worst_case.value == pytest.approx(2.0 * x, abs=4 * NOISE / WORST_EVALUATIONS**0.5)
+    assert trial.worst_cases["peak"].value == pytest.approx(
+        2.0 * x, abs=4 * NOISE / WORST_EVALUATIONS**0.5
+    )
 
 
 def test_without_checks_the_first_in_rank_is_taken(study, make_trial, function_backend):
@@ -129,7 +134,7 @@ def test_what_held_but_is_no_longer_believed_is_not_called_feasible(
     study, make_trial, function_backend, monkeypatch
 ):
     """The models may learn from another candidate's check."""
-    trial = replace(make_trial(0, {"x": 0.2}, [1.0], worst=0.4), worst_case=None)
+    trial = replace(make_trial(0, {"x": 0.2}, [1.0], worst=0.4), worst_cases={})
     believed = Candidate(trial, 1.0, 0.9, -0.5, 0.0, 0.0)
     rankings = iter([believed, replace(believed, feasibility=0.1)])
 

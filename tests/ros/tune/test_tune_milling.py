@@ -71,7 +71,7 @@ class TestRun:
         expected = list(Tuning(study, backend, ALGORITHMS["IV"]))
         for there, here in zip(command.trials(), expected, strict=True):
             assert there.parameters == here.parameters
-            assert there.worst_case == here.worst_case
+            assert there.worst_cases == here.worst_cases
             # The candidates that were checked at the end have more evaluations.
             assert len(there.evaluations) >= len(here.evaluations)
             for evaluation, other in zip(there.evaluations, here.evaluations, strict=False):

@@ -69,8 +69,8 @@ def test_random_contexts_are_the_whole_trial(study, small, row):
     assert {evaluation.stage for t in trials for evaluation in t.evaluations} == {Stage.DRAWN}
     for trial in trials:
         seen = [evaluation.outcome.metrics["peak"] for evaluation in trial.evaluations]
-        assert trial.worst_case.value == max(seen)
-        assert trial.worst_case.noise == 0.0
+        assert trial.worst_cases["peak"].value == max(seen)
+        assert trial.worst_cases["peak"].noise == 0.0
 
 
 def test_a_run_repeats_itself(study, small, without_times):

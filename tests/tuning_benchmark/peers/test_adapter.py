@@ -49,7 +49,7 @@ def test_an_optimizer_sees_what_our_surrogates_see(trial_study, make_trial):
         make_trial(k, {"gain": 0.1 * k}, errors=(1.0, 1.1), worst=0.1 * k, noise=0.01 * (k % 3))
         for k in range(6)
     ]
-    limit = trial_study.worst_case_constraint
+    (limit,) = trial_study.worst_case_constraints
     seen = [observation(trial_study, t, trials).constraints["peak"] + limit.upper for t in trials]
     assert seen == pytest.approx(single_evaluation_worst_cases(trials, limit).tolist())
 

@@ -109,7 +109,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Estimate of the worst metric over all contexts.
+    """Estimate of the worst metric over all contexts, on the side of a constraint's limit.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class WorstCase:
     context
         Context of the estimate.
     observed
-        Largest single observation, in the metric's unit.
+        Worst single observation, in the metric's unit.
     noise
         Standard deviation of a single observation in that context, in the metric's unit; 0 if the
         estimate already includes the noise.
@@ -146,8 +146,8 @@ class Trial:
         How the trial ended, and why if it failed.
     evaluations
         All its evaluations, those of a check included.
-    worst_case
-        Worst case of the constrained metric, if the study has such a constraint.
+    worst_cases
+        Estimate for each worst-case constraint, by its name; empty unless the trial is complete.
     warnings
         Numerical problems while the parameter set was proposed, one line each.
     hyperparameters
@@ -163,7 +163,7 @@ class Trial:
     state: TrialState
     reason: str = ""
     evaluations: tuple[Evaluation, ...] = ()
-    worst_case: WorstCase | None = None
+    worst_cases: Mapping[str, WorstCase] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     hyperparameters: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     seconds: float = field(default=0.0, compare=False)

@@ -10,7 +10,11 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 
-from bo_tuner.certificate.context_tolerance import CREDIBLE, ContextTolerance, context_tolerance
+from bo_tuner.certificate.context_tolerance import (
+    CREDIBLE,
+    ContextTolerance,
+    context_tolerances,
+)
 from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
 from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
 from bo_tuner.certificate.sequential import spent
@@ -60,8 +64,10 @@ class Certificate:
         Findings for the parameter set, and for the hand-tuned one if it was evaluated as well.
     gaps
         Training compared with validation.
-    context, sensitivity
-        Robustness against the context and to steps in the parameters; None if not known.
+    tolerances
+        Robustness against the context, for each worst-case constraint of which it is known.
+    sensitivity
+        Robustness to steps in the parameters; None if not known.
     provenance
         Versions, sources, machine, backend and seed.
     """
@@ -76,7 +82,7 @@ class Certificate:
     tuned: Findings
     default: Findings | None
     gaps: Sequence[Gap]
-    context: ContextTolerance | None
+    tolerances: Sequence[ContextTolerance]
     sensitivity: ParameterSensitivity | None
     provenance: Mapping[str, str]
 
@@ -141,7 +147,7 @@ class Certificate:
                 asdict(gap) | {"gap": gap.value, "standard_error": gap.standard_error}
                 for gap in self.gaps
             ],
-            "context_tolerance": None if self.context is None else asdict(self.context),
+            "context_tolerances": [asdict(tolerance) for tolerance in self.tolerances],
             "parameter_sensitivity": _sensitivity(self.sensitivity),
             "provenance": dict(self.provenance),
             "finished": datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -201,7 +207,7 @@ def make_certificate(
         tuned=findings,
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
         gaps=training_gaps(study, trial, rank(study, record.trials, models), findings),
-        context=context_tolerance(study, [*fresh, *in_training, *tuned.drawn]),
+        tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
         provenance=provenance(study, backend, record.algorithm),
     )

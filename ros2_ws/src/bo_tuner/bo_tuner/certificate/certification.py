@@ -3,8 +3,10 @@
 They end as soon as the verdict is clear.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.certificate.evidence import Evidence
@@ -15,6 +17,7 @@ from bo_tuner.certificate.independent_search import (
 )
 from bo_tuner.certificate.verdict import decide_context, decide_draws
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
@@ -129,8 +132,8 @@ class Certification:
     def _look_closely(
         self, number: int, subject: Subject, drawn: Sequence[Evaluation], most: int
     ) -> Evidence:
-        constraint = self._study.worst_case_constraint
-        if constraint is None or decide_draws(self._study, drawn, most, self._confidence) is False:
+        constraints = self._study.worst_case_constraints
+        if not constraints or decide_draws(self._study, drawn, most, self._confidence) is False:
             return Evidence(subject.parameters, tuple(drawn))
         search: list[Evaluation] = []
 
@@ -143,27 +146,25 @@ class Certification:
             self._observer.advance()
             return evaluation
 
-        def metric_in(context: Mapping[str, float]) -> float | None:
-            evaluation = run(Stage.SEARCH, context, len(search), SEARCHED, len(search))
-            search.append(evaluation)
-            return evaluation.outcome.metrics.get(constraint.metric)
+        def evaluated(context: Mapping[str, float]) -> Evaluation:
+            search.append(run(Stage.SEARCH, context, len(search), SEARCHED, len(search)))
+            return search[-1]
 
         self._observer.begin(
             f"worst case of {subject.name}",
-            most_evaluations(self._contexts, len(subject.suspected))
-            + CANDIDATES * EXPECTED_REPEATS,
+            len(constraints)
+            * (
+                most_evaluations(self._contexts, len(subject.suspected))
+                + CANDIDATES * EXPECTED_REPEATS
+            ),
         )
-        candidates = find_worst_contexts(
-            self._contexts,
-            metric_in,
-            [
-                (evaluation.context, evaluation.outcome.metrics[constraint.metric])
-                for evaluation in drawn
-                if evaluation.outcome.state is EvaluationState.COMPLETE
-            ],
-            subject.suspected,
-            generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number),
-        )
+        rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
+        candidates: list[dict[str, float]] = []
+        for constraint in constraints:
+            known = [*search, *drawn]
+            for context in self._find(constraint, evaluated, known, subject.suspected, rng):
+                if context not in candidates:
+                    candidates.append(context)
         repeated: list[tuple[Evaluation, ...]] = []
         for place, context in enumerate(candidates):
             here: list[Evaluation] = []
@@ -171,11 +172,48 @@ class Certification:
             while holds is None and len(here) < most:
                 k = len(here)
                 here.append(run(Stage.CHECK_WORST, context, k, REPEATED, place, k))
-                holds = decide_context(constraint, here, most, self._confidence)
+                holds = self._holds(here, most)
             repeated.append(tuple(here))
             if not holds:
                 break
         return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
+
+    def _find(
+        self,
+        constraint: Constraint,
+        evaluated: Callable[[Mapping[str, float]], Evaluation],
+        known: Sequence[Evaluation],
+        suspected: Sequence[Mapping[str, float]],
+        rng: np.random.Generator,
+    ) -> list[dict[str, float]]:
+        """Search for the worst contexts of one constraint, after `known` evaluations."""
+        metric, sign = constraint.metric, constraint.sign
+
+        def violation(context: Mapping[str, float]) -> float | None:
+            value = evaluated(context).outcome.metrics.get(metric)
+            return None if value is None else sign * value
+
+        return find_worst_contexts(
+            self._contexts,
+            violation,
+            [
+                (evaluation.context, sign * evaluation.outcome.metrics[metric])
+                for evaluation in known
+                if evaluation.outcome.state is EvaluationState.COMPLETE
+            ],
+            suspected,
+            rng,
+        )
+
+    def _holds(self, here: Sequence[Evaluation], most: int) -> bool | None:
+        """Return whether every worst-case constraint holds in a context; None if open."""
+        found = [
+            decide_context(constraint, here, most, self._confidence)
+            for constraint in self._study.worst_case_constraints
+        ]
+        if False in found:
+            return False
+        return None if None in found else True
 
     def _noise_seed(self, *key: int) -> int:
         return noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, self._attempt, *key)

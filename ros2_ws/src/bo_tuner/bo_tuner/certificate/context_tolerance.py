@@ -17,6 +17,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.parts import UPPER, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState
 from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
@@ -70,8 +71,8 @@ class VariableTolerance:
     name, unit, nominal
         Name, unit and nominal value of the variable.
     relief
-        Decrease of the metric when, in the worst context, this variable alone returns to its
-        nominal value, in the metric's unit.
+        By how much the metric moves away from the limit when, in the worst context, this variable
+        alone returns to its nominal value, in the metric's unit.
     down, up
         Drift with all other variables nominal.
     worst_down, worst_up
@@ -94,7 +95,7 @@ class ContextTolerance:
 
     Attributes
     ----------
-    metric, unit, limit
+    constraint, metric, unit, limit, side
         Of the worst-case constraint.
     evaluations
         Number of evaluations behind the model.
@@ -106,17 +107,26 @@ class ContextTolerance:
         In decreasing order of the median relief.
     """
 
+    constraint: str
     metric: str
     unit: str
     limit: float
+    side: str
     evaluations: int
     nominal: Band
     worst: Band
     worst_context: Mapping[str, float]
     variables: tuple[VariableTolerance, ...]
 
+    @property
+    def relieved(self) -> str:
+        """Where the metric moves when it moves away from the limit: ``lower`` or ``higher``."""
+        return "lower" if self.side == UPPER else "higher"
 
-def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> ContextTolerance | None:
+
+def context_tolerances(
+    study: Study, evaluations: Sequence[Evaluation]
+) -> tuple[ContextTolerance, ...]:
     """Rank the context variables by their effect, and return how far each may drift.
 
     Parameters
@@ -128,22 +138,31 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
 
     Returns
     -------
-    ContextTolerance or None
-        None without a worst-case constraint or contexts, or with too few evaluations.
+    tuple of ContextTolerance
+        One for each worst-case constraint; empty without contexts, or with too few evaluations.
     """
-    constraint, space = study.worst_case_constraint, study.context_space()
     complete = [
         evaluation
         for evaluation in evaluations
         if evaluation.outcome.state is EvaluationState.COMPLETE
     ][:MOST_EVALUATIONS]
-    if constraint is None or space.dimension == 0 or len(complete) < FEWEST_EVALUATIONS:
-        return None
+    if not study.contexts or len(complete) < FEWEST_EVALUATIONS:
+        return ()
+    return tuple(_tolerance(study, item, complete) for item in study.worst_case_constraints)
+
+
+def _tolerance(
+    study: Study, constraint: Constraint, complete: Sequence[Evaluation]
+) -> ContextTolerance:
+    """Return the tolerance of one constraint. The metric is modelled times the side's sign."""
+    space, sign = study.context_space(), constraint.sign
     rng = generator(study.seed, Stream.ROBUSTNESS)
     points = space.to_cube(
         [[evaluation.context[name] for name in space.names] for evaluation in complete]
     )
-    values = np.array([evaluation.outcome.metrics[constraint.metric] for evaluation in complete])
+    values = sign * np.array(
+        [evaluation.outcome.metrics[constraint.metric] for evaluation in complete]
+    )
     model = GaussianProcess.fit(points, values, rng=rng, priors=PRIORS)
     worst_context, _ = maximise_over_contexts(space, model.predict_mean, rng, points)
     nominal = space.nominal()
@@ -163,7 +182,7 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
         evaluations_at = np.cumsum([1, *(len(steps) for _, steps in lines)])
         at_worst, *along = np.split(sampled, evaluations_at[:-1], axis=1)
         drifts = [
-            _drift(steps, path, constraint.upper, isinstance(distribution, Discrete))
+            _drift(steps, path, sign * constraint.limit, isinstance(distribution, Discrete))
             for (_, steps), path in zip(lines, along, strict=True)
         ]
         variables.append(
@@ -180,12 +199,14 @@ def context_tolerance(study: Study, evaluations: Sequence[Evaluation]) -> Contex
             )
         )
     return ContextTolerance(
+        constraint=constraint.name,
         metric=constraint.metric,
         unit=study.metrics[constraint.metric].unit,
-        limit=constraint.upper,
+        limit=constraint.limit,
+        side=constraint.side,
         evaluations=len(complete),
-        nominal=_band(ends[:, 0]),
-        worst=_band(ends[:, 1]),
+        nominal=_band(sign * ends[:, 0]),
+        worst=_band(sign * ends[:, 1]),
         worst_context=worst_context,
         variables=tuple(sorted(variables, key=lambda v: -v.relief.median)),
     )

@@ -51,10 +51,10 @@ class WorstContext:
         The context.
     mean
         Mean of the metric over noise.
-    largest
-        Largest single value.
-    evaluations, above, failures
-        Number of complete evaluations, of those above the limit, and of failed ones.
+    extreme
+        Single value farthest on the side of the limit.
+    evaluations, beyond, failures
+        Number of complete evaluations, of those beyond the limit, and of failed ones.
     violation_bound
         Upper confidence bound of the probability that a run in this context violates the limit.
     shown
@@ -63,9 +63,9 @@ class WorstContext:
 
     context: Mapping[str, float]
     mean: Mean
-    largest: float
+    extreme: float
     evaluations: int
-    above: int
+    beyond: int
     failures: int
     violation_bound: float
     shown: bool
@@ -79,21 +79,23 @@ class ConstraintVerdict:
     ----------
     name, kind, metric, unit, limit
         As in the study; the limit in `unit`.
+    side
+        Which limit it is: ``upper`` or ``lower``.
     statistic
         What the limit is on, as `Constraint.statistic`.
     allowed
         Largest permitted probability of a violation, as `Constraint.allowed`.
     draws, violations, failures
-        Number of draws, of complete ones above the limit, and of failed ones.
+        Number of draws, of complete ones beyond the limit, and of failed ones.
     violation_bound
         Upper confidence bound of the probability that a draw violates the limit or fails.
-    largest
-        Largest value of the draws.
+    extreme
+        Value of the draws farthest on the side of the limit.
     tail
-        Conditional value at risk of the draws at level `TAIL`.
+        Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, first those where the limit is not
-        shown to hold, then by the largest mean.
+        shown to hold, then by the worst mean.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """
@@ -103,13 +105,14 @@ class ConstraintVerdict:
     metric: str
     unit: str
     limit: float
+    side: str
     statistic: str
     allowed: float
     draws: int
     violations: int
     failures: int
     violation_bound: float
-    largest: float
+    extreme: float
     tail: float
     worst: tuple[WorstContext, ...]
     passed: bool

@@ -7,7 +7,7 @@ Rockafellar and Uryasev (2000). Optimization of conditional value-at-risk. Journ
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, nan, sqrt
 
 import numpy as np
 
@@ -25,32 +25,37 @@ class Mean:
         Mean of the sample.
     standard_error
         Of `value`; NaN for fewer than two values.
-    upper
-        Upper confidence bound of the true mean, see `sequential.mean_bounds`; infinite for too few
-        values.
+    upper, lower
+        Confidence bounds of the true mean, each for itself, see `sequential.mean_bounds`; infinite
+        for too few values.
     """
 
     value: float
     standard_error: float
     upper: float
+    lower: float
 
 
 def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
-    """Return the mean of independent values, its standard error and upper confidence bound.
+    """Return the mean of independent values, its standard error and its confidence bounds.
 
     Parameters
     ----------
     values
         Shape (n,).
     confidence
-        Of the bound, between 0 and 1.
+        Of each bound, between 0 and 1.
     """
     sample = np.asarray(values, dtype=np.float64)
     count = len(sample)
     if count < 2:
-        return Mean(float(sample[0]) if count else float("nan"), float("nan"), float("inf"))
-    error = float(sample.std(ddof=1)) / sqrt(count)
-    return Mean(float(sample.mean()), error, float(mean_bounds(sample, confidence)[-1]))
+        return Mean(float(sample[0]) if count else nan, nan, upper=inf, lower=-inf)
+    return Mean(
+        value=float(sample.mean()),
+        standard_error=float(sample.std(ddof=1)) / sqrt(count),
+        upper=float(mean_bounds(sample, confidence)[-1]),
+        lower=-float(mean_bounds(-sample, confidence)[-1]),
+    )
 
 
 def conditional_value_at_risk(values: Sequence[float] | Array, level: float) -> float:

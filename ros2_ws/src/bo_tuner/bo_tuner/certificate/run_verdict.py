@@ -12,6 +12,7 @@ from bo_tuner.certificate.store import certificate_problem, latest_certificate, 
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.parts import UPPER
 from bo_tuner.trials import EvaluationState, Stage, Trial
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
@@ -152,7 +153,7 @@ def _observed(
             constraint["name"]: WorstMean(
                 value=_number(mean["value"], nan),
                 standard_error=_number(mean["standard_error"], nan),
-                upper=_number(mean["upper"], inf),
+                bound=_bound(constraint["side"], mean),
                 count=int(constraint["worst"][0]["evaluations"]),
             )
             for constraint in findings["constraints"]
@@ -172,10 +173,16 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     ]
 
 
+def _bound(side: str, mean: Mapping[str, Any]) -> float:
+    """Return the bound of a mean on the side of the limit."""
+    return _number(mean[side], inf if side == UPPER else -inf)
+
+
 def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str:
     bound = _number(constraint["violation_bound"], nan)
+    beyond = "above" if constraint["side"] == UPPER else "below"
     return (
-        f"{constraint['violations']} of {draws} draws above the limit; probability at most "
+        f"{constraint['violations']} of {draws} draws {beyond} the limit; probability at most "
         f"{bound:.3g} with {100.0 * confidence:g} % confidence"
     )
 

@@ -22,7 +22,7 @@ from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
 
 CERTIFICATES = "certificates"
-FORMAT = 3
+FORMAT = 4
 """Version of the files' format."""
 
 _NAME = re.compile(r"(\d{4,9})(_evaluations\.csv|\.json)", re.ASCII)

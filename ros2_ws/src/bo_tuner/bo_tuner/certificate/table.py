@@ -14,7 +14,7 @@ from bo_tuner.certificate.context_tolerance import (
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.certificate.sequential import spent
-from bo_tuner.study.parts import CHANCE, SINGLE_RUN
+from bo_tuner.study.parts import CHANCE, SINGLE_RUN, UPPER
 from bo_tuner.text import shown
 
 
@@ -61,8 +61,8 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
             f"{gap.predicted:.4g}, validated {gap.validated:.4g}{unit} "
             f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
         )
-    if certificate.context is not None:
-        yield from _context(certificate.context)
+    for tolerance in certificate.tolerances:
+        yield from _context(tolerance)
     for warning in certificate.warnings:
         yield f"warning: {warning}"
 
@@ -71,23 +71,27 @@ def _constraint_rows(both: Sequence[ConstraintVerdict], confidence: float) -> It
     tuned = both[-1]
     metric, unit = tuned.metric, tuned.unit
     bound = f"{100.0 * confidence:.4g} % bound"
-    yield [f"largest {metric}", unit, *[f"{c.largest:.4g}" for c in both]]
+    upper = tuned.side == UPPER
+    beyond = f"{'above' if upper else 'below'} {tuned.limit:g}"
+    extreme = "largest" if upper else "smallest"
+    yield [f"{extreme} {metric}", unit, *[f"{c.extreme:.4g}" for c in both]]
     yield [_tail(), unit, *[f"{c.tail:.4g}" for c in both]]
-    yield [f"  draws above {tuned.limit:g}", "", *[str(c.violations) for c in both]]
+    yield [f"  draws {beyond}", "", *[str(c.violations) for c in both]]
     yield [f"  P(violation), {bound}", "", *[f"{c.violation_bound:.4f}" for c in both]]
     if tuned.kind == CHANCE:
         yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
     if all(c.worst for c in both):
         worst = [c.worst[0] for c in both]
         yield [f"worst-case {metric}, mean", unit, *[_mean(w.mean) for w in worst]]
-        yield [f"  {bound}", unit, *[f"{w.mean.upper:.4g}" for w in worst]]
+        bounds = [w.mean.upper if upper else w.mean.lower for w in worst]
+        yield [f"  {bound}", unit, *[f"{value:.4g}" for value in bounds]]
         if tuned.statistic == SINGLE_RUN:
             there = [f"{w.violation_bound:.4f}" for w in worst]
             yield [f"  P(violation), {bound}", "", *there]
             yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
         for k, name in enumerate(tuned.worst[0].context):
             yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
-        yield [f"  evaluations above {tuned.limit:g}", "", *[_above(w) for w in worst]]
+        yield [f"  evaluations {beyond}", "", *[_beyond(w) for w in worst]]
 
 
 def _context(tolerance: ContextTolerance) -> Iterator[str]:
@@ -95,7 +99,7 @@ def _context(tolerance: ContextTolerance) -> Iterator[str]:
     unit = f" {tolerance.unit}" if tolerance.unit else ""
     yield (
         f"{tolerance.metric} is most sensitive to {first.name}: at its nominal value the worst "
-        f"case would be lower by {first.relief.median:.2g}{unit} "
+        f"case would be {tolerance.relieved} by {first.relief.median:.2g}{unit} "
         f"({first.relief.low:.2g} to {first.relief.high:.2g})"
     )
     for variable in tolerance.variables:
@@ -120,8 +124,8 @@ def _mean(mean: Mean) -> str:
     return f"{mean.value:.4g} ± {mean.standard_error:.2g}"
 
 
-def _above(worst: WorstContext) -> str:
-    return f"{worst.above} of {worst.evaluations}"
+def _beyond(worst: WorstContext) -> str:
+    return f"{worst.beyond} of {worst.evaluations}"
 
 
 def _tail() -> str:

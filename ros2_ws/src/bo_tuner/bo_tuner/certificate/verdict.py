@@ -164,7 +164,7 @@ def _judge(
     study: Study, constraint: Constraint, evidence: Evidence, confidence: float
 ) -> ConstraintVerdict:
     values = _values(evidence.drawn, constraint.metric)
-    draws, violations = len(evidence.drawn), int(np.sum(values > constraint.upper))
+    draws, violations = len(evidence.drawn), int(np.sum(constraint.violations(values)))
     events = _events(constraint, evidence.drawn)
     unit = study.metrics[constraint.metric].unit
     worst: tuple[WorstContext, ...] = ()
@@ -173,8 +173,9 @@ def _judge(
             _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
         ]
         # A context without a complete evaluation has no mean, and counts as the worst.
+        sign = constraint.sign
         worst = tuple(
-            sorted(found, key=lambda w: (w.shown, -np.nan_to_num(w.mean.value, nan=np.inf)))
+            sorted(found, key=lambda w: (w.shown, -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
         )
         refuted = _refuted(constraint, events, values, confidence)
         passed, reason = _worst_case(constraint, events, worst, unit, refuted_by_draws=refuted)
@@ -185,15 +186,16 @@ def _judge(
         kind=constraint.kind,
         metric=constraint.metric,
         unit=unit,
-        limit=constraint.upper,
+        limit=constraint.limit,
+        side=constraint.side,
         statistic=constraint.statistic,
         allowed=constraint.allowed,
         draws=draws,
         violations=violations,
         failures=draws - len(values),
         violation_bound=_bound(events, confidence),
-        largest=float(values.max()) if len(values) else float("nan"),
-        tail=conditional_value_at_risk(values, TAIL),
+        extreme=constraint.farthest(values),
+        tail=constraint.sign * conditional_value_at_risk(constraint.sign * values, TAIL),
         worst=worst,
         passed=passed,
         reason=reason,
@@ -232,23 +234,35 @@ def _worst_case(
     passed = all(w.shown for w in worst)
     # The context with the largest mean need not have the largest bound.
     on_mean = constraint.statistic == EXPECTATION
-    top = max(worst, key=lambda w: w.mean.upper if on_mean else w.violation_bound)
+    top = max(
+        worst,
+        key=lambda w: (
+            constraint.sign * _mean_bound(constraint, w) if on_mean else w.violation_bound
+        ),
+    )
     where = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items()) or "always"
     says = "at most" if passed else "may be"
-    if on_mean and not np.isfinite(top.mean.upper):
+    if on_mean and not np.isfinite(_mean_bound(constraint, top)):
         return passed, (
             f"{top.evaluations} evaluations in the worst context ({where}) are too few to bound "
             "the mean over noise"
         )
     if on_mean:
+        if passed and constraint.sign < 0.0:
+            says = "at least"
         return passed, (
-            f"mean over noise in the worst context ({where}) {says} {top.mean.upper:.4g}, "
-            f"limit {constraint.upper:g} {unit}".rstrip()
+            f"mean over noise in the worst context ({where}) {says} "
+            f"{_mean_bound(constraint, top):.4g}, limit {constraint.limit:g} {unit}".rstrip()
         )
     return passed, (
-        f"in the worst context ({where}) {top.above} of {top.evaluations} runs violate the limit: "
+        f"in the worst context ({where}) {top.beyond} of {top.evaluations} runs violate the limit: "
         f"violation probability {says} {top.violation_bound:.4f}, allowed {constraint.allowed:.4g}"
     )
+
+
+def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:
+    """Return the confidence bound of a mean on the side of the limit."""
+    return worst.mean.upper if constraint.sign > 0.0 else worst.mean.lower
 
 
 def _worst_context(
@@ -258,9 +272,9 @@ def _worst_context(
     return WorstContext(
         context=dict(evaluations[0].context),
         mean=mean_of(values, confidence),
-        largest=float(values.max()) if len(values) else float("nan"),
+        extreme=constraint.farthest(values),
         evaluations=len(values),
-        above=int(np.sum(values > constraint.upper)),
+        beyond=int(np.sum(constraint.violations(values))),
         failures=len(evaluations) - len(values),
         violation_bound=_bound(events, confidence),
         shown=len(values) == len(evaluations) and _shown(constraint, events, values, confidence),
@@ -271,7 +285,8 @@ def _shown(
     constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
 ) -> bool:
     if constraint.statistic == EXPECTATION:
-        return is_mean_shown(values, constraint.upper, confidence)
+        sign = constraint.sign
+        return is_mean_shown(sign * values, sign * constraint.limit, confidence)
     return is_shown(events, constraint.allowed, confidence)
 
 
@@ -279,7 +294,8 @@ def _refuted(
     constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
 ) -> bool:
     if constraint.statistic == EXPECTATION:
-        return is_mean_refuted(values, constraint.upper, confidence)
+        sign = constraint.sign
+        return is_mean_refuted(sign * values, sign * constraint.limit, confidence)
     return is_refuted(events, constraint.allowed, confidence)
 
 
@@ -287,7 +303,7 @@ def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[b
     """Return whether each evaluation violates the limit or failed."""
     return [
         e.outcome.state is not EvaluationState.COMPLETE
-        or e.outcome.metrics[constraint.metric] > constraint.upper
+        or bool(constraint.violations(e.outcome.metrics[constraint.metric]))
         for e in evaluations
     ]
 

@@ -84,15 +84,16 @@ def training_gaps(
         )
     ]
     for constraint in findings.constraints:
-        if constraint.worst and trial.worst_case is not None:
+        estimate = trial.worst_cases.get(constraint.name)
+        if constraint.worst and estimate is not None:
             gaps.append(
                 Gap(
                     name=f"worst mean {constraint.metric}",
                     unit=constraint.unit,
                     # Like with like: the largest observation would exceed both means.
-                    observed=trial.worst_case.value,
+                    observed=estimate.value,
                     observed_error=nan,
-                    predicted=trial.worst_case.value,
+                    predicted=estimate.value,
                     validated=constraint.worst[0].mean.value,
                     validated_error=constraint.worst[0].mean.standard_error,
                 )

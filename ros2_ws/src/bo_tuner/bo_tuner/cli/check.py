@@ -194,7 +194,7 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         values = [e.outcome.metrics[name] for e in done]
         spread = max(values) - min(values)
         limits = [item for item in study.constraints.values() if item.metric == name]
-        limit = ", ".join(f"{item.upper:.4g}" for item in limits)
+        limit = ", ".join(f"{'≤' if item.sign > 0 else '≥'} {item.limit:.4g}" for item in limits)
         cells = (f"{value:.4g}" for value in (*values, spread))
         table.add_row(name, metric.unit, *cells, limit)
     plain_console().print(table)
@@ -203,7 +203,7 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
 def evaluations_of(study: Study) -> tuple[int, int]:
     """Return the number of evaluations of a run, at most, and of the draws of its certificate."""
     budget = study.budget
-    searched = 0 if study.worst_case_constraint is None else budget.search_evaluations
+    searched = budget.search_evaluations if study.worst_case_constraints else 0
     tuning = budget.trials * (budget.drawn_contexts + searched) + 2 * budget.validation_draws
     return tuning, 2 * required_draws(study, study.certificate.confidence)
 

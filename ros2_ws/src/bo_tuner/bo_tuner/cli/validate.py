@@ -256,7 +256,7 @@ def _certify(
 ) -> tuple[Certificate, Path]:
     """Run all evaluations of a trial's parameter set, and write its certificate."""
     study = record.study
-    suspected = () if trial.worst_case is None else (trial.worst_case.context,)
+    suspected = tuple(worst.context for worst in trial.worst_cases.values())
     subjects = [Subject(TUNED, trial.parameters, suspected)]
     if with_default:
         subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))

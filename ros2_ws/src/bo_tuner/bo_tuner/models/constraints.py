@@ -1,6 +1,6 @@
 """Probability that a response keeps its limit, from its surrogate model."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -13,22 +13,25 @@ from bo_tuner.numerics.special import log_normal_cdf
 
 @dataclass(frozen=True, eq=False)
 class SurrogateConstraint:
-    """Upper limit on a response and the surrogate of the response; build it by a class method.
+    """Limit on a response and the surrogate of the response; build it by a class method.
 
     Attributes
     ----------
     model : Model
         Surrogate of the response.
     limit : float
-        Upper limit of the latent response, in its unit.
+        Limit of the latent response, in its unit.
+    sign : float
+        1 for an upper limit, -1 for a lower one.
     """
 
     model: Model
     limit: float
+    sign: float = 1.0
 
     @classmethod
-    def on_expectation(cls, model: Model, limit: float) -> Self:
-        """Constrain the latent response itself: f(x) ≤ limit.
+    def on_expectation(cls, model: Model, limit: float, sign: float = 1.0) -> Self:
+        """Constrain the latent response itself: f(x) ≤ limit, or ≥ for a lower one.
 
         For a response whose noise is the error of an estimate and must not count, such as a worst
         case over contexts that is estimated from noisy evaluations.
@@ -38,16 +41,20 @@ class SurrogateConstraint:
         model : Model
         limit : float
             In the unit of the response.
+        sign : float
+            1 for an upper limit, -1 for a lower one.
         """
-        return cls(model, limit)
+        return cls(model, limit, sign)
 
     @classmethod
-    def on_observation(cls, model: Model, limit: float, probability: float) -> Self:
+    def on_observation(
+        cls, model: Model, limit: float, probability: float, sign: float = 1.0
+    ) -> Self:
         """Constrain single observations: P[y(x) ≤ limit] ≥ probability (paper, Eq. 3d).
 
         With y = f(x) + ε and ε ~ N(0, σ²) the constraint holds if and only if
         f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the noise lowers the limit by z σ, and only
-        f(x) remains uncertain.
+        f(x) remains uncertain. It raises a lower limit as much.
 
         Parameters
         ----------
@@ -56,6 +63,8 @@ class SurrogateConstraint:
             In the unit of the response.
         probability : float
             In (0, 1).
+        sign : float
+            1 for an upper limit, -1 for a lower one.
 
         Raises
         ------
@@ -65,7 +74,11 @@ class SurrogateConstraint:
         if not 0.0 < probability < 1.0:
             raise ValueError(f"probability: expected a value in (0, 1), found {probability}")
         z = float(ndtri(probability))
-        return cls(model, limit - z * model.noise_variance**0.5)
+        return cls(model, limit - sign * z * model.noise_variance**0.5, sign)
+
+    def excess(self, x: Array) -> Array:
+        """Return by how much the mean response (m,) at x (m, d) violates the limit."""
+        return self.sign * (self.predict(x)[0] - self.limit)
 
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
@@ -86,24 +99,26 @@ class SurrogateConstraint:
         # Rounding can make the variance zero; the logarithm must still be finite.
         sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
         with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
-            return log_normal_cdf((self.limit - mean) / sd)
+            return log_normal_cdf(self.sign * (self.limit - mean) / sd)
 
 
 @dataclass(frozen=True, eq=False)
 class JointConstraint(SurrogateConstraint):
-    """Upper limit on the worst case of a metric over the contexts, by the joint model.
+    """Limit on the worst case of a metric over the contexts, by the joint model.
 
     Attributes
     ----------
     model : Model
         Over joint points (d + e columns).
     limit : float
-        Upper limit of the latent worst case, in the metric's unit.
+        Limit of the latent worst case, in the metric's unit.
+    sign : float
+        1 for an upper limit, -1 for a lower one.
     contexts : ndarray, shape (k, e)
         Candidate contexts in the unit cube.
     """
 
-    contexts: Array
+    contexts: Array = field(kw_only=True)
 
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) in the worst candidate context of each x (m, d)."""
@@ -111,5 +126,5 @@ class JointConstraint(SurrogateConstraint):
             [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
         )
         mean = self.model.predict_mean(joint).reshape(len(x), -1)
-        worst = mean.argmax(axis=1)
+        worst = (self.sign * mean).argmax(axis=1)
         return self.model.predict(np.hstack([x, self.contexts[worst]]))

@@ -192,11 +192,10 @@ class _Fitting:
             x, y, _ = self._observations(trials, chance.metric)
             model = self._fit(chance.name, x, y, self._minimum)
             found[chance.name] = SurrogateConstraint.on_observation(
-                model, chance.upper, chance.level
+                model, chance.limit, chance.level, chance.sign
             )
-        worst = self._study.worst_case_constraint
-        if worst is not None:
-            by = self._joint_worst_case if self._options.joint else self._worst_case
+        by = self._joint_worst_case if self._options.joint else self._worst_case
+        for worst in self._study.worst_case_constraints:
             found[worst.name] = by(trials, worst)
         return found
 
@@ -211,7 +210,7 @@ class _Fitting:
     def _worst_case(self, trials: Sequence[Trial], worst: Constraint) -> SurrogateConstraint:
         y = single_evaluation_worst_cases(trials, worst)
         model = self._fit(worst.name, self._points(trials), y, self._minimum)
-        return SurrogateConstraint.on_expectation(model, worst.upper)
+        return SurrogateConstraint.on_expectation(model, worst.limit, worst.sign)
 
     def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
         contexts = self._study.context_space()
@@ -219,8 +218,10 @@ class _Fitting:
         x, y = joint_observations(trials, points, contexts, worst.metric)
         minimum = np.append(self._minimum, np.zeros(contexts.dimension))
         model = self._fit(worst.name, x, y, minimum)
-        margin = worst.deviations * model.noise_variance**0.5
-        return JointConstraint(model, worst.upper - margin, contexts.candidates())
+        margin = worst.sign * worst.deviations * model.noise_variance**0.5
+        return JointConstraint(
+            model, worst.limit - margin, worst.sign, contexts=contexts.candidates()
+        )
 
     def _fit(self, name: str, x: Array, y: Array, minimum: Array) -> Model:
         fit = coded_fit(self._options.fit, self._coding)
@@ -275,11 +276,13 @@ def joint_observations(
 def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
     """Return a quantile of single evaluations in the worst context of each trial, shape (n,).
 
-    A single evaluation stays below it with the constraint's probability. Trials without a worst
+    A single evaluation stays below it, or above for a lower limit, with the constraint's
+    probability. Trials without a worst
     case are left out.
     """
-    worst = [t.worst_case.value for t in trials if t.worst_case is not None]
-    return np.array(worst) + single_evaluation_margin(trials, constraint)
+    name = constraint.name
+    worst = [t.worst_cases[name].value for t in trials if name in t.worst_cases]
+    return np.array(worst) + constraint.sign * single_evaluation_margin(trials, constraint)
 
 
 def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) -> float:
@@ -289,5 +292,6 @@ def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) ->
     quantile of that. σ is the median noise of all trials, as the few evaluations of one trial do
     not estimate it well.
     """
-    noise = [t.worst_case.noise for t in trials if t.worst_case is not None]
+    name = constraint.name
+    noise = [t.worst_cases[name].noise for t in trials if name in t.worst_cases]
     return constraint.deviations * float(np.median(noise)) if noise else 0.0

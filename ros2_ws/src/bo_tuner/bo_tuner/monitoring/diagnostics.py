@@ -12,7 +12,7 @@ from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import tightest, verdict
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"
@@ -138,10 +138,10 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
         for name in study.metrics:
             observed = trial.observations(name)
             values[f"metrics.{name}"] = sum(observed) / len(observed)
-    if trial.worst_case is not None:
-        values["worst_case"] = trial.worst_case.value
-        context = trial.worst_case.context.items()
-        values |= {f"worst_context.{name}": value for name, value in context}
+    if (found := tightest(study, trial)) is not None:
+        constraint, worst = found
+        values |= {"worst_constraint": constraint.name, "worst_case": worst.value}
+        values |= {f"worst_context.{name}": value for name, value in worst.context.items()}
     values |= {
         **_of_incumbent(incumbent),
         "evaluations": len(trial.evaluations),

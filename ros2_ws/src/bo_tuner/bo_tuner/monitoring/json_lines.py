@@ -145,7 +145,7 @@ class JsonLines(Display):
             "verdict": verdict(self._study, trial),
             "parameters": trial.parameters,
             "mean_metrics": metrics,
-            "worst_case": trial.worst_case and asdict(trial.worst_case),
+            "worst_cases": {name: asdict(worst) for name, worst in trial.worst_cases.items()},
             "evaluations": len(trial.evaluations),
             "optimizer_seconds": trial.seconds,
             "evaluation_seconds": sum(evaluation.seconds for evaluation in trial.evaluations),

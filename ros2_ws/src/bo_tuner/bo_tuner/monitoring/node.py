@@ -24,6 +24,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_folder import how_to_resume
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
+from bo_tuner.tuning.limits import tightest
 from bo_tuner.tuning.observer import RunObserver
 
 NODE_NAME = "tuner"
@@ -121,8 +122,8 @@ class LiveNode(RunObserver):
         if trial.state is TrialState.COMPLETE:
             observed = trial.observations(self._study.objective.metric)
             numbers["objective"] = sum(observed) / len(observed)
-        if trial.worst_case is not None:
-            numbers["worst_case"] = trial.worst_case.value
+        if (found := tightest(self._study, trial)) is not None:
+            numbers["worst_case"] = found[1].value
         if incumbent is not None:
             numbers["probability_feasible"] = incumbent.feasibility
             if incumbent.believed_feasible:

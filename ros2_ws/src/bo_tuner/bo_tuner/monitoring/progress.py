@@ -216,10 +216,9 @@ def describe(trial: Trial, study: Study) -> str:
         return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
     values = trial.observations(study.objective.metric)
     text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
-    worst = study.worst_case_constraint
-    if worst is not None and trial.worst_case is not None:
-        value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_case.value)
-        text += f"  {value}{JOIN}limit{JOIN}{worst.upper:g}"
+    for worst in study.worst_case_constraints:
+        value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_cases[worst.name].value)
+        text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
     if broken := violated(study, trial):
         text += f"  violates {', '.join(broken)}"
     return f"{text}  [{len(trial.evaluations)}{JOIN}evaluations]"

@@ -11,7 +11,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
 from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import Phase, RunObserver
-from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
+from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.verdict.verdict import Verdict
 
 RECENT = 10
@@ -93,9 +93,8 @@ class RunStatus(RunObserver):
         self._optimizer_seconds = 0.0
         self._trial_seconds: list[float] = []
         self._phase_evaluations = 0
-        worst = WORST_EVALUATIONS if study.worst_case_constraint is not None else 0
         # Of one candidate: usually the first one passes.
-        self._check_evaluations = DRAWN_EVALUATIONS + worst if algorithm.most_checked else 0
+        self._check_evaluations = most_check_evaluations(study) if algorithm.most_checked else 0
         # Of the default and of the tuned parameter set.
         self._validation_evaluations = 2 * study.budget.validation_draws
         self.now = Snapshot()

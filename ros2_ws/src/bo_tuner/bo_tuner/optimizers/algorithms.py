@@ -18,6 +18,7 @@ from bo_tuner.worst_case.contexts import worst_contexts_nearby
 from bo_tuner.worst_case.joint_search import JointSearch
 from bo_tuner.worst_case.protocol import WorstCaseSearch
 from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
+from bo_tuner.worst_case.searches import ConstraintSearch, WorstCaseSearches
 
 
 @dataclass(frozen=True)
@@ -60,25 +61,38 @@ class Algorithm:
             return RandomSearch(study)
         return BayesianOptimization(study, self.models, self.acquisition)
 
-    def worst_case_search(
-        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
-    ) -> WorstCaseSearch:
-        """Make the worst-case search of stage two for a proposed parameter set.
+    def worst_case_searches(
+        self, study: Study, proposal: Proposal, trials: Sequence[Trial]
+    ) -> WorstCaseSearches:
+        """Make the worst-case searches of stage two for a proposed parameter set.
 
         Parameters
         ----------
         study
             The study.
-        constraint
-            Its worst-case constraint.
         proposal
             The proposed parameter set.
         trials
             All trials so far.
         """
-        contexts = study.context_space()
+        return WorstCaseSearches(
+            [
+                ConstraintSearch(
+                    constraint, self.worst_case_search(study, constraint, proposal, trials)
+                )
+                for constraint in study.worst_case_constraints
+            ],
+            study.budget.search_evaluations,
+        )
+
+    def worst_case_search(
+        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
+    ) -> WorstCaseSearch:
+        """Make the search for one constraint, which is told `Constraint.sign` times its metric."""
+        contexts, sign = study.context_space(), constraint.sign
+        limit = sign * constraint.limit
         if self.nominal:
-            return ReinterpolationSearch(contexts, constraint.upper, 0, OBSERVED)
+            return ReinterpolationSearch(contexts, limit, 0, OBSERVED)
         space = study.search_space()
         coding = Coding(space.levels)
         point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
@@ -88,18 +102,19 @@ class Algorithm:
             x, y = joint_observations(kept, points, contexts, constraint.metric)
             return JointSearch(
                 contexts,
-                constraint.upper,
+                limit,
                 constraint.level,
                 study.budget.search_evaluations,
                 point,
                 coding.encode(x.reshape(-1, space.dimension + contexts.dimension)),
-                y,
+                sign * y,
                 proposal.hyperparameters.get(constraint.name) or None,
             )
-        known = [(t.parameters, t.worst_case) for t in trials if t.worst_case is not None]
+        name = constraint.name
+        known = [(t.parameters, t.worst_cases[name]) for t in trials if name in t.worst_cases]
         return ReinterpolationSearch(
             contexts,
-            constraint.upper,
+            limit,
             study.budget.search_evaluations,
             self.worst_case,
             worst_contexts_nearby(

@@ -147,8 +147,7 @@ def relative_excess(models: Surrogates, x: Array) -> Array:
     if not models.constraints:
         return np.full(len(x), -np.inf)
     excess = [
-        (c.predict(x)[0] - c.limit) / max(abs(c.limit), np.finfo(float).tiny)
-        for c in models.constraints.values()
+        c.excess(x) / max(abs(c.limit), np.finfo(float).tiny) for c in models.constraints.values()
     ]
     largest: Array = np.max(excess, axis=0)
     return largest

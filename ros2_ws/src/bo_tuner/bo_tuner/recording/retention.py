@@ -14,6 +14,7 @@ import yaml
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
+from bo_tuner.tuning.limits import tightest
 
 MEGABYTE = 1_000_000
 KEPT_AS = "kept_as"
@@ -62,11 +63,12 @@ class RecordOptions:
 
 
 def badness(study: Study, trial: Trial) -> float:
-    """How bad a complete trial is: its worst case, or its mean objective if the study has none."""
-    if trial.worst_case is not None:
-        return trial.worst_case.value
+    """How bad a complete trial is: its worst case, or its mean cost if the study has none."""
+    if (found := tightest(study, trial)) is not None:
+        constraint, worst = found
+        return constraint.excess(worst.value)
     values = trial.observations(study.objective.metric)
-    return sum(values) / len(values)
+    return float(study.objective.sign * sum(values) / len(values))
 
 
 class Retention:

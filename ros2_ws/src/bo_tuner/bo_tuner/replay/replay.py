@@ -201,6 +201,6 @@ def _badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:
     metrics = evaluation.outcome.metrics
     if evaluation.outcome.state is not EvaluationState.COMPLETE:
         return True, 0.0
-    if study.worst_case_constraint is not None:
-        return False, metrics[study.worst_case_constraint.metric]
+    if worst := study.worst_case_constraints:
+        return False, max(constraint.excess(metrics[constraint.metric]) for constraint in worst)
     return False, float(study.objective.to_cost(metrics[study.objective.metric]))

@@ -88,3 +88,8 @@ def change(value: float, reference: float) -> str:
     if not (math.isfinite(value) and math.isfinite(reference) and reference > 0.0):
         return "–"
     return f"{100.0 * (value / reference - 1.0):+.1f} %"
+
+
+def numbered(name: str, place: int) -> str:
+    """Return a figure's name for each of several alike: the first has no number."""
+    return name if place == 0 else f"{name}-{place + 1}"

@@ -21,13 +21,13 @@ from bo_tuner.storage.run_files import is_same_file
 from bo_tuner.study import checks
 from bo_tuner.trials import Evaluation, Trial
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 """Of the tables below, and of what a session tells; a journal of another version is refused."""
 
 COLUMNS = {
     "session": ("provenance",),
     "trial": (
-        "number", "parameters", "origin", "state", "reason", "worst_case", "warnings",
+        "number", "parameters", "origin", "state", "reason", "worst_cases", "warnings",
         "hyperparameters", "evaluations", "seconds",
     ),
     "evaluation": (
@@ -40,7 +40,7 @@ SCHEMA = """
 CREATE TABLE session (provenance TEXT NOT NULL, checksum INTEGER NOT NULL);
 CREATE TABLE trial (
     number INTEGER NOT NULL UNIQUE, parameters TEXT NOT NULL, origin TEXT NOT NULL,
-    state TEXT NOT NULL, reason TEXT NOT NULL, worst_case TEXT, warnings TEXT NOT NULL,
+    state TEXT NOT NULL, reason TEXT NOT NULL, worst_cases TEXT NOT NULL, warnings TEXT NOT NULL,
     hyperparameters TEXT NOT NULL, evaluations INTEGER NOT NULL, seconds REAL NOT NULL,
     checksum INTEGER NOT NULL
 );
@@ -224,7 +224,7 @@ def _trial_row(trial: Trial) -> tuple[object, ...]:
         trial.origin,
         str(trial.state),
         _storable(trial.reason),
-        json.dumps(asdict(trial.worst_case)) if trial.worst_case else None,
+        json.dumps({name: asdict(worst) for name, worst in trial.worst_cases.items()}),
         json.dumps(trial.warnings),
         json.dumps(dict(trial.hyperparameters)),
         len(trial.evaluations),

@@ -30,7 +30,7 @@ from bo_tuner.study import maxima
 from bo_tuner.text import csv_cell, one_line
 from bo_tuner.trials import TUNING, Evaluation, Trial
 
-OBJECTS = ("parameters", "worst_case", "context", "metrics", "details")
+OBJECTS = ("parameters", "worst_cases", "context", "metrics", "details")
 """Columns that hold JSON objects."""
 
 NOT_EXPORTED = ("seconds", "hyperparameters")
@@ -313,8 +313,11 @@ def _flat(row: Mapping[str, object]) -> dict[str, object]:
             continue
         if key in OBJECTS and value is not None:
             # With the section in front: names are unique within one only.
-            values = json.loads(str(value))
-            flat |= {f"{key}.{name}": csv_cell(v) for name, v in values.items()}
+            for name, item in json.loads(str(value)).items():
+                inner = item if isinstance(item, dict) else {}
+                flat |= {f"{key}.{name}.{part}": csv_cell(v) for part, v in inner.items()}
+                if not inner:
+                    flat[f"{key}.{name}"] = csv_cell(item)
         else:
             flat[key] = csv_cell(value)
     return flat

@@ -59,12 +59,15 @@ def evaluation_of(row: Row) -> Evaluation:
 
 def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
     """Make a trial."""
-    state, reason, worst_case = TrialState(_text(row, "state")), _text(row, "reason"), None
+    state, reason = TrialState(_text(row, "state")), _text(row, "reason")
+    worst_cases: dict[str, WorstCase] = {}
     failed = [e for e in evaluations if e.outcome.state is not EvaluationState.COMPLETE]
     if state is TrialState.COMPLETE and failed:
         state, reason = TrialState.FAILED, failed[0].outcome.reason
     else:
-        worst_case = _worst_case(row)
+        worst_cases = {
+            name: _worst_case(found) for name, found in _object(row, "worst_cases").items()
+        }
     return Trial(
         number=number_of(row),
         parameters=_values(row, "parameters"),
@@ -72,7 +75,7 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
         state=state,
         reason=reason,
         evaluations=evaluations,
-        worst_case=worst_case,
+        worst_cases=worst_cases,
         warnings=tuple(_as_text(item, "warnings") for item in _list(row, "warnings")),
         hyperparameters={
             name: tuple(float(_number(phi, "hyperparameters")) for phi in _sequence(values))
@@ -101,6 +104,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
         With the first one, and why.
     """
     space = study.search_space()
+    searched = {constraint.name for constraint in study.worst_case_constraints}
     known: set[str] = set()
 
     def check_parameters(parameters: Mapping[str, Value]) -> None:
@@ -136,35 +140,31 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             raise ValueError(f"{where}: {error}") from error
     for trial in trials:
         complete = trial.state is TrialState.COMPLETE
-        searched = complete and study.worst_case_constraint is not None
         states = [evaluation.outcome.state for evaluation in trial.evaluations]
         try:
             check_parameters(trial.parameters)
             if not states or complete != all(s is EvaluationState.COMPLETE for s in states):
                 raise ValueError(f"is {trial.state}, unlike its evaluations")
-            if searched != (trial.worst_case is not None):
-                raise ValueError("has a worst case without a search, or none after one")
-            if trial.worst_case is not None:
-                found = trial.worst_case
+            _same_names(trial.worst_cases, searched if complete else (), "worst_cases")
+            for found in trial.worst_cases.values():
                 check_context(found.context)
-                _check_size((found.value, found.observed, found.noise), "worst_case")
+                _check_size((found.value, found.observed, found.noise), "worst_cases")
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
                 raise ValueError("has evaluations of other parameters")
         except ValueError as error:
             raise ValueError(f"trial {trial.number}: {error}") from error
 
 
-def _worst_case(row: Row) -> WorstCase | None:
-    if row["worst_case"] is None:
-        return None
-    found = _object(row, "worst_case")
-    _same_names(found, ("value", "context", "observed", "noise"), "worst_case")
+def _worst_case(found: object) -> WorstCase:
+    if not isinstance(found, dict):
+        raise ValueError(f"worst_cases: expected an object, found {checks.show(found)}")
+    _same_names(found, ("value", "context", "observed", "noise"), "worst_cases")
     value, observed, noise = (
-        float(_number(found[key], "worst_case")) for key in ("value", "observed", "noise")
+        float(_number(found[key], "worst_cases")) for key in ("value", "observed", "noise")
     )
     if noise < 0.0:
-        raise ValueError(f"worst_case: noise {noise}")
-    return WorstCase(value, _as_numbers(found["context"], "worst_case"), observed, noise)
+        raise ValueError(f"worst_cases: noise {noise}")
+    return WorstCase(value, _as_numbers(found["context"], "worst_cases"), observed, noise)
 
 
 def _text(row: Row, column: str) -> str:

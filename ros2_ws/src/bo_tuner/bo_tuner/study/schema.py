@@ -151,6 +151,8 @@ def _object(cls: type[Any], definitions: dict[str, Schema]) -> Schema:
     if cls is Parameter:
         # Where its node runs, this says what is left out.
         required.remove("type")
+    if cls is Constraint:
+        result["anyOf"] = [{"required": ["upper"]}, {"required": ["lower"]}]
     if required:
         result["required"] = required
     return result

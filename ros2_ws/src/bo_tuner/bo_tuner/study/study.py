@@ -92,7 +92,7 @@ class Study:
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
-        Limits on metrics; at most one is a worst case.
+        Limits on metrics. One with two limits becomes two constraints.
     certificate : CertificateRequirement
         What a certificate must have for `apply`, at least.
     order : tuple of (str, str)
@@ -139,6 +139,7 @@ class Study:
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
         object.__setattr__(self, "start", _start(self.start))
+        object.__setattr__(self, "constraints", _one_limit_each(self.constraints))
         for section, most in MOST.items():
             checks.at_most(getattr(self, section), most, section)
         tuned = [name for name, item in self.parameters.items() if item.is_tuned]
@@ -149,7 +150,7 @@ class Study:
         for section in ("nodes", "parameters", "metrics"):
             if not getattr(self, section):
                 raise StudyError("expected at least one", (section,))
-        for section in ("nodes", "parameters", "signals", "contexts", "metrics", "constraints"):
+        for section in ("nodes", "parameters", "signals", "contexts", "metrics"):
             for name, item in getattr(self, section).items():
                 if item.name != name:
                     raise StudyError(f"is called '{item.name}' in itself", (section, name))
@@ -160,12 +161,6 @@ class Study:
         for name, constraint in self.constraints.items():
             checks.reference(
                 constraint.metric, "metric", self.metrics, "constraints", name, "metric"
-            )
-        worst = [name for name, item in self.constraints.items() if item.kind == WORST_CASE]
-        if len(worst) > 1:
-            raise StudyError(
-                f"'{worst[0]}' is already a worst_case constraint; expected at most one",
-                ("constraints", worst[1], "kind"),
             )
         self._check_targets()
         self._check_park()
@@ -221,10 +216,9 @@ class Study:
         return tuple(item for item in self.constraints.values() if item.kind == CHANCE)
 
     @property
-    def worst_case_constraint(self) -> Constraint | None:
-        """The constraint that must hold in every context, if there is one."""
-        worst = [item for item in self.constraints.values() if item.kind == WORST_CASE]
-        return worst[0] if worst else None
+    def worst_case_constraints(self) -> tuple[Constraint, ...]:
+        """Constraints that must hold in every context."""
+        return tuple(item for item in self.constraints.values() if item.kind == WORST_CASE)
 
     def assignments(
         self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
@@ -424,6 +418,22 @@ class Study:
                 raise StudyError(
                     f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
                 )
+
+
+def _one_limit_each(constraints: Mapping[str, Constraint]) -> dict[str, Constraint]:
+    """Return the constraints by name, those with two limits as two."""
+    found: dict[str, Constraint] = {}
+    for name, item in constraints.items():
+        if item.name != name:
+            raise StudyError(f"is called '{item.name}' in itself", ("constraints", name))
+        for side in item.sides():
+            if side.name in found or (side is not item and side.name in constraints):
+                raise StudyError(
+                    f"is split into '{side.name}' and another, but there is such a constraint",
+                    ("constraints", name),
+                )
+            found[side.name] = side
+    return found
 
 
 def _order(order: object) -> tuple[tuple[str, str], ...]:

@@ -45,9 +45,10 @@ class Sample:
     name
         Name of the constraint.
     worst
-        Largest value of its metric, in the metric's unit; NaN if there are no values.
+        Value of its metric that is farthest on the side of the limit, in the metric's unit; NaN if
+        there are no values.
     count, violations
-        Number of values, and of those above the limit.
+        Number of values, and of those beyond the limit.
     holds
         Whether the values agree with the constraint; False if there are no values.
     """
@@ -60,7 +61,7 @@ class Sample:
 
 
 def most_violations(constraint: Constraint, count: int) -> int:
-    """Return how many of `count` draws may exceed the limit.
+    """Return how many of `count` draws may violate the limit.
 
     The result is floor((1 - probability) count) for a chance constraint; the tolerance of 1e-9
     compensates for the rounding of 1 - probability. For a worst-case one on single runs it is the
@@ -78,13 +79,14 @@ def most_violations(constraint: Constraint, count: int) -> int:
 def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
     """Judge a constraint on values (n,) of its metric in draws of context and noise."""
     found = np.asarray(values, dtype=np.float64)
-    violations = int(np.sum(found > constraint.upper))
+    violations = int(np.sum(constraint.violations(found)))
     holds = len(found) > 0 and violations <= most_violations(constraint, len(found))
     if holds and constraint.statistic == EXPECTATION:
-        holds = _lowest_mean(found) <= constraint.upper
+        sign = constraint.sign
+        holds = _lowest_mean(sign * found) <= sign * constraint.limit
     return Sample(
         name=constraint.name,
-        worst=float(found.max()) if len(found) else math.nan,
+        worst=constraint.farthest(found),
         count=len(found),
         violations=violations,
         holds=holds,
@@ -107,7 +109,9 @@ def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:
 
     On single runs, the quantile of a normal metric with the estimated mean and noise must keep it.
     """
-    return worst_case.value + constraint.deviations * worst_case.noise <= constraint.upper
+    sign = constraint.sign
+    quantile = sign * worst_case.value + constraint.deviations * worst_case.noise
+    return quantile <= sign * constraint.limit
 
 
 def refuted(constraint: Constraint, values: ArrayLike) -> bool:
@@ -116,7 +120,7 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     A single evaluation stays below mean + z s with the constraint's probability, where s is the
     standard deviation and z = Φ⁻¹(probability); z = 0 if the limit is on the mean. The constraint
     is refuted if this quantile exceeds the limit by more than its standard error,
-    s √((1 + z² / 2) / n).
+    s √((1 + z² / 2) / n). For a lower limit it is the mirror image.
 
     Parameters
     ----------
@@ -125,11 +129,11 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     values
         Values (n,) of its metric in that context, n ≥ 2.
     """
-    found = np.asarray(values, dtype=np.float64)
+    found = constraint.sign * np.asarray(values, dtype=np.float64)
     mean, noise = float(found.mean()), float(found.std(ddof=1))
     z = constraint.deviations
     error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(found))
-    return mean + z * noise - error > constraint.upper
+    return mean + z * noise - error > constraint.sign * constraint.limit
 
 
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:
@@ -138,14 +142,24 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
     for chance in study.chance_constraints:
         if not judge_sample(chance, trial.observations(chance.metric)).holds:
             broken.append(chance.name)
-    worst = study.worst_case_constraint
-    if (
-        worst is not None
-        and trial.worst_case is not None
-        and not worst_case_holds(worst, trial.worst_case)
-    ):
-        broken.append(worst.name)
+    for worst in study.worst_case_constraints:
+        found = trial.worst_cases.get(worst.name)
+        if found is not None and not worst_case_holds(worst, found):
+            broken.append(worst.name)
     return tuple(broken)
+
+
+def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
+    """Return the worst-case constraint that a trial violates most, or keeps with least to spare.
+
+    None without any, or if the trial is not complete.
+    """
+    found = [
+        (constraint, trial.worst_cases[constraint.name])
+        for constraint in study.worst_case_constraints
+        if constraint.name in trial.worst_cases
+    ]
+    return max(found, key=lambda pair: pair[0].excess(pair[1].value), default=None)
 
 
 def verdict(study: Study, trial: Trial) -> str:

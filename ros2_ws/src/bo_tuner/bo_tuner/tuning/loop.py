@@ -89,7 +89,7 @@ class Tuning:
 
     def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:
         done: list[Evaluation] = []
-        state, reason, worst_case = self._stages(number, proposal, done)
+        state, reason, worst_cases = self._stages(number, proposal, done)
         return Trial(
             number=number,
             parameters=proposal.parameters,
@@ -97,7 +97,7 @@ class Tuning:
             state=state,
             reason=reason,
             evaluations=tuple(done),
-            worst_case=worst_case,
+            worst_cases=worst_cases,
             warnings=proposal.warnings,
             hyperparameters=proposal.hyperparameters,
             seconds=seconds,
@@ -105,7 +105,7 @@ class Tuning:
 
     def _stages(
         self, number: int, proposal: Proposal, done: list[Evaluation]
-    ) -> tuple[TrialState, str, WorstCase | None]:
+    ) -> tuple[TrialState, str, dict[str, WorstCase]]:
         """Run the evaluations of a trial until one fails, and append each to `done`."""
 
         def run(stage: Stage, context: Mapping[str, float]) -> Outcome:
@@ -120,20 +120,17 @@ class Tuning:
         for stage, context in self._estimating_contexts(number):
             outcome = run(stage, context)
             if outcome.state is not EvaluationState.COMPLETE:
-                return TrialState.FAILED, outcome.reason, None
-        constraint = self._study.worst_case_constraint
-        if constraint is None:
-            return TrialState.COMPLETE, "", None
-        search = self._algorithm.worst_case_search(self._study, constraint, proposal, self.trials)
+                return TrialState.FAILED, outcome.reason, {}
+        searches = self._algorithm.worst_case_searches(self._study, proposal, self.trials)
         for evaluation in done:
-            search.tell(evaluation.context, evaluation.outcome.metrics[constraint.metric])
-        while not search.done(rng()):
-            context = search.ask(rng())
+            searches.tell(evaluation.context, evaluation.outcome.metrics)
+        while not searches.done(rng()):
+            context = searches.ask(rng())
             outcome = run(Stage.SEARCH, context)
             if outcome.state is not EvaluationState.COMPLETE:
-                return TrialState.FAILED, outcome.reason, None
-            search.tell(context, outcome.metrics[constraint.metric])
-        return TrialState.COMPLETE, "", search.worst_case(rng())
+                return TrialState.FAILED, outcome.reason, {}
+            searches.tell(context, outcome.metrics)
+        return TrialState.COMPLETE, "", searches.worst_cases(rng())
 
     def _estimating_contexts(self, number: int) -> list[tuple[Stage, dict[str, float]]]:
         if self._algorithm.nominal:

@@ -16,15 +16,18 @@ from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, WorstCase
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.limits import judge_sample, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 DRAWN_EVALUATIONS = 10
 WORST_EVALUATIONS = 10
-CHECK_EVALUATIONS = DRAWN_EVALUATIONS + WORST_EVALUATIONS
-"""Largest number of evaluations in the check of a candidate."""
+
+
+def most_check_evaluations(study: Study) -> int:
+    """Return the largest number of evaluations in the check of a candidate."""
+    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(study.worst_case_constraints)
 
 
 @dataclass(frozen=True)
@@ -145,14 +148,25 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         judge_sample(chance, extended.observations(chance.metric)).holds
         for chance in study.chance_constraints
     )
-    constraint, worst = study.worst_case_constraint, trial.worst_case
-    if constraint is None or worst is None:
-        return extended, holds
-    repeated = _values(check, Stage.CHECK_WORST, constraint.metric)
-    drawn = _values(check, Stage.CHECK_DRAWN, constraint.metric)
-    holds = holds and not refuted(constraint, repeated) and judge_sample(constraint, drawn).holds
-    found = replace(worst, value=float(np.mean(repeated)), observed=max(worst.observed, *repeated))
-    return replace(extended, worst_case=found), holds
+    drawn = [e for e in check if e.stage is Stage.CHECK_DRAWN]
+    repeated = [e for e in check if e.stage is Stage.CHECK_WORST]
+    found: dict[str, WorstCase] = {}
+    for constraint in study.worst_case_constraints:
+        worst = trial.worst_cases.get(constraint.name)
+        if worst is None:
+            continue
+        there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
+        holds = (
+            holds
+            and not refuted(constraint, there)
+            and judge_sample(constraint, _values(drawn, constraint.metric)).holds
+        )
+        found[constraint.name] = replace(
+            worst,
+            value=float(np.mean(there)),
+            observed=constraint.farthest([worst.observed, *there]),
+        )
+    return replace(extended, worst_cases=found), holds
 
 
 def _check(
@@ -164,8 +178,8 @@ def _check(
         DRAWN_EVALUATIONS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
     )
     plan = [(Stage.CHECK_DRAWN, contexts.to_dict(row)) for row in drawn]
-    if trial.worst_case is not None:
-        plan += [(Stage.CHECK_WORST, dict(trial.worst_case.context))] * WORST_EVALUATIONS
+    for worst_context in _worst_contexts(trial):
+        plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
     check: list[Evaluation] = []
     for index, (stage, context) in enumerate(plan, start=len(trial.evaluations)):
         seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
@@ -178,8 +192,17 @@ def _check(
 
 def _size(trial: Trial) -> int:
     """Return the number of evaluations in the check of a trial."""
-    return DRAWN_EVALUATIONS + (0 if trial.worst_case is None else WORST_EVALUATIONS)
+    return DRAWN_EVALUATIONS + WORST_EVALUATIONS * len(_worst_contexts(trial))
 
 
-def _values(check: Sequence[Evaluation], stage: Stage, metric: str) -> list[float]:
-    return [e.outcome.metrics[metric] for e in check if e.stage is stage]
+def _worst_contexts(trial: Trial) -> list[dict[str, float]]:
+    """Return the different worst contexts of a trial, in the order of the constraints."""
+    found: list[dict[str, float]] = []
+    for worst in trial.worst_cases.values():
+        if dict(worst.context) not in found:
+            found.append(dict(worst.context))
+    return found
+
+
+def _values(evaluations: Sequence[Evaluation], metric: str) -> list[float]:
+    return [e.outcome.metrics[metric] for e in evaluations]

@@ -1,6 +1,6 @@
 """What was observed of a parameter set: the evidence that a verdict rests on."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
 
@@ -15,15 +15,15 @@ class WorstMean:
     ----------
     value, standard_error
         The mean and its standard error, in the metric's unit.
-    upper
-        Upper confidence bound of the mean.
+    bound
+        Confidence bound of the mean on the side of the limit.
     count
         Number of evaluations.
     """
 
     value: float
     standard_error: float
-    upper: float
+    bound: float
     count: int
 
 
@@ -50,18 +50,14 @@ class Observed:
 
     def mean(self, metric: str) -> float:
         """Return the mean of a metric over the draws; NaN without any."""
-        found = [metrics[metric] for metrics in self.drawn.values() if metric in metrics]
+        found = self.values(metric)
         return sum(found) / len(found) if found else nan
 
-    def largest(self, metric: str) -> float:
-        """Return the largest value of a metric in the draws; NaN without any."""
-        return _largest(self.drawn.values(), metric)
+    def values(self, metric: str) -> list[float]:
+        """Return the values of a metric in the draws."""
+        return [metrics[metric] for metrics in self.drawn.values() if metric in metrics]
 
-    def largest_on_record(self, metric: str) -> tuple[float, int]:
-        """Return the largest value of a metric in all evaluations, and their number."""
-        everything = [*self.drawn.values(), *self.others]
-        return _largest(everything, metric), len(everything)
-
-
-def _largest(evaluations: Iterable[Metrics], metric: str) -> float:
-    return max((metrics[metric] for metrics in evaluations if metric in metrics), default=nan)
+    def on_record(self, metric: str) -> list[float]:
+        """Return the values of a metric in all evaluations."""
+        others = [metrics[metric] for metrics in self.others if metric in metrics]
+        return [*self.values(metric), *others]

@@ -1,7 +1,7 @@
 """The numbers of a verdict, from evaluations of the default and of the tuned parameter set."""
 
 from collections.abc import Mapping
-from math import isnan, nan
+from math import nan
 
 from bo_tuner.study.parts import WORST_CASE, Constraint
 from bo_tuner.study.study import Study
@@ -35,11 +35,17 @@ def quantities(
         for name, constraint in study.constraints.items()
     ]
     compared = {q.metric for q in found if q.difference is not None}
-    limited = {constraint.metric for constraint in study.constraints.values()}
+    signs = {constraint.metric: constraint.sign for constraint in study.constraints.values()}
+    both = {
+        constraint.metric
+        for constraint in study.constraints.values()
+        if constraint.sign != signs[constraint.metric]
+    }
     for name, metric in study.metrics.items():
         if name in compared:
             continue
-        sign = 1.0 if name in limited else 0.0
+        # Between two limits neither direction is the better one.
+        sign = 0.0 if name in both else signs.get(name, 0.0)
         if name == study.objective.metric:
             sign = study.objective.sign
         difference = _paired(default, tuned, name)
@@ -69,26 +75,27 @@ def _of_constraint(
     holds: bool,
     remark: str,
 ) -> Quantity:
-    """Return the worst case if it was searched, or else the largest value in the draws."""
+    """Return the worst case if it was searched, or else the extreme value in the draws."""
     metric, name = constraint.metric, constraint.name
-    label = f"largest {metric}"
-    values = default.largest(metric), tuned.largest(metric)
+    label = f"{constraint.extreme} {metric}"
+    values = tuple(constraint.farthest(side.values(metric)) for side in (default, tuned))
     difference: Difference | None = None
     change, bound = Change.UNKNOWN, nan
     if constraint.kind == WORST_CASE and name in default.worst and name in tuned.worst:
         theirs, ours = default.worst[name], tuned.worst[name]
-        label = f"worst-case {metric}"
+        label = f"worst-case {metric}" if constraint.sign > 0.0 else f"worst-case lowest {metric}"
         values = theirs.value, ours.value
-        bound = ours.upper
+        bound = ours.bound
         difference = unpaired(
             (theirs.value, theirs.standard_error, theirs.count),
             (ours.value, ours.standard_error, ours.count),
         )
-        change = difference.change(1.0)
-    largest, count = tuned.largest_on_record(metric)
+        change = difference.change(constraint.sign)
+    on_record = tuned.on_record(metric)
     parts = [remark] if remark else []
-    if not isnan(largest):
-        parts.append(f"largest of {count} evaluations on record {shown(largest)}")
+    if on_record:
+        farthest = shown(constraint.farthest(on_record))
+        parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
     return Quantity(
         label=label,
         metric=metric,
@@ -97,7 +104,7 @@ def _of_constraint(
         tuned=values[1],
         difference=difference,
         change=change,
-        limit=constraint.upper,
+        limit=constraint.limit,
         bound=bound,
         holds=holds,
         remark="; ".join(parts),

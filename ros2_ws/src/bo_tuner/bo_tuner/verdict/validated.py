@@ -69,7 +69,8 @@ def validated(
             *observed_sides,
             {name: sample.holds for name, sample in tuned.constraints.items()},
             {
-                name: f"{sample.violations} of {sample.count} draws above the limit"
+                name: f"{sample.violations} of {sample.count} draws "
+                f"{study.constraints[name].beyond} the limit"
                 for name, sample in tuned.constraints.items()
             },
         ),
@@ -132,9 +133,10 @@ def _doubts(study: Study, found: Validation) -> list[str]:
 def _broken(study: Study, sample: Sample) -> str:
     constraint = study.constraints[sample.name]
     if constraint.statistic == EXPECTATION and not sample.holds:
-        return f"{sample.name}: the mean over the draws is above {constraint.upper:g}"
-    limit = f"{constraint.upper:g} {study.metrics[constraint.metric].unit}".rstrip()
-    return f"{sample.name}: {sample.violations} of {sample.count} draws above {limit}"
+        beyond = f"{constraint.beyond} {constraint.limit:g}"
+        return f"{sample.name}: the mean over the draws is {beyond}"
+    limit = f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
+    return f"{sample.name}: {sample.violations} of {sample.count} draws {constraint.beyond} {limit}"
 
 
 def _load(study: Study, tuned: Validation) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from bo_tuner.optimizers.ranking import rank
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Outcome, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import CHECK_EVALUATIONS, recommend
+from bo_tuner.tuning.recommendation import most_check_evaluations, recommend
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
 from tuning_benchmark.experiments import plugins
@@ -101,7 +101,9 @@ class Run:
             self._peer = PeerOptimizer(self.study, plugins.load(row.optimizer)(self.study, seed))
             algorithm = PeerAlgorithm(row.optimizer, peer=self._peer, most_checked=0)
         # As many checks as the evaluations allow: what one row spends more, the others lack.
-        most_checked = min(algorithm.most_checked, size.reserved // CHECK_EVALUATIONS)
+        most_checked = min(
+            algorithm.most_checked, size.reserved // most_check_evaluations(self.study)
+        )
         changes: dict[str, Any] = {"most_checked": most_checked}
         if row.protocol == RANDOM:
             changes["worst_case"] = OBSERVED

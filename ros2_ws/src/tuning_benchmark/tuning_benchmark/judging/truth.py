@@ -155,16 +155,18 @@ class Truth:
     Raises
     ------
     StudyError
-        If the study has no worst-case constraint, or the judge cannot be loaded or refuses it.
+        If the study has not one worst-case constraint with an upper limit, or the judge cannot be
+        loaded or refuses it.
     """
 
     def __init__(self, study: Study, judge: str, effort: Effort = Effort()) -> None:
-        constraint = study.worst_case_constraint
-        if constraint is None:
-            raise StudyError("expected a worst_case constraint, which the judge judges")
+        worst = study.worst_case_constraints
+        if len(worst) != 1 or worst[0].sign < 0.0:
+            raise StudyError("expected one worst_case constraint, an upper limit, for the judge")
+        (constraint,) = worst
         self.study = study
         self.effort = effort
-        self.limit = constraint.upper
+        self.limit = constraint.limit
         self.constraint = constraint
         space = study.context_space()
         rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(0,)))

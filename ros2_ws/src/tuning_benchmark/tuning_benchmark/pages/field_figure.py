@@ -108,8 +108,8 @@ def _known(study: Study, columns: Sequence[Record]) -> dict[str, Grid]:
     fields = {study.objective.metric: _grid([c["objective"] for c in columns])}
     for chance in study.chance_constraints:
         fields[chance.name] = _grid([c["constraints"][chance.name] for c in columns])
-    if study.worst_case_constraint is not None:
-        fields[study.worst_case_constraint.name] = _grid([c["worst"] for c in columns])
+    for worst in study.worst_case_constraints:
+        fields[worst.name] = _grid([c["worst"] for c in columns])
     return fields
 
 
@@ -121,7 +121,8 @@ def _grid(columns: Sequence[Sequence[float | None]]) -> Grid:
 def _within_limits(study: Study, fields: Mapping[str, Grid]) -> Grid:
     within = np.ones_like(fields[study.objective.metric])
     for name, constraint in study.constraints.items():
-        within *= fields[name] <= constraint.upper
+        field = fields[name]
+        within *= np.isfinite(field) & ~constraint.violations(field)
     return within
 
 
@@ -134,13 +135,14 @@ def _colors(study: Study, name: str, known: Grid) -> ColorScale:
         return ColorScale(label=name, unit=unit, low=low, high=high, scale=scale)
     constraint = study.constraints[name]
     unit = study.metrics[constraint.metric].unit or ""
-    spread = float(np.max(np.abs(finite - constraint.upper)))
+    limit = constraint.limit
+    spread = float(np.max(np.abs(finite - limit)))
     return ColorScale(
         label=constraint.metric,
         unit=unit,
-        low=max(constraint.upper - spread, min(0.0, float(finite.min()))),
-        high=constraint.upper + min(spread, constraint.upper),
-        middle=constraint.upper,
+        low=max(limit - spread, min(0.0, float(finite.min()))),
+        high=limit + min(spread, limit),
+        middle=limit,
     )
 
 
@@ -149,7 +151,7 @@ def _levels(study: Study, name: str, colors: ColorScale) -> list[float]:
     if name == study.objective.metric:
         space = np.geomspace if colors.scale is Scale.LOG else np.linspace
         return [float(f"{level:.2g}") for level in space(colors.low, colors.high, 7)[1:-1]]
-    return [share * study.constraints[name].upper for share in (0.5, 0.75, 1.0, 1.25, 1.5)]
+    return [share * study.constraints[name].limit for share in (0.5, 0.75, 1.0, 1.25, 1.5)]
 
 
 def _lines(x: Sequence[float], y: Sequence[float], result: Record) -> list[Element]:

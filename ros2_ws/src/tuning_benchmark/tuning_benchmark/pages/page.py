@@ -156,7 +156,7 @@ def _protocols(case: Case) -> list[str]:
     rows = case.rows.values()
     if not any(row.optimizer for row in rows):
         return []
-    worst = case.study.worst_case_constraint
+    worst = next(iter(case.study.worst_case_constraints), None)
     text = []
     contexts = sorted({row.contexts for row in rows if row.protocol == RANDOM})
     if contexts:

@@ -111,7 +111,7 @@ def neighbourhood_table(
 ) -> str:
     """Lay out the best parameter sets and their neighbours, each with a verdict (Table 3)."""
     study = case.study
-    worst = study.worst_case_constraint
+    worst = next(iter(study.worst_case_constraints), None)
     names = study.search_space().names
     header = ["", *names, "objective", worst.name if worst else "", "feasible", "verdict", "paper"]
     rows = []
@@ -253,9 +253,9 @@ def _step(study: Study, entry: Record, neighbour: Record) -> str:
         return "fails"
     change = there["objective"] / here["objective"] - 1.0
     parts = [f"objective {change:+.0%}"]
-    worst = study.worst_case_constraint
-    if worst is not None and there["worst"] > worst.upper:
-        parts.append(f"limit exceeded by {there['worst'] / worst.upper - 1.0:.0%}")
+    for worst in study.worst_case_constraints:
+        if worst.violations(there["worst"]):
+            parts.append(f"limit exceeded by {worst.excess(there['worst']):.0%}")
     return ", ".join(parts) + ("" if neighbour["tolerable"] else ": not tolerable")
 
 

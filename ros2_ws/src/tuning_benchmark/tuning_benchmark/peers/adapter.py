@@ -105,10 +105,10 @@ def observation(study: Study, trial: Trial, trials: Sequence[Trial]) -> Observat
     constraints = {}
     for chance in study.chance_constraints:
         values = trial.observations(chance.metric)
-        value = float(np.quantile(values, chance.level, method="inverted_cdf"))
-        constraints[chance.name] = value - chance.upper
-    worst = study.worst_case_constraint
-    if worst is not None and trial.worst_case is not None:
-        reached = trial.worst_case.value + single_evaluation_margin(trials, worst)
-        constraints[worst.name] = reached - worst.upper
+        costs = chance.sign * np.asarray(values)
+        value = float(np.quantile(costs, chance.level, method="inverted_cdf"))
+        constraints[chance.name] = value - chance.sign * chance.limit
+    for worst in study.worst_case_constraints:
+        beyond = worst.sign * (trial.worst_cases[worst.name].value - worst.limit)
+        constraints[worst.name] = beyond + single_evaluation_margin(trials, worst)
     return Observation(parameters, False, float(cost.mean()), constraints)

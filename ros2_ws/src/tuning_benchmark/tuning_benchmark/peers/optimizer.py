@@ -87,7 +87,7 @@ def best_observed(observations: Sequence[Observation]) -> int | None:
 def excesses(study: Study, observation: Observation) -> dict[str, float]:
     """Excess over each limit relative to the limit's size, so that constraints are comparable."""
     return {
-        name: value / (abs(study.constraints[name].upper) or 1.0)
+        name: value / (abs(study.constraints[name].limit) or 1.0)
         for name, value in observation.constraints.items()
     }
 

@@ -111,12 +111,12 @@ def _that_matter(analysis: Analysis) -> list[Quantity]:
     """
     study, found = analysis.study, analysis.verdict.quantities
     limited = {constraint.metric for constraint in study.constraints.values()}
-    worst = study.worst_case_constraint
+    worst = {constraint.metric for constraint in study.worst_case_constraints}
 
     def rank(quantity: Quantity) -> int:
         if quantity.holds is False:
             return 0
-        if worst is not None and quantity.holds and quantity.metric == worst.metric:
+        if quantity.holds and quantity.metric in worst:
             return 1
         if quantity.metric == study.objective.metric:
             return 2
@@ -134,7 +134,7 @@ def _of_quantity(quantity: Quantity) -> Tile:
         kept = "kept" if quantity.holds else "NOT kept"
         if isfinite(quantity.bound):
             kept = "shown to be kept" if quantity.holds else "NOT shown to be kept"
-            remarks.append(f"upper bound of the mean {shown(quantity.bound)}")
+            remarks.append(f"bound of the mean {shown(quantity.bound)}")
         remarks[0] += f", limit {number(quantity.limit)}: {kept}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")

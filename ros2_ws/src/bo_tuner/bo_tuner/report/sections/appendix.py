@@ -4,6 +4,7 @@ import numpy as np
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
+from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study_file import study_to_yaml
 
 RESULT, NEIGHBOUR = "result", "neighbour"
@@ -16,19 +17,18 @@ def all_trials(analysis: Analysis) -> Section:
     study = analysis.study
     names = study.search_space().names
     metric = study.metrics[study.objective.metric]
-    worst = study.worst_case_constraint
+    worst = study.worst_case_constraints
     header = ["trial", "origin", *(_with_unit(n, study.parameters[n].unit) for n in names)]
     header.append(_with_unit(f"mean {metric.name}", metric.unit))
-    if worst is not None:
-        header.append(_with_unit(f"worst {worst.metric}", study.metrics[worst.metric].unit))
+    header += [_with_unit(_worst(c), study.metrics[c.metric].unit) for c in worst]
     header += ["evaluations", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
         row.append(number(analysis.mean_objective(trial)))
-        if worst is not None:
-            row.append(number(trial.worst_case.value if trial.worst_case else None))
+        found = [trial.worst_cases.get(constraint.name) for constraint in worst]
+        row += [number(None if item is None else item.value) for item in found]
         row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]
         rows.append(row)
     return Section(
@@ -83,6 +83,10 @@ def provenance(analysis: Analysis) -> Section:
             ),
         ],
     )
+
+
+def _worst(constraint: Constraint) -> str:
+    return f"worst {'' if constraint.sign > 0.0 else 'lowest '}{constraint.metric}"
 
 
 def _with_unit(name: str, unit: str) -> str:

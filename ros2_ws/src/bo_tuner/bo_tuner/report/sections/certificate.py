@@ -11,6 +11,7 @@ from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.parts import UPPER
 from bo_tuner.trials import Trial
 
 
@@ -111,10 +112,12 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
     for pair in zip(*(f["constraints"] for f in both), strict=True):
         first = pair[-1]
         metric, unit, limit = first["metric"], first["unit"], number(first["limit"])
+        side = first["side"]
+        extreme, beyond = ("largest", "above") if side == UPPER else ("smallest", "below")
         rows += [
-            [f"largest {metric}", *(number(c["largest"]) for c in pair), unit],
+            [f"{extreme} {metric}", *(number(c["extreme"]) for c in pair), unit],
             [f"  {tail}", *(number(c["tail"]) for c in pair), unit],
-            [f"  draws above {limit}", *(str(c["violations"]) for c in pair), ""],
+            [f"  draws {beyond} {limit}", *(str(c["violations"]) for c in pair), ""],
             [
                 f"  probability of a violation, {confidence} bound",
                 *(number(c["violation_bound"]) for c in pair),
@@ -125,7 +128,7 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
             worst = [c["worst"][0] for c in pair]
             rows += [
                 [f"worst-case mean {metric}", *(_mean(w["mean"]) for w in worst), unit],
-                [f"  {confidence} bound", *(number(w["mean"]["upper"]) for w in worst), unit],
+                [f"  {confidence} bound", *(number(w["mean"][side]) for w in worst), unit],
                 [
                     f"  probability of a violation there, {confidence} bound",
                     *(number(w["violation_bound"]) for w in worst),

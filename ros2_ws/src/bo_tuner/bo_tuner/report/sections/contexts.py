@@ -21,8 +21,8 @@ from bo_tuner.figures.figure import (
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, quantity, values
-from bo_tuner.study.parts import Metric
+from bo_tuner.report.content import Section, numbered, quantity, values
+from bo_tuner.study.parts import Constraint, Metric
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -45,42 +45,50 @@ def contexts(analysis: Analysis) -> Section | None:
     sides = [(name, evaluations) for name, evaluations in sides if evaluations]
     if not sides:
         return None
-    metric, limit = _metric(study)
-    worst = [
-        (name, max(evaluations, key=lambda e: e.outcome.metrics[metric.name]))
-        for name, evaluations in sides
-    ]
-    largest = "; ".join(
-        f"{name}: {quantity(evaluation.outcome.metrics[metric.name], metric.unit)} at "
-        f"{values(evaluation.context)}"
-        for name, evaluation in worst
-    )
-    bound = ""
-    if limit is not None:
-        above = "; ".join(
-            f"{name} {_above(evaluations, metric, limit)}" for name, evaluations in sides
-        )
-        bound = f" Evaluations above the limit of {quantity(limit, metric.unit)}: {above}."
+    # Without a worst-case limit, the contexts matter for the objective.
+    shown: Sequence[Constraint | None] = study.worst_case_constraints or (None,)
     return Section(
         name="contexts",
         title="Which contexts are the worst",
-        lead=f"Largest {metric.name} observed: {largest}.{bound}",
-        figures=[_map(study, sides, metric, limit)],
+        lead=" ".join(_lead(study, sides, constraint) for constraint in shown),
+        figures=[
+            _map(study, sides, constraint, numbered("contexts", k))
+            for k, constraint in enumerate(shown)
+        ],
     )
-
-
-def _metric(study: Study) -> tuple[Metric, float | None]:
-    """Return the metric of the worst case and its limit, or the objective's and None."""
-    worst = study.worst_case_constraint
-    if worst is None:
-        return study.metrics[study.objective.metric], None
-    return study.metrics[worst.metric], worst.upper
 
 
 Side = tuple[str, list[Evaluation]]
 
 
-def _map(study: Study, sides: Sequence[Side], metric: Metric, limit: float | None) -> Figure:
+def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) -> str:
+    """Name the worst evaluation of each side, and how many violate the limit."""
+    metric = _metric(study, constraint)
+    sign = study.objective.sign if constraint is None else constraint.sign
+    found = "; ".join(
+        f"{name}: {quantity(worst.outcome.metrics[metric.name], metric.unit)} at "
+        f"{values(worst.context)}"
+        for name, evaluations in sides
+        for worst in (max(evaluations, key=lambda e: sign * e.outcome.metrics[metric.name]),)
+    )
+    text = f"{'Largest' if sign > 0.0 else 'Smallest'} {metric.name} observed: {found}."
+    if constraint is None:
+        return text
+    limit = quantity(constraint.limit, metric.unit)
+    counts = "; ".join(
+        f"{name} {_violating(evaluations, constraint)}" for name, evaluations in sides
+    )
+    return f"{text} Evaluations {constraint.beyond} the limit of {limit}: {counts}."
+
+
+def _metric(study: Study, constraint: Constraint | None) -> Metric:
+    """Return the metric of a constraint, or else the objective's."""
+    return study.metrics[study.objective.metric if constraint is None else constraint.metric]
+
+
+def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, name: str) -> Figure:
+    metric = _metric(study, constraint)
+    limit = None if constraint is None else constraint.limit
     seen = [
         evaluation.outcome.metrics[metric.name]
         for _, evaluations in sides
@@ -102,11 +110,11 @@ def _map(study: Study, sides: Sequence[Side], metric: Metric, limit: float | Non
             _panel_2d(study, side, metric, colors, limit, pair) for pair in pairs for side in sides
         ]
     return Figure(
-        name="contexts",
+        name=name,
         title=f"{metric.name} over the contexts, default and tuned parameter set",
         caption="Each point is an evaluation, of any stage. The colours between them are the "
         "posterior mean of a Gaussian process; the line is the limit. Points cluster where the "
-        "metric is large because the search looks for the worst case.",
+        "metric is bad because the search looks for the worst case.",
         alternative="; ".join(_summary(side, metric) for side in sides),
         panels=panels,
         columns=min(2, len(panels)),
@@ -209,9 +217,9 @@ def _colors(metric: Metric, seen: Sequence[float], limit: float | None) -> Color
     return ColorScale(label=metric.name, unit=metric.unit, low=low, high=high, middle=limit)
 
 
-def _above(evaluations: Sequence[Evaluation], metric: Metric, limit: float) -> str:
-    above = sum(evaluation.outcome.metrics[metric.name] > limit for evaluation in evaluations)
-    return f"{above} of {len(evaluations)}"
+def _violating(evaluations: Sequence[Evaluation], constraint: Constraint) -> str:
+    seen = [evaluation.outcome.metrics[constraint.metric] for evaluation in evaluations]
+    return f"{np.sum(constraint.violations(seen))} of {len(seen)}"
 
 
 def _summary(side: Side, metric: Metric) -> str:

@@ -22,8 +22,8 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.report.analysis import Analysis, Outcome
-from bo_tuner.report.content import Section, quantity, values
-from bo_tuner.study.parts import LOG
+from bo_tuner.report.content import Section, numbered, quantity, values
+from bo_tuner.study.parts import LOG, Constraint
 from bo_tuner.trials import EvaluationState, Trial, TrialState
 from bo_tuner.tuning.limits import worst_case_holds
 
@@ -44,8 +44,11 @@ def convergence(analysis: Analysis) -> Section:
     study, trials = analysis.study, analysis.record.trials
     complete = any(trial.state is TrialState.COMPLETE for trial in trials)
     figures = [_objective(analysis)] if complete else []
-    if complete and study.worst_case_constraint is not None:
-        figures.append(_worst_case(analysis))
+    if complete:
+        figures += [
+            _worst_case(analysis, constraint, numbered("worst-cases", k))
+            for k, constraint in enumerate(study.worst_case_constraints)
+        ]
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
     evaluations = sum(len(trial.evaluations) for trial in trials)
@@ -71,10 +74,10 @@ def describe(analysis: Analysis, trial: Trial) -> str:
         return "\n".join([*lines, trial.reason])
     mean = analysis.mean_objective(trial)
     lines.append(f"mean {study.objective.metric} {quantity(mean, unit)}")
-    worst = study.worst_case_constraint
-    if worst is not None and trial.worst_case is not None:
-        found = quantity(trial.worst_case.value, study.metrics[worst.metric].unit)
-        lines.append(f"worst {worst.metric} {found} at {values(trial.worst_case.context)}")
+    for constraint in study.worst_case_constraints:
+        worst = trial.worst_cases[constraint.name]
+        found = quantity(worst.value, study.metrics[constraint.metric].unit)
+        lines.append(f"worst {constraint.metric} {found} at {values(worst.context)}")
     return "\n".join(lines)
 
 
@@ -116,32 +119,29 @@ def _objective(analysis: Analysis) -> Figure:
     )
 
 
-def _worst_case(analysis: Analysis) -> Figure:
-    study = analysis.study
-    constraint = study.worst_case_constraint
-    if constraint is None:
-        raise ValueError("the study has no worst case")
+def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure:
+    study, sign = analysis.study, constraint.sign
     metric = study.metrics[constraint.metric]
-    found = np.array([t.worst_case.value if t.worst_case else math.nan for t in analysis.trials])
-    shown = _within_sight(analysis, found, Scale.LINEAR)
-    within = sum(
-        t.worst_case is not None and worst_case_holds(constraint, t.worst_case)
-        for t in analysis.trials
-    )
+    estimates = [t.worst_cases.get(constraint.name) for t in analysis.trials]
+    found = np.array([math.nan if worst is None else worst.value for worst in estimates])
+    shown = sign * _within_sight(analysis, sign * found, Scale.LINEAR)
+    within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
+    edge, kept = ("top", "Below") if sign > 0.0 else ("bottom", "Above")
     places = np.arange(len(found), dtype=float)
     return Figure(
-        name="worst-cases",
+        name=name,
         title=f"Worst {metric.name} found for each trial",
-        caption="The largest value over all contexts, as estimated by the search of stage two. "
-        "Below the line the limit is kept; failed trials and far larger values are at the top.",
+        caption=f"The {constraint.extreme} value over all contexts, as estimated by the search of "
+        f"stage two. {kept} the line the limit is kept; failed trials and values far beyond are "
+        f"at the {edge}.",
         alternative=f"{within} of {len(found)} trials keep the limit of "
-        f"{quantity(constraint.upper, metric.unit)}.",
+        f"{quantity(constraint.limit, metric.unit)}.",
         panels=[
             Panel(
                 x=Axis(label="trial"),
                 y=Axis(label=f"worst {metric.name}", unit=metric.unit),
                 elements=[
-                    Limit(value=constraint.upper, name="limit"),
+                    Limit(value=constraint.limit, name="limit"),
                     *trial_points(analysis, analysis.trials, places, shown),
                 ],
             )

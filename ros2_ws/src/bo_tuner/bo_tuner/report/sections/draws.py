@@ -31,9 +31,10 @@ def draws(analysis: Analysis) -> Section | None:
             Figure(
                 name="draws",
                 title="Share of the draws up to each value",
-                caption="A line that reaches 100 % left of the limit kept it in all draws; the "
-                "part above the limit is the share that exceeded it. Dotted: upper confidence "
-                "bound of the tuned worst-case mean, by the certificate.",
+                caption="A line that reaches 100 % left of an upper limit kept it in all draws; so "
+                "did one that leaves 0 % right of a lower limit. The part beyond is the share that "
+                "violated it. Dotted: confidence bound of the tuned worst-case mean, by the "
+                "certificate.",
                 alternative="; ".join(sentences) or "Empirical distributions of the draws.",
                 panels=panels,
                 columns=min(2, len(panels)),
@@ -45,9 +46,9 @@ def draws(analysis: Analysis) -> Section | None:
 
 def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
     verdict, metric = analysis.verdict, analysis.study.metrics[constraint.metric]
-    elements: list[Element] = [Limit(value=constraint.upper, name="limit", vertical=True)]
+    elements: list[Element] = [Limit(value=constraint.limit, name="limit", vertical=True)]
     for q in verdict.quantities:
-        if q.holds is not None and q.metric == metric.name and isfinite(q.bound):
+        if q.metric == metric.name and q.limit == constraint.limit and isfinite(q.bound):
             elements.append(
                 Limit(
                     value=q.bound,

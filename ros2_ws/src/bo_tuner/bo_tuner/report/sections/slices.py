@@ -53,7 +53,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
         caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
         "two standard deviations of the posterior, without the noise of an evaluation. Where the "
         "line ends, the values would violate the order of the parameters. A limit with a "
-        "probability is drawn lower, by a margin for the noise of single evaluations.",
+        "probability is drawn stricter, by a margin for the noise of single evaluations.",
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,
@@ -171,12 +171,6 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
         if away.max() <= NEARBY:
             near.append(trial)
     return near
-
-
-def _constraints(analysis: Analysis) -> list[Constraint]:
-    """Return the constraints in the order of their surrogates."""
-    worst = analysis.study.worst_case_constraint
-    return [*analysis.study.chance_constraints, *([] if worst is None else [worst])]
 
 
 def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:

@@ -6,11 +6,11 @@ from bo_tuner.certificate.context_tolerance import (
     CREDIBLE,
     ContextTolerance,
     Drift,
-    context_tolerance,
+    context_tolerances,
 )
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number, quantity, values
+from bo_tuner.report.content import Section, Table, number, numbered, quantity, values
 
 
 def tolerance(analysis: Analysis) -> Section | None:
@@ -18,62 +18,75 @@ def tolerance(analysis: Analysis) -> Section | None:
     answer = analysis.answer
     if answer is None:
         return None
-    found = context_tolerance(analysis.study, analysis.evaluations_of(answer.parameters))
-    if found is None:
+    tolerances = context_tolerances(analysis.study, analysis.evaluations_of(answer.parameters))
+    if not tolerances:
         return None
-    first = found.variables[0]
-    percent = f"{100.0 * CREDIBLE:g} %"
     return Section(
         name="tolerance",
         title="How far each context variable may drift",
-        lead=f"{found.metric} is most sensitive to {first.name}: at its nominal value the worst "
-        f"case would be lower by {quantity(first.relief.median, found.unit)} "
-        f"({number(first.relief.low)} to {number(first.relief.high)}).",
-        figures=[_reliefs(found)],
-        tables=[
-            Table(
-                caption=f"Tolerated ranges, with {percent} credible bands where the limit is "
-                "exceeded within the range of the study",
-                header=["", "unit", "nominal", "alone", "others as in the worst context"],
-                rows=[
-                    [
-                        v.name,
-                        v.unit,
-                        number(v.nominal),
-                        f"{_end(v.down)} to {_end(v.up)}",
-                        f"{_end(v.worst_down)} to {_end(v.worst_up)}",
-                    ]
-                    for v in found.variables
-                ],
-                numeric=[2],
-            )
-        ],
+        lead=" ".join(map(_lead, tolerances)),
+        figures=[_reliefs(found, numbered("tolerance", k)) for k, found in enumerate(tolerances)],
+        tables=[_table(found) for found in tolerances],
         notes=[
-            f"From {found.evaluations} evaluations of the tuned parameter set. The mean "
-            f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
-            f"nominal context and {quantity(found.worst.median, found.unit)} "
-            f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "
-            f"({values(found.worst_context)}); the limit is {quantity(found.limit, found.unit)}. "
-            "There are no predictions outside the ranges of the study."
+            *map(_note, tolerances),
+            "There are no predictions outside the ranges of the study.",
         ],
     )
 
 
-def _reliefs(found: ContextTolerance) -> Figure:
+def _lead(found: ContextTolerance) -> str:
+    first = found.variables[0]
+    return (
+        f"{found.metric} is most sensitive to {first.name}: at its nominal value the worst "
+        f"case would be {found.relieved} by {quantity(first.relief.median, found.unit)} "
+        f"({number(first.relief.low)} to {number(first.relief.high)})."
+    )
+
+
+def _table(found: ContextTolerance) -> Table:
+    return Table(
+        caption=f"Tolerated ranges, with {100.0 * CREDIBLE:g} % credible bands where the limit "
+        f"{found.constraint} is violated within the range of the study",
+        header=["", "unit", "nominal", "alone", "others as in the worst context"],
+        rows=[
+            [
+                v.name,
+                v.unit,
+                number(v.nominal),
+                f"{_end(v.down)} to {_end(v.up)}",
+                f"{_end(v.worst_down)} to {_end(v.worst_up)}",
+            ]
+            for v in found.variables
+        ],
+        numeric=[2],
+    )
+
+
+def _note(found: ContextTolerance) -> str:
+    return (
+        f"From {found.evaluations} evaluations of the tuned parameter set. The mean "
+        f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
+        f"nominal context and {quantity(found.worst.median, found.unit)} "
+        f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "
+        f"({values(found.worst_context)}); the limit is {quantity(found.limit, found.unit)}."
+    )
+
+
+def _reliefs(found: ContextTolerance, name: str) -> Figure:
     reliefs = [variable.relief for variable in found.variables]
     places = np.arange(len(reliefs), dtype=float)
     names = [variable.name for variable in found.variables]
     texts = [f"{n}: {quantity(r.median, found.unit)}" for n, r in zip(names, reliefs, strict=True)]
     return Figure(
-        name="tolerance",
+        name=name,
         title=f"Effect of each context variable on the worst {found.metric}",
-        caption="Decrease of the worst case when this variable alone returns to its nominal value, "
-        f"with the {100.0 * CREDIBLE:g} % credible band.",
+        caption="Distance by which the worst case moves away from the limit when this variable "
+        f"alone returns to its nominal value, with the {100.0 * CREDIBLE:g} % credible band.",
         alternative="; ".join(texts),
         panels=[
             Panel(
                 x=Axis(label="", ticks=list(zip(places.tolist(), names, strict=True))),
-                y=Axis(label="decrease", unit=found.unit),
+                y=Axis(label="relief", unit=found.unit),
                 elements=[
                     Bars(
                         x=places,

@@ -19,7 +19,7 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis, Outcome
-from bo_tuner.report.content import Section, Table, change, number, quantity
+from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import trial_points
 from bo_tuner.study.parts import LOG, Constraint
 from bo_tuner.trials import Trial
@@ -31,68 +31,92 @@ LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 def trade_off(analysis: Analysis) -> Section | None:
     """Show what a lower worst case costs; None without a worst case or complete trials."""
     study = analysis.study
-    constraint = study.worst_case_constraint
     trials = [
         trial
         for trial in analysis.trials
-        if trial.worst_case is not None
-        and analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
+        if analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
     ]
-    if constraint is None or not trials:
+    constraints = study.worst_case_constraints
+    if not constraints or not trials:
         return None
-    objective = study.metrics[study.objective.metric]
-    limited = study.metrics[constraint.metric]
+    names = " and ".join(
+        f"a {'lower' if c.sign > 0.0 else 'higher'} {c.metric}" for c in constraints
+    )
     means = np.array([analysis.mean_objective(trial) for trial in trials])
-    worst = np.array([t.worst_case.value if t.worst_case else math.nan for t in trials])
-    front = pareto_front(study.objective.sign * means, worst)
-    rows = _other_limits(analysis, trials, means, worst, constraint.upper)
-    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    leads, figures, tables = [], [], []
+    for place, constraint in enumerate(constraints):
+        worst = np.array([trial.worst_cases[constraint.name].value for trial in trials])
+        front = pareto_front(study.objective.sign * means, constraint.sign * worst)
+        leads.append(
+            f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
+            "Pareto front of what was seen: no other trial has both a better objective and a "
+            f"better worst {constraint.metric}."
+        )
+        name = numbered("trade-off", place)
+        figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
+        tables.append(_table(analysis, constraint, trials, means, worst))
     return Section(
         name="trade-off",
-        title=f"What a lower {limited.name} costs",
-        lead=f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
-        "Pareto front of what was seen: no other trial has both a better "
-        "objective and a lower worst case.",
-        figures=[
-            Figure(
-                name="trade-off",
-                title=f"Mean {objective.name} against worst {limited.name}, all trials",
-                caption="Estimates of the trials themselves, with the noise of a few evaluations "
-                "each; the lowest ones were also lucky. The default has the numbers of the answer.",
-                alternative="; ".join(
-                    f"trial {trials[k].number}: {number(float(means[k]))} at worst "
-                    f"{number(float(worst[k]))}"
-                    for k in front
-                ),
-                panels=[
-                    Panel(
-                        x=Axis(label=f"worst {limited.name}", unit=limited.unit),
-                        y=Axis(label=f"mean {objective.name}", unit=objective.unit, scale=scale),
-                        elements=[
-                            Limit(value=constraint.upper, name="limit", vertical=True),
-                            Line(
-                                x=worst[front],
-                                y=means[front],
-                                name="Pareto front of what was seen",
-                                color=Color.INK,
-                                dash=Dash.DOTTED,
-                                hover=[f"front: trial {trials[k].number}" for k in front],
-                            ),
-                            *_default(analysis, constraint),
-                            *trial_points(analysis, trials, worst, means),
-                        ],
-                    )
+        title=f"What {names} costs",
+        lead=" ".join(leads),
+        figures=figures,
+        tables=tables,
+    )
+
+
+def _figure(
+    analysis: Analysis,
+    constraint: Constraint,
+    name: str,
+    trials: list[Trial],
+    means: Array,
+    worst: Array,
+    front: list[int],
+) -> Figure:
+    study = analysis.study
+    objective, limited = study.metrics[study.objective.metric], study.metrics[constraint.metric]
+    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    return Figure(
+        name=name,
+        title=f"Mean {objective.name} against worst {limited.name}, all trials",
+        caption="Estimates of the trials themselves, with the noise of a few evaluations "
+        "each; the best ones were also lucky. The default has the numbers of the answer.",
+        alternative="; ".join(
+            f"trial {trials[k].number}: {number(float(means[k]))} at worst "
+            f"{number(float(worst[k]))}"
+            for k in front
+        ),
+        panels=[
+            Panel(
+                x=Axis(label=f"worst {limited.name}", unit=limited.unit),
+                y=Axis(label=f"mean {objective.name}", unit=objective.unit, scale=scale),
+                elements=[
+                    Limit(value=constraint.limit, name="limit", vertical=True),
+                    Line(
+                        x=worst[front],
+                        y=means[front],
+                        name="Pareto front of what was seen",
+                        color=Color.INK,
+                        dash=Dash.DOTTED,
+                        hover=[f"front: trial {trials[k].number}" for k in front],
+                    ),
+                    *_default(analysis, constraint),
+                    *trial_points(analysis, trials, worst, means),
                 ],
             )
         ],
-        tables=[
-            Table(
-                caption=f"Best mean {objective.name} seen within other limits of {limited.name}",
-                header=["limit", "trial", f"mean {objective.name}", "relative to the limit's"],
-                rows=rows,
-                numeric=[0, 1, 2, 3],
-            )
-        ],
+    )
+
+
+def _table(
+    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array, worst: Array
+) -> Table:
+    objective = analysis.study.objective.metric
+    return Table(
+        caption=f"Best mean {objective} seen within other limits of {constraint.metric}",
+        header=["limit", "trial", f"mean {objective}", "relative to the limit's"],
+        rows=_other_limits(analysis, constraint, trials, means, worst),
+        numeric=[0, 1, 2, 3],
     )
 
 
@@ -114,15 +138,15 @@ def pareto_front(cost: Array, worst: Array) -> list[int]:
 
 
 def _other_limits(
-    analysis: Analysis, trials: list[Trial], means: Array, worst: Array, limit: float
+    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array, worst: Array
 ) -> list[list[str]]:
     """Return the best trial within each of several limits."""
-    study = analysis.study
+    study, sign, limit = analysis.study, constraint.sign, constraint.limit
     unit = study.metrics[study.objective.metric].unit
     cost = study.objective.sign * means
     best: dict[float, int] = {}
     for factor in LIMITS:
-        within = np.flatnonzero(worst <= factor * limit)
+        within = np.flatnonzero(sign * worst <= sign * factor * limit)
         if len(within):
             best[factor] = int(within[np.argmin(cost[within])])
     return [
@@ -143,7 +167,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
     study, found = analysis.study, analysis.verdict.quantities
     objective = study.objective.metric
     means = [q.default for q in found if q.metric == objective and q.difference is not None]
-    largest = [q for q in found if q.metric == constraint.metric and q.limit == constraint.upper]
+    largest = [q for q in found if q.metric == constraint.metric and q.limit == constraint.limit]
     if not means or not largest or not np.isfinite([means[0], largest[0].default]).all():
         return []
     return [

@@ -93,8 +93,9 @@ def trajectories(analysis: Analysis) -> Section | None:
     section = Section(name="trajectories", title="Trajectories", lead="")
     nominal = analysis.study.context_space()
     contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
-    if answer.worst_case is not None:
-        contexts["worst context"] = dict(answer.worst_case.context)
+    for name, worst in answer.worst_cases.items():
+        of = f" of {name}" if len(answer.worst_cases) > 1 else ""
+        contexts[f"worst context{of}"] = dict(worst.context)
     if not is_trusted(analysis.study):
         programs = ", ".join(foreign_programs(analysis.study))
         lead = (
