@@ -16,10 +16,10 @@ Constrained metric
     *interior*, -k (w - ω - ρ·Δ)², worst at w = ω + ρ·Δ, which never leaves the interval. All
     r ⟂ D, and q = h - Σ z r over the leaning ones.
 Worst case
-    max_w E[g] = L + q·Δ + Σ_leaning (\\|r·Δ + z p\\| - p) + Σ_tied \\|r·Δ\\|, convex in x.
+    max_w E[g] = L + q·Δ + Σ_leaning (|r·Δ + z p| - p) + Σ_tied |r·Δ|, convex in x.
 Optimum
-    Since \\|r·Δ + z p\\| ≥ z r·Δ + p and \\|r·Δ\\| ≥ 0, the worst case is at least L + h·Δ, and equal to
-    it on the line x° + r D near x°. Under h·Δ ≤ -ε the least of the quadratic is where its gradient
+    Since |r·Δ + z p| ≥ z r·Δ + p and |r·Δ| ≥ 0, the worst case is at least L + h·Δ, and equal to it
+    on the line x° + r D near x°. Under h·Δ ≤ -ε the least of the quadratic is where its gradient
     is parallel to h: on that line, at r = -ε / h·D. There the ripple vanishes and the worst case is
     L - ε, hence it is the least of B under a worst case of at most L - ε, too:
 
@@ -67,7 +67,7 @@ COST_NOISE = 0.1
 """σ_C."""
 
 QUIET, LOUD = 0.02, 0.08
-"""Standard deviation of the constrained metric where least and largest; constant noise is between."""
+"""Least and largest standard deviation of the constrained metric; if constant, their mean."""
 
 LEAN, INSIDE, CURVATURE = 0.15, 0.3, 0.5
 """p, ω and k."""
@@ -155,7 +155,7 @@ class ClosedForm:
         return result
 
     def cost(self, u: Array) -> Array:
-        """Expected cost B of points (..., d) of the cube, shape (...)."""
+        """Return the expected cost B of points (..., d) of the cube, shape (...)."""
         c, x = self.constants, warped(u)
         ripple = c.b * (1.0 - np.cos(2.0 * np.pi * RIPPLE_FREQUENCY * ((x - c.x) @ c.e)))
         result: Array = 1.0 + ((x - c.t) ** 2) @ c.a + ripple
@@ -174,7 +174,7 @@ class ClosedForm:
         return result
 
     def deviation(self, w: Array) -> Array:
-        """Standard deviation of the constrained metric in contexts (..., m)."""
+        """Return the standard deviation of the constrained metric in contexts (..., m)."""
         if self.noise == NONE:
             return np.zeros(np.shape(w)[:-1])
         if self.noise == CONSTANT:
@@ -265,7 +265,12 @@ class ClosedForm:
                 "constraints": {"stress": limit},
                 # The default is the cube's centre, near the optimum.
                 "start": [],
-                "budget": {"trials": 40, "initial_trials": 5 + 2 * self.parameters},
+                "budget": {
+                    "trials": 40,
+                    "initial_trials": 4 + self.parameters,
+                    "drawn_contexts": 3,
+                    "search_evaluations": 4,
+                },
             }
         )
 
