@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.neighbors import KNeighborsClassifier
 
-from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models import nearest_neighbours
+from bo_tuner.models.nearest_neighbours import FEW, NeighbourClassifier
 
 SCALES = np.array([0.2, 0.5])
 
@@ -35,6 +36,19 @@ def test_without_a_prior_it_equals_scikit_learn(neighbours):
     np.testing.assert_allclose(
         own.probability(query), sklearn.predict_proba(query)[:, 1], rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("points", [1, 4, 5, 6, FEW, FEW + 1])
+@pytest.mark.parametrize("dimension", [1, 2, 8])
+def test_neighbours_are_those_of_a_search_tree_bit_for_bit(monkeypatch, points, dimension):
+    rng = np.random.default_rng(points)
+    x, labels = rng.random((points, dimension)), rng.random(points) > 0.5
+    query = np.concatenate([rng.random((200, dimension)), x])
+    own = NeighbourClassifier(x, labels, np.full(dimension, 0.3))
+    found = own.probability(query), own.log_complement(query)
+    monkeypatch.setattr(nearest_neighbours, "FEW", 0)
+    tree = NeighbourClassifier(x, labels, np.full(dimension, 0.3))
+    np.testing.assert_array_equal(found, (tree.probability(query), tree.log_complement(query)))
 
 
 def test_the_prior_is_one_more_neighbour():

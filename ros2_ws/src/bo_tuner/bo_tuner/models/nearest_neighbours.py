@@ -20,8 +20,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from bo_tuner.numerics.arrays import Array
+
+FEW = 100
+"""Up to so many points, comparing with all of them is faster than a search tree.
+
+Measured for the hundred particles of a swarm; both find the same neighbours.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +124,20 @@ class NeighbourClassifier:
     def _scaled(self) -> Array:
         return self.x / self.length_scales
 
+    def _nearest(self, scaled: Array) -> NDArray[np.intp]:
+        """Return the rows (m, k) of the nearest points of each of `scaled` (m, d), nearest first.
+
+        A tie for the last place may go to either.
+        """
+        count = min(len(self.x), self.neighbours)
+        if len(self.x) > FEW:
+            rows: NDArray[np.intp] = self._tree.query(scaled, count, return_distance=False)
+            return rows
+        squared = cdist(scaled, self._scaled, "sqeuclidean")
+        rows = np.argpartition(squared, count - 1, axis=1)[:, :count]
+        order = np.argsort(np.take_along_axis(squared, rows, axis=1), axis=1)
+        return np.take_along_axis(rows, order, axis=1)
+
     @cached_property
     def _tree(self) -> Any:
         # Its import takes longer than all others of a command together, and most runs never ask.
@@ -137,7 +158,7 @@ class NeighbourClassifier:
             return inside, outside
         # δ increases with the Euclidean distance, so both have the same nearest neighbours.
         scaled = x / self.length_scales
-        nearest = self._tree.query(scaled, min(n, self.neighbours), return_distance=False)
+        nearest = self._nearest(scaled)
         squared = ((scaled[:, None, :] - self._scaled[nearest]) ** 2).sum(axis=2)
         labels = self.labels[nearest]
         distance = -2.0 * np.expm1(-0.5 * squared)

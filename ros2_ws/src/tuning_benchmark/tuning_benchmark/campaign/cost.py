@@ -14,7 +14,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.tuning.loop import Tuning
-from tuning_benchmark.campaign.runs import TimedBackend
+from tuning_benchmark.campaign.timed_backend import TimedBackend
 
 INITIAL_TRIALS = 20
 

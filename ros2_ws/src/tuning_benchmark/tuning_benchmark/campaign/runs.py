@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Outcome, Trial, TrialState, Value
+from bo_tuner.trials import TUNING, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.recommendation import most_check_evaluations, recommend
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
+from tuning_benchmark.campaign.own_contexts import OwnContextsRun
+from tuning_benchmark.campaign.timed_backend import TimedBackend
 from tuning_benchmark.experiments import plugins
-from tuning_benchmark.experiments.experiment import RANDOM, Row
+from tuning_benchmark.experiments.experiment import OWN, RANDOM, Row
 from tuning_benchmark.judging.neighbours import judge_neighbours
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of, verdict_record
 from tuning_benchmark.peers.adapter import PeerAlgorithm, PeerOptimizer
@@ -47,23 +48,6 @@ class RunSize:
     evaluations: int
     reserved: int
     initial_trials: int
-
-
-class TimedBackend(InProcessBackend):
-    """Counts the evaluations and their processor time [s]."""
-
-    def __init__(self, study: Study) -> None:
-        super().__init__(study)
-        self.evaluations = 0
-        self.seconds = 0.0
-
-    def outcome(self, planned: Evaluation) -> Outcome:
-        """Run one evaluation."""
-        begin = time.process_time()
-        outcome = super().outcome(planned)
-        self.seconds += time.process_time() - begin
-        self.evaluations += 1
-        return outcome
 
 
 class Run:
@@ -172,10 +156,10 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
         What JSON takes. ``trajectory`` has a pair for each moment: evaluations so far and the
         trial believed best then, or None; ``incumbents`` the truth of these trials by number;
         ``ranked``, of another optimizer's run, the trial that `RANKING` would answer; ``cuts`` and
-        ``check_cuts`` the evaluations of the trials and of the checks. ``seconds`` are processor
-        times.
+        ``check_cuts`` the evaluations of the trials and of the checks. ``training`` of the answer
+        is None where the optimizer chose the contexts. ``seconds`` are processor times.
     """
-    run = Run(study, row, seed, size)
+    run = _run(study, row, seed, size)
     backend = run.backend
     trajectory: list[tuple[int, int | None]] = []
     seconds = 0.0
@@ -201,7 +185,7 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
         "ranked": None,
     }
     truth = truth_of(study, judge)
-    if row.optimizer:
+    if row.optimizer and isinstance(run, Run):
         number = run.first_ranked(ALGORITHMS[RANKING])
         if number is not None:
             verdict = truth.verdict(trials[number].parameters)
@@ -212,7 +196,7 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
         record["answer"] = {
             "trial": number,
             "believed": believed,
-            "training": _training(run.study, trials[number]),
+            "training": _training(run.study, trials[number]) if isinstance(run, Run) else None,
             **_judged(run, truth, trials[number].parameters),
         }
     record["incumbents"] = {
@@ -224,6 +208,13 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
         "cuts": round(evaluation_seconds, 3),
     }
     return record
+
+
+def _run(study: Study, row: Row, seed: int, size: RunSize) -> Run | OwnContextsRun:
+    if row.protocol != OWN:
+        return Run(study, row, seed, size)
+    whole = _study_of(study, row, seed, size)
+    return OwnContextsRun(whole, plugins.load(row.optimizer)(whole, seed), size.evaluations)
 
 
 def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
@@ -243,7 +234,9 @@ def _training(study: Study, trial: Trial) -> float:
     return float(np.mean(tuned.observations(study.objective.metric)))
 
 
-def _judged(run: Run, truth: Truth, parameters: Mapping[str, Value]) -> dict[str, Any]:
+def _judged(
+    run: Run | OwnContextsRun, truth: Truth, parameters: Mapping[str, Value]
+) -> dict[str, Any]:
     """Validate and judge the answer of a run, with its neighbourhood."""
     (validation,) = validate(run.study, run.backend, [parameters])
     verdict = truth.verdict(parameters)

@@ -15,7 +15,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from bo_tuner.worst_case.search import OBSERVED, POSTERIOR
 
-RANDOM, WORST_CASE = "random", "worst_case"
+RANDOM, WORST_CASE, OWN = "random", "worst_case", "own"
 
 PUBLISHED = ("runs", "feasible", "objective", "difference", "best")
 """Numbers that the paper prints for a row, and the number of runs behind them."""
@@ -36,7 +36,8 @@ class Row:
     protocol
         How a trial is evaluated. ``worst_case``: as in Algorithm IV, with the search for the worst
         context. ``random``: by `contexts` evaluations in drawn contexts; the largest metric
-        observed is the constraint.
+        observed is the constraint. ``own``: the optimizer chooses the context of each evaluation,
+        see `peers.robust.RobustOptimizer`; the initial trials are those of ``worst_case``.
     contexts
         Evaluations of a trial under ``random``.
     evaluations
@@ -64,7 +65,9 @@ class Row:
             checks.choice(self.algorithm, tuple(ALGORITHMS), "algorithm")
         if self.optimizer:
             checks.matching(self.optimizer, checks.OBJECT_PATH, "module:Class", "optimizer")
-        checks.choice(self.protocol, (RANDOM, WORST_CASE), "protocol")
+        checks.choice(self.protocol, (RANDOM, WORST_CASE, OWN), "protocol")
+        if self.protocol == OWN and not self.optimizer:
+            raise StudyError("own is for an optimizer", ("protocol",))
         if self.protocol == RANDOM:
             checks.integer(self.contexts, "contexts", at_least=1)
         elif self.contexts:

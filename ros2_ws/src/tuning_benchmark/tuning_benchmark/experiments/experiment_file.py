@@ -21,6 +21,7 @@ from tuning_benchmark.experiments.experiment import (
     SurrogateFigure,
     read_optima,
 )
+from tuning_benchmark.problems.closed_form import ClosedForm
 
 T = TypeVar("T")
 
@@ -121,7 +122,10 @@ def _cost(value: object) -> Cost:
 
 
 def _study(value: object, folder: Path) -> Study:
-    """Read a study, shipped or beside the experiment file."""
+    """Read a study, shipped or beside the experiment file, or make that of a closed form."""
+    if isinstance(value, dict):
+        with _under("study"):
+            return ClosedForm(**_fields(ClosedForm, value)).study()
     name = checks.text(value, "study")
     return load_study(name if name in shipped_studies() else folder / name)
 

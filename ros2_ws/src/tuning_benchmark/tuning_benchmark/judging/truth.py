@@ -102,7 +102,7 @@ class Judge(Protocol):
     def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
         """Return the constrained metric (c, m) of m runs in each of the c worst contexts.
 
-        Asked for only where the limit is on single runs. The contexts are those of the grid in
+        The contexts are those of the grid in
         which a run most likely exceeds it; NaN for a run that failed.
         """
         ...
@@ -119,8 +119,8 @@ class Verdict:
     worst, worst_context
         Worst case of the constrained metric, the largest mean over noise, and where.
     worst_kept
-        Share of runs within the limit in the context where it is smallest; NaN if the limit is on
-        the mean over noise.
+        Realised probability: share of runs within the limit in the context where it is smallest.
+        NaN if evaluations fail, and for an incumbent whose limit is on the mean over noise.
     single_violation
         Share of single evaluations in drawn contexts beyond the limit.
     within_limits
@@ -207,11 +207,12 @@ class Truth:
         values = self.study.assignments(parameters, {}, 0)
         judged: Judgement = self.judge.judge(values)
         within, holds = self.meets_chances(parameters, real_evaluations)
-        if self.constraint.statistic == EXPECTATION or np.isnan(judged.worst):
-            kept, holds_worst = float("nan"), judged.worst <= self.limit
-        else:
+        on_mean = self.constraint.statistic == EXPECTATION
+        kept = float("nan")
+        # An answer is shown with what it realises; whether an incumbent is feasible is enough.
+        if not np.isnan(judged.worst) and not (on_mean and real_evaluations is not None):
             kept = float(np.mean(self.judge.worst_runs(values) <= self.limit, axis=1).min())
-            holds_worst = kept >= self.constraint.level
+        holds_worst = judged.worst <= self.limit if on_mean else kept >= self.constraint.level
         return Verdict(
             objective=judged.objective,
             standard_error=judged.standard_error,

@@ -1,0 +1,1 @@
+"""Robust problems in closed form, whose optimum is known."""

@@ -1,0 +1,411 @@
+"""Robust problems in closed form with a known optimum, of any number of parameters and contexts.
+
+Notation: u in [0, 1]^d are the parameters on the study's own scales, x = u + sin(2πu) / (4π) the
+same warped, coordinate by coordinate and increasing, so that no surrogate has it easy; x° is the
+optimum by construction and Δ = x - x°; w in [-1, 1]^m are the contexts, with E[w] = 0.
+
+Cost
+    C = B(x) (1 + κ·w) exp(σ_C n - σ_C² / 2), n standard normal, with
+    B(x) = 1 + Σ_i a_i (x_i - t_i)² + b (1 - cos(2πf e·Δ)). So E[C] = B(x). The minimum of the
+    quadratic is at t = x° + s D, where D is parallel to A⁻¹h and A = diag(a). The ripple, e ⟂ D,
+    makes local minima; it is nowhere negative and vanishes on the line x° + r D.
+Constrained metric
+    g = L + q·Δ + Σ_j g_j(w_j, Δ) + σ(w) n, with contexts of three kinds in turn:
+    *leaning*, w (r·Δ + z p) - p, worst at one end of the interval near the optimum and at the other
+    end elsewhere (z = ±1, p > 0); *tied*, w r·Δ, where both ends are as bad at the optimum; and
+    *interior*, -k (w - ω - ρ·Δ)², worst at w = ω + ρ·Δ, which never leaves the interval. All
+    r ⟂ D, and q = h - Σ z r over the leaning ones.
+Worst case
+    max_w E[g] = L + q·Δ + Σ_leaning (|r·Δ + z p| - p) + Σ_tied |r·Δ|, convex in x.
+Optimum
+    Since |r·Δ + z p| ≥ z r·Δ + p and |r·Δ| ≥ 0, the worst case is at least L + h·Δ, and equal to it
+    on the line x° + r D near x°. Under h·Δ ≤ -ε the least of the quadratic is where its gradient
+    is parallel to h: on that line, at r = -ε / h·D. There the ripple vanishes and the worst case is
+    L - ε, hence it is the least of B under a worst case of at most L - ε, too:
+
+        F(L - ε) = 1 + Q (1 + ε / V)²,   V = s h·D,   Q = Σ_i a_i (s D_i)²   (ε ≥ -V).
+
+    A limit on the mean binds at ε = 0. One on single runs, kept with probability P, binds at
+    ε = σ̂ Φ⁻¹(P), with the noise σ̂ of the worst context: in no other context on the line are
+    mean or noise larger.
+Noise
+    σ(w) is zero, constant, or grows with the leaning contexts towards their worst ends.
+Crash
+    An evaluation fails where h·Δ > `CRASH`, so the optimum lies at the edge of the crash region.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
+
+from bo_tuner.errors import StudyError
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import study_from_mapping
+
+NONE, CONSTANT, HETEROSCEDASTIC = "none", "constant", "heteroscedastic"
+
+LIMIT = 1.0
+"""L, of the constrained metric."""
+
+STEP = 0.25
+"""s, with max_i |D_i| = 1."""
+
+VIOLATION, RISE = 0.5, 0.3
+"""V and Q: excess over the limit where the cost is least, and the cost of keeping the limit."""
+
+CRASH = 0.05
+
+COST_NOISE = 0.1
+"""σ_C."""
+
+QUIET, LOUD = 0.02, 0.08
+"""Least and largest standard deviation of the constrained metric; if constant, their mean."""
+
+LEAN, INSIDE, CURVATURE = 0.15, 0.3, 0.5
+"""p, ω and k."""
+
+LEANING, TIED, INTERIOR = 0, 1, 2
+"""Kinds of contexts, by their index modulo three."""
+
+RIPPLE_FREQUENCY, RIPPLE_CURVATURE = 2.0, 1.5
+"""f, and the ripple's largest curvature relative to that of the mean quadratic term."""
+
+SPREAD = 0.4
+"""Standard deviation of the normal distribution of each context before truncation."""
+
+QUANTILES = 2000
+"""Runs that stand for the noise in the worst context."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedForm:
+    """A problem; its constants are drawn from a generator seeded by the two numbers.
+
+    Attributes
+    ----------
+    parameters
+        d ≥ 2.
+    contexts
+        m ≥ 1.
+    noise
+        ``none``, ``constant`` or ``heteroscedastic``.
+    crash
+        Whether there is a crash region.
+    probability
+        With which a single run must keep the limit in every context; on the mean if None.
+
+    Raises
+    ------
+    StudyError
+        If a value is out of range.
+    """
+
+    parameters: int
+    contexts: int
+    noise: str = NONE
+    crash: bool = False
+    probability: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.integer(self.parameters, "parameters", at_least=2)
+        checks.integer(self.contexts, "contexts", at_least=1)
+        checks.choice(self.noise, (NONE, CONSTANT, HETEROSCEDASTIC), "noise")
+        if not isinstance(self.crash, bool):
+            raise StudyError("expected true or false", ("crash",))
+
+    @property
+    def name(self) -> str:
+        """Name of the study."""
+        parts = [f"closed_form_{self.parameters}_{self.contexts}", self.noise]
+        parts += ["crash"] if self.crash else []
+        return "_".join(parts + (["single"] if self.probability is not None else []))
+
+    @cached_property
+    def constants(self) -> "Constants":
+        """The constants of the problem."""
+        return _draw(self.parameters, self.contexts)
+
+    @cached_property
+    def optimum(self) -> Array:
+        """Unit-cube coordinates (d,) of the optimum."""
+        c = self.constants
+        margin = 0.0 if self.probability is None else self._largest_noise * ndtri(self.probability)
+        return _unwarped(c.x + -margin / VIOLATION * STEP * c.D)
+
+    @property
+    def best(self) -> float:
+        """Expected cost at the optimum."""
+        return float(self.cost(self.optimum))
+
+    def frontier(self, worst: ArrayLike) -> Array:
+        """Least expected cost under a worst case of at most `worst`, shape (...).
+
+        Exact as long as the line x° + r D stays in the cube, a lower bound beyond.
+        """
+        excess = (LIMIT - np.asarray(worst, dtype=np.float64)) / VIOLATION
+        result: Array = 1.0 + RISE * np.maximum(1.0 + excess, 0.0) ** 2
+        return result
+
+    def cost(self, u: Array) -> Array:
+        """Return the expected cost B of points (..., d) of the cube, shape (...)."""
+        c, x = self.constants, warped(u)
+        ripple = c.b * (1.0 - np.cos(2.0 * np.pi * RIPPLE_FREQUENCY * ((x - c.x) @ c.e)))
+        result: Array = 1.0 + ((x - c.t) ** 2) @ c.a + ripple
+        return result
+
+    def metric(self, u: Array, w: Array) -> Array:
+        """Mean over noise of the constrained metric of points (..., d) in contexts (..., m)."""
+        c = self.constants
+        delta = warped(u) - c.x
+        slopes = delta @ c.r.T
+        kind = np.arange(self.contexts) % 3
+        lean = w * (slopes + c.z * LEAN) - LEAN
+        inside = -CURVATURE * (w - INSIDE - slopes) ** 2
+        parts = np.where(kind == LEANING, lean, np.where(kind == TIED, w * slopes, inside))
+        result: Array = LIMIT + delta @ c.q + parts.sum(axis=-1)
+        return result
+
+    def deviation(self, w: Array) -> Array:
+        """Return the standard deviation of the constrained metric in contexts (..., m)."""
+        if self.noise == NONE:
+            return np.zeros(np.shape(w)[:-1])
+        if self.noise == CONSTANT:
+            return np.full(np.shape(w)[:-1], (QUIET + LOUD) / 2.0)
+        leaning = np.arange(self.contexts) % 3 == LEANING
+        towards = (1.0 + (w * self.constants.z)[..., leaning].mean(axis=-1)) / 2.0
+        result: Array = QUIET + (LOUD - QUIET) * towards
+        return result
+
+    def worst_contexts(self, u: Array) -> Array:
+        """Contexts (c, m) among which both mean and probability are worst for a point (d,).
+
+        Every end of the leaning and the tied intervals, with the interior contexts at their worst
+        values. The mean is linear in the others, and so is the noise, which does not depend on the
+        interior ones: a quotient of both is monotonic in each, hence extreme at an end.
+        """
+        slopes = self.constants.r @ (warped(u) - self.constants.x)
+        ends = [
+            (INSIDE + slopes[j],) if j % 3 == INTERIOR else (-1.0, 1.0)
+            for j in range(self.contexts)
+        ]
+        return np.array(list(product(*ends)))
+
+    def worst(self, u: Array) -> tuple[float, Array]:
+        """Largest mean over noise of the constrained metric at a point (d,), and its context."""
+        contexts = self.worst_contexts(u)
+        values = self.metric(u, contexts)
+        index = int(np.argmax(values))
+        return float(values[index]), contexts[index]
+
+    def kept(self, u: Array) -> float:
+        """Least probability over all contexts that a run at a point (d,) keeps the limit."""
+        return float(ndtr(self._ratio(u)[0]))
+
+    def crashes(self, u: Array) -> bool:
+        """Whether an evaluation at a point (d,) fails."""
+        return self.crash and float((warped(u) - self.constants.x) @ self.constants.h) > CRASH
+
+    def runs(self, u: Array) -> Array:
+        """Constrained metric of runs in the context where least keep the limit.
+
+        Its quantiles at equal steps of probability, shape (`QUANTILES`,).
+        """
+        context = self._ratio(u)[1]
+        levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
+        spread = self.deviation(context) * ndtri(levels)
+        result: Array = self.metric(u, context) + spread
+        return result
+
+    def bounds(self, index: int) -> tuple[float, float, str]:
+        """Return bounds and scale of a parameter; every other one is logarithmic."""
+        return (-5.0, 5.0, "linear") if index % 2 == 0 else (0.01, 100.0, "log")
+
+    def study(self) -> Study:
+        """Return the study, which runs in process."""
+        node = {"node": "problem"}
+        parameters: dict[str, Any] = {}
+        for i in range(self.parameters):
+            lower, upper, scale = self.bounds(i)
+            middle = 0.0 if scale == "linear" else 1.0
+            parameters[f"p{i + 1}"] = node | {
+                "type": "double", "bounds": [lower, upper], "scale": scale, "default": middle,
+            }  # fmt: skip
+        context = node | {
+            "distribution": "truncated_normal", "mean": 0.0, "standard_deviation": SPREAD,
+            "bounds": [-1.0, 1.0],
+        }  # fmt: skip
+        limit: dict[str, Any] = {"kind": "worst_case", "metric": "stress", "upper": LIMIT}
+        if self.probability is not None:
+            limit["probability"] = self.probability
+        settings = {
+            "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
+            "crash": self.crash,
+        }  # fmt: skip
+        return study_from_mapping(
+            {
+                "name": self.name,
+                "nodes": {
+                    "problem": node
+                    | {"result": "~/result", "object": f"{__name__}:Node", "parameters": settings}
+                },
+                "parameters": parameters,
+                "contexts": {f"w{j + 1}": context for j in range(self.contexts)},
+                "seed_parameter": node | {"parameter": "seed"},
+                "trigger": node | {"service": "~/run"},
+                "metrics": {"cost": node, "stress": node},
+                "objective": {"metric": "cost", "scale": "log"},
+                "constraints": {"stress": limit},
+                # The default is the cube's centre, near the optimum.
+                "start": [],
+                "budget": {
+                    "trials": 40,
+                    "initial_trials": 4 + self.parameters,
+                    "drawn_contexts": 3,
+                    "search_evaluations": 4,
+                },
+            }
+        )
+
+    def point(self, values: Mapping[str, Any]) -> Array:
+        """Unit-cube coordinates (d,) of the parameters ``p1`` to ``pd``."""
+        u = np.empty(self.parameters)
+        for i in range(self.parameters):
+            lower, upper, scale = self.bounds(i)
+            value = values[f"p{i + 1}"]
+            if scale == "log":
+                lower, upper, value = np.log(lower), np.log(upper), np.log(value)
+            u[i] = (value - lower) / (upper - lower)
+        return u
+
+    @property
+    def _largest_noise(self) -> float:
+        return {NONE: 0.0, CONSTANT: (QUIET + LOUD) / 2.0, HETEROSCEDASTIC: LOUD}[self.noise]
+
+    def _ratio(self, u: Array) -> tuple[float, Array]:
+        """Least distance to the limit in standard deviations, and its context."""
+        contexts = self.worst_contexts(u)
+        left = LIMIT - self.metric(u, contexts)
+        deviation = self.deviation(contexts)
+        certain = np.where(left >= 0.0, np.inf, -np.inf)
+        ratio = np.divide(left, deviation, out=certain, where=deviation > 0.0)
+        # Without noise all that exceed the limit are alike; of these the worst counts.
+        index = int(np.lexsort((left, ratio))[0])
+        return float(ratio[index]), contexts[index]
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants of a problem; the names are those of the module's text."""
+
+    x: Array
+    D: Array
+    h: Array
+    a: Array
+    t: Array
+    e: Array
+    b: float
+    r: Array
+    z: Array
+    q: Array
+    kappa: Array = field(repr=False)
+
+
+class Node:
+    """A node that evaluates a problem; its parameters are the problem's, and the point."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Take settings, parameters, contexts and the seed."""
+        self._values |= values
+
+    def run_cut(self) -> dict[str, object]:
+        """Evaluate cost and stress once."""
+        values = self._values
+        problem = problem_of(values)
+        u = problem.point(values)
+        if problem.crashes(u):
+            return {"status": "error", "reason": "crashed"}
+        w = np.array([values[f"w{j + 1}"] for j in range(problem.contexts)])
+        noise = np.random.default_rng(int(values["seed"])).standard_normal(2)
+        sigma = 0.0 if problem.noise == NONE else COST_NOISE
+        cost = problem.cost(u) * (1.0 + problem.constants.kappa @ w)
+        cost *= np.exp(sigma * noise[0] - sigma**2 / 2.0)
+        stress = problem.metric(u, w) + problem.deviation(w) * noise[1]
+        return {"status": "ok", "reason": "", "cost": float(cost), "stress": float(stress)}
+
+
+def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
+    """Return the problem that parameters of the node describe."""
+    return ClosedForm(
+        parameters=int(settings["parameters"]),
+        contexts=int(settings["contexts"]),
+        noise=str(settings["noise"]),
+        crash=bool(settings["crash"]),
+    )
+
+
+def warped(u: Array) -> Array:
+    """Return x of points u of the cube, any shape."""
+    result: Array = u + np.sin(2.0 * np.pi * u) / (4.0 * np.pi)
+    return result
+
+
+def _unwarped(x: Array) -> Array:
+    """Return u of x, by bisection."""
+    low, high = np.zeros_like(x), np.ones_like(x)
+    for _ in range(60):
+        middle = (low + high) / 2.0
+        below = warped(middle) < x
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    result: Array = (low + high) / 2.0
+    return result
+
+
+def _draw(parameters: int, contexts: int) -> Constants:
+    """Draw the constants; each scale follows from what the module's text asks for."""
+    rng = np.random.default_rng((20_201_115, parameters, contexts))
+    x = warped(rng.uniform(0.35, 0.65, parameters))
+    a = np.exp(rng.uniform(np.log(0.3), np.log(3.0), parameters))
+    h = rng.uniform(0.5, 1.5, parameters) * rng.choice([-1.0, 1.0], parameters)
+    D = h / a
+    D /= np.abs(D).max()
+    h *= VIOLATION / (STEP * (h @ D))
+    a *= RISE / (STEP**2 * (a @ D**2))
+    across = rng.standard_normal((contexts + 1, parameters))
+    across -= np.outer(across @ D, D) / (D @ D)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    e, r = across[0], across[1:]
+    kind = np.arange(contexts) % 3
+    # An interior worst context stays in its interval: |ω| + |ρ|₁ max|Δ| < 1.
+    size = np.where(kind == LEANING, 0.6, np.where(kind == TIED, 1.0, 0.0))
+    largest = np.maximum(x, 1.0 - x).max()
+    r = np.where(
+        (kind == INTERIOR)[:, None],
+        r * 0.6 / (np.abs(r).sum(axis=1)[:, None] * largest),
+        r * size[:, None],
+    )
+    z = rng.choice([-1.0, 1.0], contexts)
+    leaning: NDArray[np.bool_] = kind == LEANING
+    return Constants(
+        x=x,
+        D=D,
+        h=h,
+        a=a,
+        t=x + STEP * D,
+        e=e,
+        b=float(RIPPLE_CURVATURE * 2.0 * a.mean() / (2.0 * np.pi * RIPPLE_FREQUENCY) ** 2),
+        r=r,
+        z=z,
+        q=h - (z[leaning, None] * r[leaning]).sum(axis=0),
+        kappa=rng.choice([-1.0, 1.0], contexts) * 0.3 / contexts,
+    )

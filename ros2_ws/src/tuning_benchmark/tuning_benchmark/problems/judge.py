@@ -1,0 +1,65 @@
+"""The truth of a parameter set of a problem in closed form: exact, without any sampling."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.numerics.arrays import Array
+from tuning_benchmark.judging.truth import Judgement
+from tuning_benchmark.problems.closed_form import problem_of
+
+NODE = "problem"
+
+
+class Judge:
+    """Judges parameter sets of a closed-form problem.
+
+    Parameters
+    ----------
+    constants
+        Settings of the node ``problem``.
+    drawn, grid
+        Contexts: values by the node's own parameter name, (drawn,) and (grid,).
+    corners
+        Not needed.
+    seed
+        Of the noise of single runs in the drawn contexts.
+    """
+
+    def __init__(
+        self,
+        constants: Mapping[str, Mapping[str, Any]],
+        drawn: Mapping[str, Array],
+        grid: Mapping[str, Array],
+        corners: NDArray[np.intp],
+        seed: int,
+    ) -> None:
+        self._problem = problem_of(constants[NODE])
+        names = [f"w{j + 1}" for j in range(self._problem.contexts)]
+        self._drawn = np.column_stack([drawn[name] for name in names])
+        self._grid = np.column_stack([grid[name] for name in names])
+        self._noise = np.random.default_rng(seed).standard_normal(len(self._drawn))
+
+    def judge(self, values: Mapping[str, Mapping[str, Any]]) -> Judgement:
+        """Compute the truth; the worst context is the nearest one of the grid."""
+        problem, u = self._problem, self._problem.point(values[NODE])
+        if problem.crashes(u):
+            nothing = np.full(len(self._drawn), np.nan)
+            return Judgement(np.nan, np.nan, np.nan, 0, nothing)
+        worst, context = problem.worst(u)
+        return Judgement(
+            objective=float(problem.cost(u)),
+            standard_error=0.0,
+            worst=worst,
+            worst_index=int(np.argmin(((self._grid - context) ** 2).sum(axis=1))),
+            single=problem.metric(u, self._drawn) + problem.deviation(self._drawn) * self._noise,
+        )
+
+    def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:
+        """Constrained metric (1, m) of runs in the context where least keep the limit."""
+        u = self._problem.point(values[NODE])
+        if self._problem.crashes(u):
+            return np.full((1, 1), np.nan)
+        return self._problem.runs(u)[None]

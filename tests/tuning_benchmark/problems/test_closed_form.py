@@ -1,0 +1,205 @@
+"""The optima of the closed-form problems against independent searches, and their runs."""
+
+import numpy as np
+import pytest
+from scipy.optimize import NonlinearConstraint, differential_evolution, minimize
+from scipy.stats import norm, truncnorm
+
+from bo_tuner.errors import StudyError
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.trials import TrialState
+from tuning_benchmark.campaign.runs import TimedBackend
+from tuning_benchmark.judging.evaluator import Evaluator
+from tuning_benchmark.judging.truth import Effort, Truth
+from tuning_benchmark.problems.closed_form import ClosedForm, warped
+
+JUDGE = "tuning_benchmark.problems.judge:Judge"
+SIZES = [(2, 1), (2, 3), (4, 2), (8, 4), (12, 6)]
+SMALL = Effort(drawn=50, grid=3, real_evaluations=0)
+
+
+def boundless_worst(problem, u):
+    """Largest mean over the box of contexts, by a bounded search from many starts."""
+    rng = np.random.default_rng(1)
+    starts = rng.uniform(-1.0, 1.0, (12, problem.contexts))
+    box = [(-1.0, 1.0)] * problem.contexts
+    found = [minimize(lambda w: -problem.metric(u, w), w, bounds=box, tol=1e-12) for w in starts]
+    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * problem.contexts)).reshape(
+        problem.contexts, -1
+    )
+    return max(*(-f.fun for f in found), problem.metric(u, corners.T).max())
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_worst_context_is_that_of_a_numerical_search(size):
+    problem = ClosedForm(parameters=size[0], contexts=size[1])
+    for u in np.random.default_rng(0).random((8, size[0])):
+        worst, context = problem.worst(u)
+        assert (np.abs(context) <= 1.0).all()
+        assert worst == pytest.approx(problem.metric(u, context))
+        assert worst == pytest.approx(boundless_worst(problem, u), abs=1e-6)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_optimum_keeps_the_limit_exactly_and_is_on_the_frontier(size):
+    problem = ClosedForm(parameters=size[0], contexts=size[1])
+    assert ((problem.optimum > 0.0) & (problem.optimum < 1.0)).all()
+    assert problem.worst(problem.optimum)[0] == pytest.approx(1.0, abs=1e-9)
+    assert problem.best == pytest.approx(float(problem.frontier(1.0)), abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(2, 1), (2, 3), (4, 2)])
+@pytest.mark.parametrize("limit", [1.0, 0.9])
+def test_differential_evolution_finds_no_better_point(size, limit):
+    problem = ClosedForm(parameters=size[0], contexts=size[1])
+    found = differential_evolution(
+        lambda u: float(problem.cost(u)),
+        [(0.0, 1.0)] * size[0],
+        constraints=NonlinearConstraint(lambda u: problem.worst(u)[0], -np.inf, limit),
+        seed=1,
+        tol=1e-10,
+        maxiter=150,
+        polish=False,
+    )
+    assert found.maxcv <= 1e-9
+    assert found.fun == pytest.approx(float(problem.frontier(limit)), rel=5e-4)
+    assert found.fun >= float(problem.frontier(limit)) - 1e-9
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("limit", [1.0, 0.95])
+def test_a_local_search_from_many_starts_finds_no_better_point(size, limit):
+    """In the convex relaxation of contexts by enumeration, one smooth constraint for each."""
+    problem = ClosedForm(parameters=size[0], contexts=size[1])
+    rng = np.random.default_rng(2)
+    ends = problem.worst_contexts(problem.optimum)
+
+    def left(u):
+        return limit - problem.metric(u, contexts_of(problem, ends, u))
+
+    best = np.inf
+    for start in np.vstack([problem.optimum, rng.uniform(0.3, 0.7, (3, size[0]))]):
+        found = minimize(
+            lambda u: float(problem.cost(u)),
+            start,
+            bounds=[(0.0, 1.0)] * size[0],
+            constraints={"type": "ineq", "fun": left},
+            method="SLSQP",
+            options={"ftol": 1e-12, "maxiter": 400},
+        )
+        if left(found.x).min() >= -1e-8:
+            best = min(best, found.fun)
+    assert best == pytest.approx(float(problem.frontier(limit)), rel=1e-5)
+
+
+def contexts_of(problem, ends, u):
+    """The rows of `ends` with the interior contexts where they are worst for u."""
+    interior = np.arange(problem.contexts) % 3 == 2
+    return np.where(interior, problem.worst_contexts(u)[0], ends)
+
+
+@pytest.mark.parametrize("noise", ["constant", "heteroscedastic"])
+@pytest.mark.parametrize("size", SIZES)
+def test_single_runs_keep_the_limit_at_the_optimum_as_often_as_promised(noise, size):
+    problem = ClosedForm(parameters=size[0], contexts=size[1], noise=noise, probability=0.85)
+    assert problem.kept(problem.optimum) == pytest.approx(0.85, abs=1e-9)
+    assert np.mean(problem.runs(problem.optimum) <= 1.0) == pytest.approx(0.85, abs=1e-3)
+    # No context is worse, of many.
+    w = np.random.default_rng(3).uniform(-1.0, 1.0, (20_000, size[1]))
+    kept = norm.cdf((1.0 - problem.metric(problem.optimum, w)) / problem.deviation(w))
+    assert kept.min() >= 0.85 - 1e-9
+    step = problem.constants.D * 1e-3
+    assert problem.kept(problem.optimum + step) < 0.85 < problem.kept(problem.optimum - step)
+
+
+@pytest.mark.slow
+def test_differential_evolution_finds_no_better_point_for_single_runs():
+    problem = ClosedForm(parameters=2, contexts=2, noise="heteroscedastic", probability=0.85)
+    found = differential_evolution(
+        lambda u: float(problem.cost(u)),
+        [(0.0, 1.0)] * 2,
+        constraints=NonlinearConstraint(problem.kept, 0.85, np.inf),
+        seed=1,
+        tol=1e-10,
+        maxiter=150,
+        polish=False,
+    )
+    assert found.fun == pytest.approx(problem.best, rel=5e-4)
+
+
+def test_the_crash_region_begins_at_the_optimum_and_holds_no_feasible_point():
+    problem = ClosedForm(parameters=4, contexts=2, crash=True)
+    assert not problem.crashes(problem.optimum)
+    assert problem.crashes(problem.optimum + 0.1 * problem.constants.D)
+    points = np.random.default_rng(4).random((2000, 4))
+    crashed = np.array([problem.crashes(u) for u in points])
+    assert 0.1 < crashed.mean() < 0.9
+    assert all(problem.worst(u)[0] > 1.0 for u in points[crashed])
+
+
+def test_evaluations_have_the_expectations_of_the_formulas():
+    problem = ClosedForm(parameters=4, contexts=3, noise="heteroscedastic")
+    study = problem.study()
+    space, contexts = study.search_space(), study.context_space()
+    u = np.full(4, 0.4)
+    parameters = space.to_parameters(u)
+    evaluator = Evaluator(study)
+    rows = contexts.draw_stratified(4000, np.random.default_rng(0))
+    found = [evaluator.metrics(parameters, contexts.to_dict(w), i) for i, w in enumerate(rows)]
+    cost = np.array([m["cost"] for m in found])
+    noise = np.array([m["stress"] for m in found]) - problem.metric(u, rows)
+    error = cost.std() / np.sqrt(len(cost))
+    assert cost.mean() == pytest.approx(float(problem.cost(u)), abs=4.0 * error)
+    scaled = noise / problem.deviation(rows)
+    assert scaled.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(4000))
+    assert scaled.std() == pytest.approx(1.0, abs=0.05)
+    # The study's distribution of contexts has the mean that the formula of E[C] assumes.
+    assert truncnorm(-2.5, 2.5, 0.0, 0.4).mean() == pytest.approx(0.0)
+    assert rows.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.01)
+
+
+def test_the_judge_says_what_the_problem_knows():
+    problem = ClosedForm(parameters=4, contexts=2, noise="constant", crash=True, probability=0.85)
+    study = problem.study()
+    truth = Truth(study, JUDGE, SMALL)
+    space = study.search_space()
+    inside = problem.optimum - 1e-6 * problem.constants.D
+    verdict = truth.verdict(space.to_parameters(inside))
+    assert verdict.feasible
+    assert verdict.objective == pytest.approx(problem.best, abs=1e-4)
+    assert verdict.worst_kept == pytest.approx(0.85, abs=1e-3)
+    assert not truth.verdict(
+        space.to_parameters(problem.optimum + 0.01 * problem.constants.D)
+    ).feasible
+    crashed = truth.verdict(space.to_parameters(problem.optimum + 0.2 * problem.constants.D))
+    assert not crashed.feasible
+    assert np.isnan(crashed.objective)
+
+
+def test_a_crash_is_a_failed_trial_of_the_product():
+    from bo_tuner.tuning.loop import Tuning
+
+    problem = ClosedForm(parameters=2, contexts=1, crash=True)
+    study = problem.study().replace(trials=6, initial_trials=6)
+    backend = TimedBackend(study)
+    backend.open()
+    space = study.search_space()
+    for trial in Tuning(study, backend, ALGORITHMS["IV"]):
+        crashed = problem.crashes(space.to_cube(trial.parameters))
+        assert (trial.state is TrialState.FAILED) == crashed
+
+
+def test_the_warping_keeps_the_cube_and_its_order():
+    u = np.linspace(0.0, 1.0, 1001)
+    assert warped(u)[[0, -1]] == pytest.approx([0.0, 1.0])
+    assert (np.diff(warped(u)) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"parameters": 1}, {"contexts": 0}, {"noise": "loud"}, {"crash": 1}],
+)
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(StudyError):
+        ClosedForm(**({"parameters": 2, "contexts": 1} | wrong))
