@@ -36,6 +36,7 @@ PIP_PACKAGES = {
     "simpleeval": (None, "simpleeval"),
     "sklearn": ("python3-sklearn", "scikit-learn"),
     "threadpoolctl": (None, "threadpoolctl"),
+    "tornado": ("python3-tornado", "tornado"),
     "yaml": ("python3-yaml", "PyYAML"),
 }
 ROSDEP_KEYS = {name: key for key, name in PIP_PACKAGES.values()}

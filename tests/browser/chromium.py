@@ -109,15 +109,15 @@ class Chromium:
         os.close(self._from)
 
     def open(
-        self, path: Path, *, theme: str = "light", width: int = 1280, height: int = 900
+        self, page: Path | str, *, theme: str = "light", width: int = 1280, height: int = 900
     ) -> None:
-        """Open a file and wait until it is loaded."""
+        """Open a file or an address and wait until it is loaded."""
         self.errors.clear()
         self.requests.clear()
         self.set_theme(theme)
         self.set_size(width, height)
         self._events.clear()
-        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         self._wait("Page.loadEventFired")
 
     def set_theme(self, theme: str) -> None:

@@ -58,6 +58,7 @@ setup(
         "rosbags>=0.10,<0.12",
         "simpleeval>=1.0.3,<2",
         "threadpoolctl>=3,<4",
+        "tornado>=6.4,<7",
     ],
     extras_require={"test": ["pytest"]},
     keywords=[f"commit-{commit()}"],

@@ -83,7 +83,7 @@ def test_a_run_without_a_certificate_has_none(tuned):
 def test_its_numbers_are_shown(certified):
     found = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
-    assert found.scope == "112 fresh draws, 95 % confidence"
+    assert found.scope == "112 fresh draws, 95 % confidence over all attempts"
     limits, gaps = found.section.tables
     rows = {row[0].strip(): row[1:] for row in limits.rows}
     assert rows["mean error"] == ["1.5 ± 0.02", "1.5 ± 0.02", "s"]

@@ -25,6 +25,7 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.limits import judge_samples
 from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
 from bo_tuner.verdict.verdict import FAIL, PASS, State
 
@@ -79,7 +80,7 @@ def made(run, default, tuned, passed_check):
     return dataclasses.replace(run, summary=summary, evaluations=(*earlier, *sides[0], *sides[1]))
 
 
-def certify(run, default, tuned):
+def certify(run, default, tuned, *, with_default=True):
     trial = run.trials[run.summary["trial"]]
     evidence = {}
     for side, (name, parameters, values) in enumerate(
@@ -94,6 +95,8 @@ def certify(run, default, tuned):
             evaluations(side, parameters, values),
             repeated=(of_worst,) if of_worst else (),
         )
+    if not with_default:
+        del evidence["default"]
     certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
     write_certificate(run.path, certificate, evidence)
     return certificate
@@ -207,6 +210,44 @@ def test_a_certificate_brings_summary_and_bundle_up_to_date(tuned, tmp_path, pea
     assert {k: v for k, v in after.items() if k not in ("verdict", "feasible")} == {
         k: v for k, v in before.items() if k not in ("verdict", "feasible")
     }
+
+
+@pytest.mark.parametrize("with_default", [True, False])
+def test_each_number_tells_its_draws_where_they_differ(tuned, tmp_path, with_default):
+    """5 draws of the validation for both, 40 more of the certificate for the tuned one alone."""
+    shutil.copytree(tuned.path, tmp_path / "run")
+    run = read_run(tmp_path / "run")
+    certify(run, [(2.0, 0.5)] * 40, [(1.0, 0.5)] * 40, with_default=with_default)
+    verdict = run_verdict(run)
+    (error,) = [q for q in verdict.quantities if q.label == "mean error"]
+    assert error.difference.count == (40 if with_default else 5)
+    told = "" if with_default else "default in 5 draws, tuned in 45, difference in the 5 of both"
+    assert error.draws == told
+    lines = on_terminal(run, verdict).splitlines()
+    assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
+    assert (told in on_page(run)) if told else ("tuned in" not in on_page(run))
+    assert "97.5 % confidence, so that all attempts to certify this run have 95 % together" in (
+        verdict.evidence
+    )
+
+
+def test_apply_is_no_next_step_where_it_refuses(tuned, tmp_path, monkeypatch):
+    shutil.copytree(tuned.path, tmp_path / "run")
+    run = read_run(tmp_path / "run")
+    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
+    path = run.path / "certificates" / "0001.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"verdict": PASS}))
+    with monkeypatch.context() as patch:
+        patch.setattr("bo_tuner.certificate.run_verdict.certificate_problem", lambda *_: "")
+        commands = [step.command for step in next_steps(run_verdict(run), "run")]
+        assert commands[0] == "apply run"
+    # 40 draws are fewer than the study asks for.
+    verdict = run_verdict(run)
+    assert verdict.certificate == PASS
+    assert "the study requires" in verdict.remarks[-1]
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert commands[0] == "validate run"
+    assert not any(command.startswith("apply") for command in commands)
 
 
 def test_the_largest_value_on_record_is_not_hidden(tuned):

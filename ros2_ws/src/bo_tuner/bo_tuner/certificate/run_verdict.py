@@ -81,10 +81,12 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
         rows, remarks = [], [f"{error}."]
     study = record.study
     passed = content["verdict"] == PASS
-    if passed and (problem := certificate_problem(record, trial)):
+    problem = certificate_problem(record, trial) if passed else ""
+    if problem:
         remarks.append(f"apply refuses it all the same: {problem}.")
     try:
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
+        overall = float(content["confidence"])
         tuned, default = content[TUNED], content[DEFAULT]
         reasons = tuple(str(reason) for reason in content["reasons"])
         of_tuned = {c["name"]: c for c in tuned["constraints"]}
@@ -106,14 +108,16 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
         evidence=f"{'' if default is None else 'the same '}{draws} fresh draws of context and "
-        f"noise, with {100.0 * confidence:.4g} % confidence in each bound"
-        + (", the default in those of the validation" if default is None else ""),
+        f"noise; each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
+        f"certify this run have {100.0 * overall:.4g} % together"
+        + ("; the default is in the draws of the validation" if default is None else ""),
         reasons=reasons,
         default_reasons=default_reasons,
         quantities=numbers,
         remarks=tuple(remarks),
         observed=observed,
         default_certified=default is not None,
+        apply_refuses=bool(problem),
     )
 
 

@@ -32,11 +32,13 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.observer import Observers, Phase
+from bo_tuner.tuning.observer import Observers, Phase, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, summarize
 from bo_tuner.verdict.validated import open_verdict, validated
 from bo_tuner.verdict.verdict import Verdict
+from bo_tuner.web.address import Address
+from bo_tuner.web.live_page import LivePage
 
 NOTHING = JournalContent((), (), (), "")
 
@@ -65,6 +67,8 @@ class RunOptions:
         Trials of an earlier run that a new run begins with.
     carried_from
         The folder of that run.
+    web
+        Where to serve the live page; None for no page.
     """
 
     algorithm: str = "IV"
@@ -76,6 +80,7 @@ class RunOptions:
     stop_early: bool = False
     carried: Sequence[Trial] = ()
     carried_from: str = ""
+    web: Address | None = None
 
 
 class Session:
@@ -104,6 +109,7 @@ class Session:
         self._status = RunStatus(study, self._algorithm)
         self._display = make_display(study, options.output, self._status)
         self._observers = Observers()
+        self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._algorithm, self._observers)
         self._gate = Gate(interruption, self._observers)
         self._backend = make_backend(
@@ -123,9 +129,24 @@ class Session:
         OutputError, BackendError, StudyError, JournalError
             If the folder, the nodes or the objects cannot be had in the first place.
         """
-        code = self._run_on_record()
+        with self._page():
+            code = self._run_on_record()
         self._display.finish(code)
         return code
+
+    @contextlib.contextmanager
+    def _page(self) -> Iterator[None]:
+        """Serve the live page, if it is asked for, until the files of the result are written."""
+        address = self._options.web
+        if address is None:
+            yield
+            return
+        status, display = self._status, self._display
+        with LivePage(self._study, self._folder.path, status, address, display.warn) as page:
+            self._live_page = page
+            show = display.warn if self._options.output is Output.QUIET else display.tell
+            show(f"live page: {address.url}")
+            yield
 
     def _run_on_record(self) -> int:
         folder = self._folder
@@ -247,6 +268,8 @@ class Session:
             if ros is not None:
                 self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
                 self._observers.add(ParkInPause(ros.park, self._display.warn))
+            if self._live_page is not None:
+                self._observers.add(self._live_page)
             self._observers.add(self._advisor)
             self._observers.add(self._gate)
             stack.enter_context(self._display)

@@ -34,6 +34,7 @@ from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import Describe, load_study, shipped_studies
 from bo_tuner.trials import Trial
+from bo_tuner.web.address import listen
 
 DESCRIPTION = """\
 Find robust, real-time capable, safe parameters by two-stage constrained
@@ -63,12 +64,14 @@ examples:
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --stop-early                    stop when further trials are not worth it
+  tune --web                           the report, live, in a browser
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
 
 STUDY = "benchmark"
 ALGORITHM = "IV"
+LARGEST_PORT = 65535
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
 
@@ -187,6 +190,15 @@ def make_parser() -> Parser:
         help="stop the tuning when the expected gain of the remaining trials is below the noise; "
         "the best candidates are checked and validated as usual",
     )
+    parser.add_argument(
+        "--web",
+        type=_port,
+        nargs="?",
+        const=0,
+        metavar="PORT",
+        help="serve the report of the run in progress, read-only, on this machine only, at an "
+        "address with a token that is printed (default port: any that is free)",
+    )
     parser.add_trust_argument("with --resume or --from: ")
     return parser
 
@@ -274,6 +286,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         stop_early=stop_early,
         carried=carried,
         carried_from=str(record.path.resolve()) if carried else "",
+        web=None if arguments.web is None else listen(arguments.web),
     )
     if arguments.resume is not None:
         folder = RunFolder(record.path.resolve())
@@ -284,6 +297,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     except BaseException:
         folder.discard()
         raise
+
+
+def _port(text: str) -> int:
+    """Read the number of a port; 0 stands for any."""
+    if not text.isdecimal() or int(text) > LARGEST_PORT:
+        raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
+    return int(text)
 
 
 def _megabytes(text: str) -> int:

@@ -13,7 +13,7 @@ import yaml
 
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
 from bo_tuner.tuning.limits import tightest
 
 MEGABYTE = 1_000_000
@@ -69,6 +69,19 @@ def badness(study: Study, trial: Trial) -> float:
         return constraint.excess(worst.value)
     values = trial.observations(study.objective.metric)
     return float(study.objective.sign * sum(values) / len(values))
+
+
+def evaluation_badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:
+    """How bad an evaluation is, as a key to sort by: a failed one is the worst.
+
+    Else its worst-case metric counts, or in a study without one the objective as a cost.
+    """
+    metrics = evaluation.outcome.metrics
+    if evaluation.outcome.state is not EvaluationState.COMPLETE:
+        return True, 0.0
+    if worst := study.worst_case_constraints:
+        return False, max(constraint.excess(metrics[constraint.metric]) for constraint in worst)
+    return False, float(study.objective.to_cost(metrics[study.objective.metric]))
 
 
 class Retention:

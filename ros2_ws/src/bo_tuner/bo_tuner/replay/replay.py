@@ -8,12 +8,11 @@ from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
-from bo_tuner.recording.retention import badness
+from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.parts import IN_PROCESS, Metric
-from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
+from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
@@ -174,7 +173,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
         if item.trial == trial and _is_of_trial(item)
     }
     if index is None:
-        return max(evaluations.values(), key=lambda item: _badness(record.study, item))
+        return max(evaluations.values(), key=lambda item: evaluation_badness(record.study, item))
     if index not in evaluations:
         raise RunRecordError(
             f"{record.path}: trial {trial} has no evaluation {index}, only {min(evaluations)} to "
@@ -195,12 +194,3 @@ def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
 
 def _is_of_trial(item: Evaluation) -> bool:
     return item.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)
-
-
-def _badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:
-    metrics = evaluation.outcome.metrics
-    if evaluation.outcome.state is not EvaluationState.COMPLETE:
-        return True, 0.0
-    if worst := study.worst_case_constraints:
-        return False, max(constraint.excess(metrics[constraint.metric]) for constraint in worst)
-    return False, float(study.objective.to_cost(metrics[study.objective.metric]))

@@ -1,9 +1,10 @@
 """The data behind a report: the trials of a run, the models of them, and the answer."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, TypeVar
 
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.errors import RunRecordError
@@ -20,6 +21,7 @@ from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.verdict.verdict import Verdict
 
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
+T = TypeVar("T")
 
 
 class Outcome:
@@ -39,9 +41,20 @@ class Analysis:
     ----------
     record
         The run.
+    known
+        What trials to come do not change. A page of a run in progress hands it on from one
+        analysis to the next.
     """
 
     record: RunRecord
+    known: dict[Hashable, Any] = field(default_factory=dict)
+
+    def remember(self, key: Hashable, make: Callable[[], T]) -> T:
+        """Return what is known by a key; what is not is made first."""
+        if key not in self.known:
+            self.known[key] = make()
+        found: T = self.known[key]
+        return found
 
     @property
     def study(self) -> Study:

@@ -4,7 +4,9 @@ import base64
 import hashlib
 import importlib.resources
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -33,29 +35,39 @@ from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.verdict.verdict import State
 
 NAME = "report.html"
 """File name of a report in its run folder."""
 
 
+def certificate(analysis: Analysis) -> Section | None:
+    """Show the certificate; None without one."""
+    return None if analysis.certificate is None else analysis.certificate.section
+
+
+SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (
+    certificate,
+    draws,
+    convergence,
+    trade_off,
+    parallel,
+    contexts,
+    tolerance,
+    trajectories,
+    surrogates,
+    sensitivity,
+    timing,
+    failures,
+    all_trials,
+    provenance,
+)
+"""What makes the sections of a report, in order; each returns None if it does not apply."""
+
+
 def sections(analysis: Analysis) -> list[Section]:
     """Return the sections of a run's report in order, without those that do not apply."""
-    made = [
-        None if analysis.certificate is None else analysis.certificate.section,
-        draws(analysis),
-        convergence(analysis),
-        trade_off(analysis),
-        parallel(analysis),
-        contexts(analysis),
-        tolerance(analysis),
-        trajectories(analysis),
-        surrogates(analysis),
-        sensitivity(analysis),
-        timing(analysis),
-        failures(analysis),
-        all_trials(analysis),
-        provenance(analysis),
-    ]
+    made = (make(analysis) for make in SECTIONS)
     return [section for section in made if section is not None]
 
 
@@ -104,7 +116,7 @@ def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     OutputError
         If the file cannot be written.
     """
-    return _write(path, _page("comparison.html", sections=parts, title=title))
+    return _write(path, fill("comparison.html", sections=parts, title=title))
 
 
 def _write(path: Path, text: str) -> Path:
@@ -116,9 +128,25 @@ def _write(path: Path, text: str) -> Path:
     return write_atomically(path, text)
 
 
+def section_html(section: Section) -> str:
+    """Return the HTML of a section by itself."""
+    return str(_macros().show_section(section))
+
+
+def answer_html(analysis: Analysis) -> str:
+    """Return the HTML of the answer by itself, without links to files.
+
+    Without a result there are no steps either: the run is going on.
+    """
+    found = replace(answer(analysis), files=())
+    if found.verdict.state is State.OPEN:
+        found = replace(found, steps=())
+    return str(_macros().show_answer(found, ""))
+
+
 def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -> str:
     """Return the HTML of the page, with links into the run folder by its relative path."""
-    return _page(
+    return fill(
         "report.html",
         sections=parts,
         study=analysis.study,
@@ -128,8 +156,25 @@ def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -
     )
 
 
-def _page(template: str, **content: object) -> str:
-    """Fill a template that extends the base of all pages."""
+def fill(template: str, scripts: Sequence[str] = (), **content: object) -> str:
+    """Fill a template that extends the base of all pages, with further scripts by their names."""
+    texts = [_plotly(), *map(_template, ("report.js", "tables.js", *scripts))]
+    return (
+        _environment()
+        .get_template(template)
+        .render(
+            **content,
+            style=_template("report.css"),
+            light=LIGHT,
+            dark=DARK,
+            scripts=texts,
+            policy=" ".join(f"'sha256-{_digest(text)}'" for text in texts),
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("bo_tuner.report"),
         autoescape=True,
@@ -140,21 +185,18 @@ def _page(template: str, **content: object) -> str:
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
     environment.filters["panels"] = _panels
-    scripts = [_plotly(), _template("report.js"), _template("tables.js")]
-    return environment.get_template(template).render(
-        **content,
-        style=_template("report.css"),
-        light=LIGHT,
-        dark=DARK,
-        scripts=scripts,
-        policy=" ".join(f"'sha256-{_digest(script)}'" for script in scripts),
-    )
+    return environment
+
+
+def _macros() -> Any:
+    return _environment().get_template("macros.html").module
 
 
 def _panels(figure: Figure) -> list[dict[str, Any]]:
     return [panel_data(panel, figure.panel_height) for panel in figure.panels]
 
 
+@cache
 def _plotly() -> str:
     """Return Plotly's script from its file: importing the package takes a second."""
     path = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"

@@ -39,6 +39,9 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
             return (more, replay) if verdict.trial is not None else (more,)
         case State.VALIDATED:
             return (validate, replay, more)
+        case State.CERTIFIED if verdict.apply_refuses:
+            again = Step(f"validate {where}", "certify it again: apply refuses this certificate")
+            return (again, replay)
         case State.CERTIFIED:
             return (apply, rollback, replay)
         case State.REFUSED:

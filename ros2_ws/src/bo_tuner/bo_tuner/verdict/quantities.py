@@ -62,6 +62,7 @@ def quantities(
                 bound=nan,
                 holds=None,
                 remark="",
+                draws=_draws(default, tuned, name, difference),
             )
         )
     return ordered(found, study.objective.metric)
@@ -108,7 +109,17 @@ def _of_constraint(
         bound=bound,
         holds=holds,
         remark="; ".join(parts),
+        draws=_draws(default, tuned, metric, None) if difference is None else "",
     )
+
+
+def _draws(default: Observed, tuned: Observed, metric: str, difference: Difference | None) -> str:
+    """Tell how many draws each number is from, unless all are from the same number of draws."""
+    m, n = (sum(metric in found for found in side.drawn.values()) for side in (default, tuned))
+    if m == n and (difference is None or difference.count == n):
+        return ""
+    text = f"default in {m} draws, tuned in {n}"
+    return text if difference is None else f"{text}, difference in the {difference.count} of both"
 
 
 def _paired(default: Observed, tuned: Observed, metric: str) -> Difference:

@@ -59,6 +59,8 @@ class Quantity:
         None without a limit.
     remark
         What else to know, such as the number of draws above the limit.
+    draws
+        How many draws each number is from, if they are not the same; else empty.
     """
 
     label: str
@@ -72,6 +74,7 @@ class Quantity:
     bound: float
     holds: bool | None
     remark: str
+    draws: str = ""
 
     @property
     def change_in_words(self) -> str:
@@ -116,6 +119,8 @@ class Verdict:
         What was observed of the default and of the tuned parameter set; None without a result.
     default_certified
         Whether a certificate covers the default, too; else its validation tells.
+    apply_refuses
+        Whether `apply` refuses a result that passed, such as for code that has changed since.
     """
 
     state: State
@@ -127,6 +132,7 @@ class Verdict:
     remarks: tuple[str, ...] = ()
     observed: tuple[Observed, Observed] | None = None
     default_certified: bool = True
+    apply_refuses: bool = False
 
     @property
     def feasible(self) -> bool:

@@ -138,8 +138,7 @@ def _of_quantity(quantity: Quantity) -> Tile:
         remarks[0] += f", limit {number(quantity.limit)}: {kept}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")
-    if quantity.remark:
-        remarks.append(quantity.remark)
+    remarks += [text for text in (quantity.draws, quantity.remark) if text]
     return Tile(quantity.label, number(quantity.tuned), quantity.unit, remarks, _status(quantity))
 
 
@@ -163,14 +162,18 @@ def _comparison(analysis: Analysis) -> Table:
                 quantity.change_in_words,
                 str(quantity.change) if quantity.difference is not None else "",
                 "" if isnan(quantity.limit) else number(quantity.limit),
+                quantity.draws,
             ]
         )
     both = ("yes" if keeps else "no" for keeps in (verdict.default_keeps, verdict.feasible))
-    rows.append(["keeps all limits", *both, "", "", "", ""])
+    rows.append(["keeps all limits", *both, *[""] * 5])
+    header = ["", "default", "tuned", "unit", "difference", "", "limit", "draws"]
+    if not any(quantity.draws for quantity in verdict.quantities):
+        header, rows = header[:-1], [row[:-1] for row in rows]
     return Table(
         caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
         f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval",
-        header=["", "default", "tuned", "unit", "difference", "", "limit"],
+        header=header,
         rows=rows,
         numeric=[1, 2, 4, 6],
     )
@@ -179,7 +182,7 @@ def _comparison(analysis: Analysis) -> Table:
 def _parameter_rows(analysis: Analysis) -> list[list[str]]:
     parameters = analysis.answer.parameters if analysis.answer is not None else {}
     return [
-        [name, number(value), number(parameters.get(name)), item.unit, "", "", ""]
+        [name, number(value), number(parameters.get(name)), item.unit, *[""] * 4]
         for (name, value), item in zip(
             analysis.defaults.items(), analysis.study.parameters.values(), strict=True
         )

@@ -44,7 +44,7 @@ class CertificateFile:
     def scope(self) -> str:
         """Number of draws and confidence."""
         confidence = 100.0 * float(self.content["confidence"])
-        return f"{self.content['drawn']} fresh draws, {confidence:g} % confidence"
+        return f"{self.content['drawn']} fresh draws, {confidence:g} % confidence over all attempts"
 
     @property
     def reasons(self) -> Sequence[str]:

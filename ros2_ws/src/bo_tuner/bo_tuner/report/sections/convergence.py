@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -187,15 +188,22 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
 
 def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
-    trials = analysis.record.trials
+    total = len(analysis.record.trials)
+    # Multiples, so that most of them are known already when a trial has been added.
+    step = max(1, -(-total // MOST_INCUMBENTS))
+    counts = sorted({1, *range(step, total, step), total}) if total else []
+    found = [
+        (n - 1, analysis.remember(("incumbent", n), partial(_incumbent, analysis, n)))
+        for n in counts
+    ]
+    return [(k, candidate) for k, candidate in found if candidate is not None]
+
+
+def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
+    """Return the incumbent after the first `count` trials."""
     options = ALGORITHMS[analysis.record.algorithm].models
-    count = min(len(trials), MOST_INCUMBENTS)
-    found = []
-    for n in np.unique(np.linspace(1, len(trials), count).round().astype(int)):
-        ranked = rank(analysis.study, trials[: int(n)], options)
-        if ranked:
-            found.append((int(n) - 1, ranked[0]))
-    return found
+    ranked = rank(analysis.study, analysis.record.trials[:count], options)
+    return ranked[0] if ranked else None
 
 
 def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:

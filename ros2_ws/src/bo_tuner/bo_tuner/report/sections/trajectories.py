@@ -6,8 +6,9 @@ with its unit and its values. ``time`` is their common abscissa; signals ``group
 share a panel.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,13 @@ from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, values
 from bo_tuner.storage.trust import foreign_programs, is_trusted
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
 
 TIME = "time"
+DEFAULT, TUNED = "default", "tuned"
+Look = tuple[Color, Dash]
+LOOKS = {DEFAULT: (Color.ORANGE, Dash.SOLID), TUNED: (Color.BLUE, Dash.SOLID)}
 MOST_SAMPLES = 2000
 """Largest number of samples of a signal in the page; longer signals are decimated."""
 
@@ -96,15 +101,11 @@ def trajectories(analysis: Analysis) -> Section | None:
     for name, worst in answer.worst_cases.items():
         of = f" of {name}" if len(answer.worst_cases) > 1 else ""
         contexts[f"worst context{of}"] = dict(worst.context)
-    if not is_trusted(analysis.study):
-        programs = ", ".join(foreign_programs(analysis.study))
-        lead = (
-            f"No trajectories: they would be simulated by {programs}, and this study was never run "
-            "here by you; read the study, then use report --trust."
-        )
-        return Section(name=section.name, title=section.title, lead=lead)
     try:
-        panels = _panels(analysis, answer.parameters, contexts)
+        drawn = analysis.remember(
+            ("trajectories", answer.number, str(contexts)),
+            partial(_simulated, analysis, answer.parameters, contexts),
+        )
     except (NoTraceError, StudyError, BackendError) as error:
         lead = f"No trajectories: {error}."
         return Section(name=section.name, title=section.title, lead=lead)
@@ -115,7 +116,7 @@ def trajectories(analysis: Analysis) -> Section | None:
         caption="Simulated in process by the study's objects, not recorded during the run. "
         "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time of both parameter sets. {where}.",
-        panels=panels,
+        panels=drawn,
         columns=len(contexts),
         panel_height=260,
     )
@@ -128,68 +129,110 @@ def trajectories(analysis: Analysis) -> Section | None:
     )
 
 
-def _panels(
-    analysis: Analysis,
-    tuned: Mapping[str, Value],
-    contexts: Mapping[str, Mapping[str, float]],
-) -> list[Panel]:
-    backend = TracingBackend(analysis.study)
+def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
+    """Run evaluations in this process and return the signals of each.
+
+    Raises
+    ------
+    NoTraceError, StudyError, BackendError
+        If there are no signals.
+    """
+    if not is_trusted(study):
+        programs = ", ".join(foreign_programs(study))
+        raise NoTraceError(
+            f"they would be simulated by {programs}, and this study was never run here by you; "
+            "read the study, then use report --trust"
+        )
+    backend = TracingBackend(study)
     backend.open()
     try:
-        columns = [
-            {
-                name: _run(analysis, backend, parameters, context)
-                for name, parameters in (("default", analysis.defaults), ("tuned", tuned))
-            }
-            for context in contexts.values()
-        ]
+        return [_run(backend, evaluation) for evaluation in planned]
     finally:
         backend.close()
-    groups = list(dict.fromkeys(_group(name) for name in columns[0]["tuned"] if name != TIME))
+
+
+def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]) -> list[Panel]:
+    """Return a panel for each group of signals and each column.
+
+    Parameters
+    ----------
+    columns
+        By the title of a column, its traces by the names of their lines.
+    looks
+        Colour and dash of the lines by these names.
+    """
+    every = [trace for sides in columns.values() for trace in sides.values()]
+    groups = dict.fromkeys(_group(name) for trace in every for name in trace if name != TIME)
     return [
-        _panel(title, sides, group)
+        panel
         for group in groups
-        for title, sides in zip(contexts, columns, strict=True)
+        for title, sides in columns.items()
+        if (panel := _panel(title, sides, group, looks)) is not None
     ]
 
 
-def _run(
-    analysis: Analysis,
-    backend: TracingBackend,
-    parameters: Mapping[str, Value],
-    context: Mapping[str, float],
-) -> Trace:
-    seed = noise_seed(analysis.study.seed, Stream.VALIDATION_NOISE, 0)
-    planned = Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
+def _simulated(
+    analysis: Analysis, tuned: Mapping[str, Value], contexts: Mapping[str, Mapping[str, float]]
+) -> list[Panel]:
+    """Return panels of default and tuned, with a column for each context."""
+    study = analysis.study
+    seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0)
+    sides = {DEFAULT: analysis.defaults, TUNED: tuned}
+    planned = [
+        Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
+        for context in contexts.values()
+        for parameters in sides.values()
+    ]
+    found = iter(simulate(study, planned))
+    columns = {title: {name: next(found) for name in sides} for title in contexts}
+    return panels(columns, LOOKS)
+
+
+def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
     outcome = backend.outcome(planned)
     if outcome.state is not EvaluationState.COMPLETE:
         raise NoTraceError(f"the evaluation failed: {outcome.reason}")
     return backend.trace()
 
 
-def _panel(title: str, sides: Mapping[str, Trace], group: str) -> Panel:
-    default, tuned = sides["default"], sides["tuned"]
-    names = [name for name in tuned if name != TIME and _group(name) == group]
-    common = [
-        name
-        for name in names
-        if name in default and np.array_equal(default[name].values, tuned[name].values)
-    ]
+def _panel(
+    title: str, sides: Mapping[str, Trace], group: str, looks: Mapping[str, Look]
+) -> Panel | None:
+    """Return the panel of a group of signals; None if no side has one of them."""
+    names = dict.fromkeys(
+        name for trace in sides.values() for name in trace if name != TIME and _group(name) == group
+    )
+    if not names:
+        return None
+    common = [name for name in names if _is_common(name, list(sides.values()))]
     lines: list[Element] = []
     for name in names:
         short = name.rpartition("/")[2]
         if name in common:
-            lines.append(_line(tuned, name, short, Color.INK, Dash.DOTTED))
+            first = next(iter(sides.values()))
+            lines.append(_line(first, name, short, Color.INK, Dash.DOTTED))
             continue
         label = f", {short}" if len(names) - len(common) > 1 else ""
-        if name in default:
-            lines.append(_line(default, name, f"default{label}", Color.ORANGE, Dash.SOLID))
-        lines.append(_line(tuned, name, f"tuned{label}", Color.BLUE, Dash.SOLID))
+        lines += [
+            _line(trace, name, f"{side}{label}", *looks[side])
+            for side, trace in sides.items()
+            if name in trace
+        ]
+    some = next(trace for trace in sides.values() if names.keys() & trace.keys())
+    unit = next(some[name].unit for name in names if name in some)
     return Panel(
         title=title,
-        x=Axis(label=TIME, unit=tuned[TIME].unit),
-        y=Axis(label=group, unit=tuned[names[0]].unit),
+        x=Axis(label=TIME, unit=some[TIME].unit),
+        y=Axis(label=group, unit=unit),
         elements=lines,
+    )
+
+
+def _is_common(name: str, traces: Sequence[Trace]) -> bool:
+    """Return whether a signal, such as the reference, is the same in all of several traces."""
+    return len(traces) > 1 and all(
+        name in trace and np.array_equal(trace[name].values, traces[0][name].values)
+        for trace in traces
     )
 
 

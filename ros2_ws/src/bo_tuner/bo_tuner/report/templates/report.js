@@ -69,7 +69,7 @@
   }
 
   const theme = () => (dark.matches ? "dark" : "light");
-  const figures = [...document.querySelectorAll("figure")].map((f) => new Figure(f));
+  let figures = [];
   const undrawn = () => figures.filter((figure) => !figure.theme);
 
   // Visible figures are drawn first, then the others one by one.
@@ -82,18 +82,29 @@
     },
     { rootMargin: "300px" }
   );
-  figures.forEach((figure) => watcher.observe(figure.element));
+  function adopt(root) {
+    figures = figures.filter((figure) => figure.element.isConnected);
+    for (const element of root.querySelectorAll("figure")) {
+      figures.push(new Figure(element));
+      watcher.observe(element);
+    }
+  }
+  adopt(document);
   function drawNext() {
     const [next] = undrawn();
     if (next) {
       next.draw(theme());
       setTimeout(drawNext, 0);
     } else {
-      watcher.disconnect();
       document.documentElement.dataset.drawn = "all";
     }
   }
   addEventListener("load", () => setTimeout(drawNext, 50));
+  // A page of a run in progress replaces its sections, and tells of each.
+  document.addEventListener("replaced", (event) => {
+    adopt(event.target);
+    setTimeout(drawNext, 50);
+  });
 
   function redraw() {
     for (const figure of figures) if (figure.theme) figure.draw(theme());

@@ -1,7 +1,7 @@
 "use strict";
 (() => {
   // Tables that can be sorted by a column, and filtered by words.
-  for (const table of document.querySelectorAll("table.sortable")) {
+  function sortable(table) {
     const body = table.tBodies[0];
     const rows = [...body.rows];
     const heads = [...table.tHead.rows[0].cells];
@@ -62,8 +62,13 @@
       }
     }
   });
-  for (const region of document.querySelectorAll(".scroll")) {
-    watcher.observe(region);
-    watcher.observe(region.firstElementChild);
+  function adopt(root) {
+    for (const table of root.querySelectorAll("table.sortable")) sortable(table);
+    for (const region of root.querySelectorAll(".scroll")) {
+      watcher.observe(region);
+      watcher.observe(region.firstElementChild);
+    }
   }
+  adopt(document);
+  document.addEventListener("replaced", (event) => adopt(event.target));
 })();

@@ -1,0 +1,138 @@
+"use strict";
+(() => {
+  // The page of a run in progress: asks for what is new, and replaces the sections that changed.
+  const RETRY = 2000; // after a request that failed [ms]
+  const MOST_FAILURES = 3; // in a row, after which the run counts as gone
+  const main = document.getElementById("main");
+  const now = document.getElementById("now");
+  const title = now.querySelector("h2");
+  const links = document.querySelector("nav ul");
+  const waiting = new Map(); // sections that the reader is busy with, by name
+
+  const of = (name) => document.getElementById(name);
+
+  function showNow(state, problem) {
+    const counted = state.total ? ` ${state.done} of ${state.total}` : "";
+    const left = state.time_left ? `, ${state.time_left} left` : "";
+    let text = `${state.phase || "starting"}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
+    if (state.verdict) text = state.verdict;
+    if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; tune says why";
+    if (title.textContent !== text) title.textContent = text;
+    document.title = `${text} - ${document.querySelector("h1").textContent}`;
+    const bar = now.querySelector("progress");
+    bar.max = state.total || 1;
+    bar.value = state.ended ? bar.max : state.done || 0;
+    const trouble = now.querySelector(".damage");
+    trouble.textContent = problem;
+    trouble.hidden = !problem;
+    now.querySelector("dl").replaceChildren(
+      ...Object.entries(state.texts || {}).map(([name, text]) => {
+        const row = document.createElement("div");
+        const [term, words] = [document.createElement("dt"), document.createElement("dd")];
+        term.textContent = name;
+        words.textContent = text;
+        row.append(term, words);
+        return row;
+      })
+    );
+  }
+
+  // Keeps what is unfolded and typed; a section with the focus in it waits.
+  function replace(name, html) {
+    const old = of(name);
+    if (old && old.contains(document.activeElement)) {
+      waiting.set(name, html);
+      return;
+    }
+    const holder = document.createElement("template");
+    holder.innerHTML = html;
+    const section = holder.content.querySelector("section");
+    if (old) {
+      const open = [...old.querySelectorAll("details")].map((details) => details.open);
+      section.querySelectorAll("details").forEach((details, k) => { details.open = open[k] || false; });
+      old.replaceWith(section);
+    } else {
+      main.append(section);
+    }
+    linkTrials(section);
+    section.dispatchEvent(new CustomEvent("replaced", { bubbles: true }));
+  }
+
+  function linkTrials(section) {
+    for (const table of section.querySelectorAll("table")) {
+      if (table.tHead.rows[0].cells[0].textContent.trim() !== "trial") continue;
+      for (const row of table.tBodies[0].rows) {
+        const number = row.cells[0].textContent.trim();
+        const link = document.createElement("a");
+        link.href = `trials/${number}`;
+        link.textContent = number;
+        row.cells[0].replaceChildren(link);
+      }
+    }
+  }
+
+  function putInOrder(order) {
+    const found = order.map(of).filter(Boolean);
+    for (const section of [...main.querySelectorAll(":scope > section")]) {
+      if (section !== now && !found.includes(section)) section.remove();
+    }
+    // Without moving what is in place: a moved figure would be drawn again.
+    let before = now;
+    for (const section of found) {
+      if (before.nextElementSibling !== section) before.after(section);
+      before = section;
+    }
+    const names = ["now", ...found.map((section) => section.id)];
+    if (names.join() !== [...links.querySelectorAll("a")].map((a) => a.hash.slice(1)).join()) {
+      links.replaceChildren(
+        ...names.map((name) => {
+          const [item, link] = [document.createElement("li"), document.createElement("a")];
+          link.href = `#${name}`;
+          link.textContent = name[0].toUpperCase() + name.slice(1);
+          item.append(link);
+          return item;
+        })
+      );
+    }
+  }
+
+  main.addEventListener("focusout", () => setTimeout(() => {
+    for (const [name, html] of [...waiting]) {
+      waiting.delete(name);
+      replace(name, html);
+    }
+  }, 0));
+
+  async function follow() {
+    let version = -1;
+    let failures = 0;
+    let ended = false;
+    for (;;) {
+      try {
+        const answer = await fetch(`state?after=${version}`, { cache: "no-store" });
+        if (!answer.ok) throw new Error(answer.statusText);
+        const news = await answer.json();
+        failures = 0;
+        version = news.version;
+        showNow(news.now, news.problem);
+        for (const [name, html] of Object.entries(news.sections)) {
+          waiting.delete(name);
+          replace(name, html);
+        }
+        putInOrder(news.order);
+        document.documentElement.dataset.version = version;
+        if (news.complete) return;
+        ended = news.now.ended;
+      } catch (error) {
+        if (ended) return;
+        failures += 1;
+        if (failures >= MOST_FAILURES) {
+          title.textContent = "The run has ended, or cannot be reached; this is its last state";
+          return;
+        }
+        await new Promise((done) => setTimeout(done, RETRY));
+      }
+    }
+  }
+  follow();
+})();

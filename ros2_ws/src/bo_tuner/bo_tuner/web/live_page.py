@@ -1,0 +1,204 @@
+"""The run's side of the page: a process that serves it, told of each step by a pipe."""
+
+import contextlib
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from bo_tuner.monitoring.progress import (
+    JOIN,
+    advice_in_words,
+    describe,
+    duration,
+    incumbent_in_words,
+)
+from bo_tuner.monitoring.status import RunStatus
+from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.storage.run_files import LOGS, open_file
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.web.address import Address
+
+PERIOD = 0.2
+"""Shortest time [s] between two messages on evaluations."""
+LONGEST_TEXT = 600
+"""Characters of a text in a message."""
+PATIENCE = 25.0
+"""Longest time [s] that the page has at the end to show the result, if somebody looks."""
+
+
+class LivePage(RunObserver):
+    """Starts the process that serves the page, and tells it of the run; use it in a ``with`` block.
+
+    The run never waits for that process: a message that the pipe cannot take is left out, since
+    each one says all there is to say.
+
+    Parameters
+    ----------
+    study, folder
+        Of the run.
+    status
+        Status of the run; must receive each step before this observer.
+    address
+        Where to serve the page; this process closes the socket.
+    warn
+        Called with a line if the page is gone.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        folder: Path,
+        status: RunStatus,
+        address: Address,
+        warn: Callable[[str], None],
+    ) -> None:
+        self._study = study
+        self._folder = folder
+        self._status = status
+        self._address = address
+        self._warn = warn
+        self._pipe = -1
+        self._process: subprocess.Popen[bytes] | None = None
+        self._told = 0.0
+        self._trial = ""
+        self._running = 0
+
+    def __enter__(self) -> Self:
+        """Start the process."""
+        socket = self._address.socket
+        reads, self._pipe = os.pipe()
+        os.set_blocking(self._pipe, False)
+        # A signal of the terminal goes to the run alone, which then ends the page.
+        self._log.parent.mkdir(exist_ok=True)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
+        with os.fdopen(open_file(self._log, flags), "ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "bo_tuner.web", str(socket.fileno())],
+                stdin=reads,
+                stdout=log,
+                stderr=log,
+                pass_fds=[socket.fileno()],
+                start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            )
+        os.close(reads)
+        socket.close()
+        self._send({"folder": str(self._folder.resolve()), "token": self._address.token})
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Show the result to whoever looks, and end the process."""
+        self._running = 0
+        self._tell(ended=True)
+        if self._pipe >= 0:
+            os.close(self._pipe)
+            self._pipe = -1
+        if self._process is not None:
+            try:
+                self._process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def begin(self, phase: str, total: int) -> None:
+        """Tell of a phase."""
+        self._running = 0
+        self._tell()
+
+    def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
+        """Tell of the recorded trials."""
+        self._trial = describe(trials[-1], self._study)
+        self._tell()
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        """Tell of an evaluation, unless the page was told of something just now."""
+        self._running += 1
+        if time.monotonic() - self._told >= PERIOD:
+            self._tell()
+
+    def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
+        """Tell of a trial."""
+        self._trial = describe(trial, self._study)
+        self._running = 0
+        self._tell()
+
+    def advance(self) -> None:
+        """Tell of a step."""
+        self._tell()
+
+    def advise(self, advice: StopAdvice) -> None:
+        """Tell of the advice to stop."""
+        self._tell()
+
+    def pause(self, paused: bool) -> None:
+        """Tell of a pause."""
+        self._tell()
+
+    @property
+    def _log(self) -> Path:
+        return self._folder / LOGS / "web.log"
+
+    def _tell(self, *, ended: bool = False) -> None:
+        now = self._status.now
+        texts = {
+            "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
+            "so far": "" if ended else incumbent_in_words(now.incumbent, self._study),
+            "running": "" if ended else self._present(),
+            "advice": advice_in_words(now.advice, self._study) if now.advice else "",
+        }
+        self._told = time.monotonic()
+        self._send(
+            {
+                "phase": now.phase,
+                "done": now.done,
+                "total": now.total,
+                "trials": now.trials,
+                "time_left": "" if ended or now.time_left is None else duration(now.time_left),
+                "paused": now.paused,
+                "ended": ended,
+                "verdict": "" if now.verdict is None else now.verdict.headline,
+                "texts": {
+                    name: " ".join(text.replace(JOIN, " ").split())[:LONGEST_TEXT]
+                    for name, text in texts.items()
+                    if text
+                },
+            }
+        )
+
+    def _present(self) -> str:
+        """Return what runs at the moment."""
+        now = self._status.now
+        what = f"trial {now.trials}" if now.phase == "tuning" else now.phase
+        if not self._running:
+            return f"{what}, no evaluation of it is finished yet"
+        return f"{what}, {self._running} evaluations of it are finished"
+
+    def _send(self, message: dict[str, object]) -> None:
+        if self._pipe < 0:
+            return
+        line = json.dumps(message, ensure_ascii=False).encode() + b"\n"
+        # A pipe takes a short line whole or not at all (POSIX, write).
+        if len(line) > select.PIPE_BUF:
+            line = json.dumps(message | {"texts": {}}).encode() + b"\n"
+        with contextlib.suppress(BlockingIOError):
+            try:
+                os.write(self._pipe, line)
+            except BrokenPipeError:
+                os.close(self._pipe)
+                self._pipe = -1
+                self._warn(f"the live page has ended, see {self._log}; the run continues")

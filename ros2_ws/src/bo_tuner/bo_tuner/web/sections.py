@@ -1,0 +1,75 @@
+"""The sections of the page, made anew from the journal whenever the run has come further."""
+
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html
+from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.storage.record import read_run
+from bo_tuner.tuning.summary import with_summary
+
+ANSWER = "answer"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A section as it stands on the page: its name and its HTML."""
+
+    name: str
+    html: str
+
+
+class LiveSections:
+    """Makes the sections of a run in progress.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._known: dict[Hashable, Any] = {}
+
+    def analysis(self, *, ended: bool) -> Analysis:
+        """Read the run as it stands now.
+
+        Raises
+        ------
+        RunRecordError
+            If it cannot be read.
+        """
+        record = read_run(self._folder)
+        # The summary of a run that goes on is one of an earlier session.
+        record = with_summary(record, _ignore) if ended else replace(record, summary=None)
+        return Analysis(record, self._known)
+
+    def parts(self, *, ended: bool) -> Iterator[Part]:
+        """Yield the sections in the order in which they are ready."""
+        analysis = self.analysis(ended=ended)
+        yield Part(ANSWER, answer_html(analysis))
+        for make in SECTIONS:
+            section = make(analysis)
+            if section is not None:
+                yield Part(section.name, section_html(section))
+
+    def shell(self) -> str:
+        """Return the page without sections, which the browser asks for."""
+        study = read_run(self._folder).study
+        return fill("live.html", scripts=["live.js"], study=study, sections=[])
+
+    def trial(self, number: int) -> str | None:
+        """Return the page of a trial; None if there is no such trial."""
+        analysis = self.analysis(ended=False)
+        if not 0 <= number < len(analysis.trials):
+            return None
+        parts = trial_sections(analysis, analysis.trials[number])
+        return fill("trial.html", study=analysis.study, number=number, sections=parts, home="/")
+
+
+def _ignore(_: str) -> None:
+    pass

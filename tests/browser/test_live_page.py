@@ -1,0 +1,73 @@
+"""The page of a run in progress as a reader sees it: it goes on by itself."""
+
+import re
+
+import pytest
+from axis import write_axis
+from commands import start
+from waiting import count_in, wait_until
+
+ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:\d+/)(\?token=[\w-]+)")
+TRIALS = "document.querySelectorAll('#trials tbody tr').length"
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of a small object with a page, held at its 21st evaluation."""
+    import yaml
+    from report_runs import axis_study
+
+    write_axis(tmp_path, "report_objects")
+    study = axis_study(nodes={"axis": {"node": "axis", "result": "~/cut_result",
+                                       "object": "report_objects:Axis"}})  # fmt: skip
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
+    counter, said = tmp_path / "cuts", tmp_path / "said.txt"
+    with said.open("w") as file:
+        process = start(
+            *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web"),
+            folder=tmp_path,
+            env={"CUTS": str(counter), "HOLD": "21"},
+            stderr=file,
+        )
+    wait_until(lambda: count_in(counter) == 21, "the evaluation", process, said.read_text)
+    process.address, process.query = ADDRESS.search(said.read_text()).groups()
+    process.go = tmp_path / "cuts.go"
+    yield process
+    process.go.touch()
+    process.communicate()
+
+
+def test_it_follows_the_run(chromium, run):
+    chromium.open(run.address + run.query)
+    # The token is in no address that the browser keeps.
+    assert chromium.evaluate("location.href") == run.address
+    chromium.wait_for("document.querySelector('#provenance') !== null")
+    before = chromium.evaluate(TRIALS)
+    assert 0 < before < 7
+    chromium.evaluate("document.querySelector('#trials details').open = true; window.stays = 1")
+    order = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.hash)")
+    assert order[:3] == ["#now", "#answer", "#convergence"]
+
+    run.go.touch()
+    chromium.wait_for("document.querySelector('#answer h2').textContent.includes('parameter set')")
+    chromium.wait_for(f"{TRIALS} === 7")
+    # The same page, with what was unfolded.
+    assert chromium.evaluate("window.stays") == 1
+    assert chromium.evaluate("document.querySelector('#trials details').open") is True
+    chromium.wait_for("document.querySelector('#now h2').textContent.startsWith('Ended. ')")
+    assert chromium.evaluate("'harmed' in window") is False
+    assert [url for url in chromium.requests if not url.startswith((run.address, "data:"))] == []
+    # Only that the server is gone may be said.
+    assert [error for error in chromium.errors if "ERR_" not in error] == []
+
+
+def test_a_trial_has_a_page(chromium, run):
+    chromium.open(run.address + run.query)
+    chromium.wait_for("document.querySelector('#trials tbody a') !== null")
+    link = chromium.evaluate("document.querySelector('#trials tbody a').href")
+    assert link == f"{run.address}trials/0"
+    chromium.open(link)
+    assert chromium.evaluate("document.querySelector('h1').textContent").endswith("trial 0")
+    assert chromium.evaluate("document.querySelectorAll('#evaluations tbody tr').length") > 1
+    assert chromium.evaluate("'harmed' in window") is False
+    assert chromium.errors == []
