@@ -13,7 +13,7 @@ from tuning_benchmark.judging.evaluator import Evaluator
 from tuning_benchmark.judging.truth import Effort, Truth
 from tuning_benchmark.problems.closed_form import ClosedForm, warped
 
-JUDGE = "tuning_benchmark.problems.judge:Judge"
+JUDGE = "tuning_benchmark.judging.closed_form:Judge"
 SIZES = [(2, 1), (2, 3), (4, 2), (8, 4), (12, 6)]
 SMALL = Effort(drawn=50, grid=3, real_evaluations=0)
 

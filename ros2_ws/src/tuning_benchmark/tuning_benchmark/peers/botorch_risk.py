@@ -40,7 +40,7 @@ from torch import Tensor
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.peers.optimizer import tuned
-from tuning_benchmark.peers.robust import Result
+from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
 CORNERS, DRAWN = 8, 4
 BASELINE = 12
@@ -174,9 +174,7 @@ class RiskAverse:
 
     def _margin(self, model: ModelListGP) -> float:
         """Margin of a limit on single runs, from the noise of the excess."""
-        constraint = self._study.worst_case_constraint
-        if constraint is None:
-            return 0.0
+        constraint = worst_case_constraint(self._study)
         excess = model.models[1]
         scale = float(excess.outcome_transform.stdvs.squeeze())
         return constraint.deviations * float(excess.likelihood.noise.sqrt()) * scale

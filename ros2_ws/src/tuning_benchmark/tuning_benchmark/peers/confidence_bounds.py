@@ -40,7 +40,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from bo_tuner.worst_case.contexts import maximise_over_contexts
 from tuning_benchmark.peers.optimizer import tuned
-from tuning_benchmark.peers.robust import Result
+from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
 DEVIATIONS = 2.0
 """√β: standard deviations of a confidence bound; both papers' experiments use a constant."""
@@ -181,8 +181,7 @@ class ConfidenceBounds(ABC):
 
     @property
     def _noise_margin(self) -> float:
-        constraint = self._study.worst_case_constraint
-        return 0.0 if constraint is None else constraint.deviations
+        return worst_case_constraint(self._study).deviations
 
     def _cost(self) -> Array:
         return np.array([np.nan if r.cost is None else r.cost for r in self._results])

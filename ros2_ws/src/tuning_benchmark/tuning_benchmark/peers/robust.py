@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Value
 
@@ -63,21 +64,33 @@ class RobustOptimizer(Protocol):
         ...
 
 
+def worst_case_constraint(study: Study) -> Constraint:
+    """Return the limit that these optimizers know.
+
+    Raises
+    ------
+    ValueError
+        If the study has none, or more than one.
+    """
+    found = study.worst_case_constraints
+    if len(found) != 1:
+        raise ValueError(f"expected one worst_case constraint, found {len(found)}")
+    return found[0]
+
+
 def result_of(study: Study, evaluation: Evaluation) -> Result:
     """Sum up an evaluation for an optimizer.
 
     Raises
     ------
     ValueError
-        If the study has no worst-case constraint.
+        As in `worst_case_constraint`.
     """
-    constraint = study.worst_case_constraint
-    if constraint is None:
-        raise ValueError("expected a worst_case constraint")
+    constraint = worst_case_constraint(study)
     tuned = {name: evaluation.parameters[name] for name in study.search_space().names}
     if evaluation.outcome.state is not EvaluationState.COMPLETE:
         return Result(tuned, evaluation.context, None, None)
     metrics = evaluation.outcome.metrics
     cost = float(study.objective.to_cost(metrics[study.objective.metric]))
-    excess = (metrics[constraint.metric] - constraint.upper) / (abs(constraint.upper) or 1.0)
+    excess = constraint.excess(metrics[constraint.metric])
     return Result(tuned, evaluation.context, cost, excess)

@@ -33,7 +33,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.peers.optimizer import tuned
-from tuning_benchmark.peers.robust import Result
+from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
 DRAWN = 3
 INITIAL_RADIUS, FINAL_RADIUS = 0.15, 0.02
@@ -167,8 +167,8 @@ class ScenarioLoop:
 
     def _margin(self) -> float:
         """Margin of a limit on single runs, from contexts that were run more than once."""
-        constraint = self._study.worst_case_constraint
-        if constraint is None or constraint.deviations == 0.0:
+        constraint = worst_case_constraint(self._study)
+        if constraint.deviations == 0.0:
             return 0.0
         squares, count = 0.0, 0
         for contexts in self._runs.values():
