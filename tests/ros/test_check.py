@@ -53,16 +53,16 @@ def study(tmp_path, **changes):
             "angle": {"topic": "/angle", "field": "data"},
             "setpoint": {"topic": "setpoint", "field": "data"},
         },
+        "run": {
+            "start": [{"publish": {"topic": "/setpoint", "message": {"data": 1.0}}}],
+            "end": {"after": 0.3},
+        },
     }
     for section, items in changes.items():
         sections[section] |= items
     mapping = {
         "name": "servo",
         "nodes": {"servo": node},
-        "run": {
-            "start": [{"publish": {"topic": "/setpoint", "message": {"data": 1.0}}}],
-            "end": {"after": 0.3},
-        },
         "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
         "objective": {"metric": "error"},
         "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
@@ -115,6 +115,41 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
     assert "error: signals.angle.field: std_msgs/msg/Float64 has no field 'dat'" in err
     assert "error: signals.torque.topic: nothing publishes /torque" in err
     assert "note: parameters.weights" not in out
+
+
+def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path):
+    """One for each kind of step, beside a mistake in a signal."""
+    code, _, err = study(
+        tmp_path,
+        signals={"torque": {"topic": "/torque", "field": "data"}},
+        run={
+            "before": [
+                {"call": {"service": "/servo/reset"}},
+                {"lifecycle": {"node": "/servo", "transition": "activate"}},
+                {"restart": "servo"},
+            ],
+            "start": [
+                {"publish": {"topic": "/setpiont", "message": {"data": 1.0}}},
+                {"publish": {"topic": "/setpoint", "message": {"dat": 1.0}}},
+                {"send_goal": {"action": "/turn"}},
+            ],
+            "clock": "sim",
+        },
+    )
+    assert code == 2
+    *lines, count = err.splitlines()
+    assert count == "8 found; nothing was set"
+    for text in (
+        "signals.torque.topic: nothing publishes /torque",
+        "run.clock: nothing publishes /clock",
+        "run.before[0].call.service: there is no service /servo/reset",
+        "run.before[1].lifecycle.node: there is no lifecycle node /servo",
+        "run.before[2].restart: servo is attached",
+        "run.start[0].publish.topic: nothing subscribes to /setpiont; did you mean '/setpoint'?",
+        "run.start[1].publish.message.dat: std_msgs/msg/Float64 has no field 'dat'",
+        "run.start[2].send_goal.action: there is no action /turn",
+    ):
+        assert sum(line.startswith(f"error: {text}") for line in lines) == 1, text
 
 
 def test_a_node_that_is_not_there(servo, tmp_path):

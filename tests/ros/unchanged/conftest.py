@@ -15,7 +15,7 @@ from servo import System, study
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from bo_tuner.backends.ros import procedure, steps
+from bo_tuner.backends.ros import preparation, procedure, steps
 from bo_tuner.backends.ros.backend import RosBackend
 
 
@@ -79,6 +79,7 @@ def backend(system, tmp_path, monkeypatch):
     """Function that opens a backend for a study."""
     monkeypatch.setattr(steps, "CONNECT_TIMEOUT", 2.0)
     monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
+    monkeypatch.setattr(preparation, "CONNECT_TIMEOUT", 2.0)
     monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
     opened = []
 

@@ -75,7 +75,7 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
 
 
 def _look(study: Study, graph: Graph) -> tuple[list[str], list[str]]:
-    """Hold every parameter and signal against the graph; problems and notes, a line each."""
+    """Hold parameters, signals and steps against the graph; problems and notes, a line each."""
     problems, notes = [], []
     defaults = study.search_space().defaults
     for key, spec in study.nodes.items():
@@ -102,6 +102,7 @@ def _look(study: Study, graph: Graph) -> tuple[list[str], list[str]]:
     own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
     heard = {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
     problems += [str(error) for error in graph.signal_problems(heard)]
+    problems += [str(error) for error in graph.run_problems(study)]
     return problems, notes
 
 

@@ -15,11 +15,14 @@ from rclpy.signals import SignalHandlerOptions
 
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.parameters import to_value
+from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.signals import SignalRecorder
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
+from bo_tuner.study.study import Study
 
 NODE_NAME = "bo_tuner_look"
 DISCOVERY = 5.0
@@ -56,6 +59,7 @@ class Graph:
     """
 
     def __init__(self, ros_arguments: Sequence[str], interrupted: Callable[[], None]) -> None:
+        self._ros_arguments = ros_arguments
         self._interrupted = interrupted
         self._context = Context()
         try:
@@ -118,6 +122,16 @@ class Graph:
                 yield error
             finally:
                 recorder.close()
+
+    def run_problems(self, study: Study) -> Iterator[StudyError]:
+        """Yield what is wrong with each step of a study's run, if anything."""
+        tuner = TunerNode(
+            self._context.get_domain_id(), list(self._ros_arguments), self._interrupted
+        )
+        try:
+            yield from run_problems(study, tuner)
+        finally:
+            tuner.close()
 
     def wait(self, condition: Callable[[], bool], seconds: float = DISCOVERY) -> bool:
         """Wait until a condition holds, at most some seconds; whether it did."""

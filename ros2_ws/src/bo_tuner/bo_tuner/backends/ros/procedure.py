@@ -10,15 +10,9 @@ from rclpy.publisher import Publisher
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.steps import (
-    CONNECT_TIMEOUT,
-    LifecycleChange,
-    PreparedStep,
-    Publication,
-    ServiceCall,
-    where,
-)
+from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
@@ -331,36 +325,12 @@ class Procedure:
             except StudyError as error:
                 raise error.under("run", "clock") from None
             self._clock = clock
+        preparation = Preparation(self._study, self._tuner, self._clock, self._restart)
+        self._publishers = preparation.publishers
         for path, step in self._run.steps:
-            try:
-                self._prepare(path, step)
-            except StudyError as error:
-                raise error.under(*path) from None
+            prepared = preparation.prepare(path, step)
+            if isinstance(prepared, Goal):
+                self._goals[path] = prepared
+            elif prepared is not None:
+                self._steps[path] = prepared
         self._recorder.connect(self._clock, wait)
-
-    def _prepare(self, path: KeyPath, step: Step) -> None:
-        if step.call is not None:
-            self._steps[path] = ServiceCall.prepare(self._tuner, step.call, path)
-        elif step.publish is not None:
-            self._steps[path] = Publication.prepare(
-                self._tuner, step.publish, self._clock, self._publishers
-            )
-        elif step.lifecycle is not None:
-            self._steps[path] = LifecycleChange.prepare(self._tuner, step.lifecycle)
-        elif step.send_goal is not None:
-            try:
-                self._goals[path] = Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
-            except StudyError as error:
-                raise error.under("send_goal") from None
-        elif step.restart:
-            self._check_restart(step.restart)
-
-    def _check_restart(self, key: str) -> None:
-        spec = self._study.nodes[key]
-        problem = ""
-        if self._restart is None:
-            problem = f"{key} is attached; only a node that the tuner has started can be restarted"
-        elif not (spec.executable or spec.command or spec.launch):
-            problem = f"the study does not say how to start {key}"
-        if problem:
-            raise StudyError(problem, ("restart",))

@@ -1,0 +1,123 @@
+"""The steps of a run, looked for among the running nodes before anything is performed."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from bo_tuner.backends.ros.clock import RunClock, SimClock, WallClock
+from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.steps import (
+    CONNECT_TIMEOUT,
+    LifecycleChange,
+    PreparedStep,
+    Publication,
+    ServiceCall,
+)
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.run import SIM
+from bo_tuner.study.steps import Step
+from bo_tuner.study.study import Study
+
+
+class Preparation:
+    """Makes the steps of a study's run ready.
+
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    clock
+        Stamps what is published.
+    restart
+        Starts a node of the study anew; None if the tuner has started none.
+
+    Attributes
+    ----------
+    publishers
+        By their topics.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        tuner: TunerNode,
+        clock: RunClock,
+        restart: Callable[[str], None] | None,
+    ) -> None:
+        self._study = study
+        self._tuner = tuner
+        self._clock = clock
+        self._restart = restart
+        self.publishers: dict[str, Publisher] = {}
+
+    def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | None:
+        """Return what a step needs: a goal, something else to perform, or None if it needs nothing.
+
+        Raises
+        ------
+        StudyError
+            If a topic, service, action or node is not there, or not as the study says; from the
+            root of the study.
+        """
+        try:
+            if step.call is not None:
+                return ServiceCall.prepare(self._tuner, step.call, path)
+            if step.publish is not None:
+                return Publication.prepare(self._tuner, step.publish, self._clock, self.publishers)
+            if step.lifecycle is not None:
+                return LifecycleChange.prepare(self._tuner, step.lifecycle)
+            if step.send_goal is not None:
+                return self._goal(step)
+            if step.restart:
+                self._check_restart(step.restart)
+        except StudyError as error:
+            raise error.under(*path) from None
+        return None
+
+    def _goal(self, step: Step) -> Goal | None:
+        if step.send_goal is None:
+            return None
+        try:
+            return Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
+        except StudyError as error:
+            raise error.under("send_goal") from None
+
+    def _check_restart(self, key: str) -> None:
+        spec = self._study.nodes[key]
+        problem = ""
+        if self._restart is None:
+            problem = f"{key} is attached; only a node that the tuner has started can be restarted"
+        elif not (spec.executable or spec.command or spec.launch):
+            problem = f"the study does not say how to start {key}"
+        if problem:
+            raise StudyError(problem, ("restart",))
+
+
+def run_problems(study: Study, tuner: TunerNode) -> Iterator[StudyError]:
+    """Yield every mistake in the run of a study on attached nodes; nothing is performed."""
+    if study.run is None:
+        return
+    wait = partial(tuner.wait_until, timeout=CONNECT_TIMEOUT)
+    if study.run.clock == SIM:
+        # A clock takes its messages itself, so its node is in no executor.
+        node = Node(f"{NODE_NAME}_clock", context=tuner.context, start_parameter_services=False)
+        try:
+            SimClock(node).connect(wait)
+        except StudyError as error:
+            yield error.under("run", "clock")
+        finally:
+            node.destroy_node()
+    preparation = Preparation(study, tuner, WallClock(), restart=None)
+    for path, step in study.run.steps:
+        try:
+            prepared = preparation.prepare(path, step)
+        except StudyError as error:
+            yield error
+            continue
+        if isinstance(prepared, Goal):
+            prepared.close()
