@@ -1,11 +1,14 @@
 """Runs that are the goal of an action."""
 
+import time
+
 import pytest
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.task import Future
 from servo import failure, run
 from test_msgs.action import Fibonacci
+from waiting import wait_until
 
 from bo_tuner.backends.ros import goals
 from bo_tuner.errors import StudyError
@@ -25,6 +28,7 @@ class Counter(Node):
         super().__init__("counter", context=context)
         self.orders, self.ends = [], []
         self.accepts = self.succeeds = True
+        self.delay = 0.0
         self._ticks = []
         self.create_timer(0.02, self._tick)
         self._server = ActionServer(
@@ -32,7 +36,7 @@ class Counter(Node):
             Fibonacci,
             "fibonacci",
             self._execute,
-            goal_callback=lambda goal: GoalResponse.ACCEPT if self.accepts else GoalResponse.REJECT,
+            goal_callback=self._answer,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
         )
 
@@ -41,6 +45,11 @@ class Counter(Node):
         server, self._server = self._server, None
         if server is not None:
             server.destroy()
+
+    def _answer(self, goal):
+        accepts = self.accepts
+        time.sleep(self.delay)
+        return GoalResponse.ACCEPT if accepts else GoalResponse.REJECT
 
     def _tick(self):
         ticks, self._ticks = self._ticks, []
@@ -148,3 +157,16 @@ def test_a_goal_that_cannot_be_sent(backend, counter, goal, complaint):
     with pytest.raises(StudyError) as caught:
         backend(run={**TO_ITS_RESULT, "start": [step]})
     assert str(caught.value).startswith(f"run.start[0].send_goal.{complaint}")
+
+
+def test_a_goal_that_is_accepted_too_late_is_cancelled(backend, counter, monkeypatch):
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    made = backend(run=TO_ITS_RESULT | {"start": [long]}, signals=FEW)
+    monkeypatch.setattr(goals, "CALL_TIMEOUT", 0.3)
+    counter.delay = 1.0
+    outcome = run(made)
+    assert outcome.state is EvaluationState.LOST
+    assert outcome.reason.startswith("the server of /fibonacci does not answer within 0.3 s")
+    counter.delay, counter.accepts = 0.0, False
+    wait_until(lambda: run(made) and counter.ends, "the goal has ended")
+    assert (counter.orders, counter.ends) == ([10_000], ["cancelled"])

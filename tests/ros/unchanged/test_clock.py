@@ -1,6 +1,7 @@
 """Runs by the clock of a simulation, and clocks that are not to be trusted."""
 
 import threading
+import types
 
 import pytest
 from rclpy.node import Node
@@ -9,8 +10,8 @@ from servo import failure, run
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros import clock
-from bo_tuner.backends.ros.clock import WallClock, to_stamp
-from bo_tuner.backends.ros.errors import DisturbedError
+from bo_tuner.backends.ros.clock import SimClock, WallClock, to_stamp
+from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.errors import StudyError
 from bo_tuner.trials import DISTURBED, EvaluationState
 
@@ -74,6 +75,38 @@ def test_a_simulation_that_stands_still(backend, simulation, monkeypatch):
     assert lost
     assert lost[0].reason.startswith("/clock stands still at 10")
     assert " for 0.5 s" in lost[0].reason
+
+
+class Silence:
+    """A node on which nothing is published."""
+
+    def create_subscription(self, *_):
+        return types.SimpleNamespace(handle=self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def take_message(self, *_):
+        return None
+
+
+def test_a_pause_in_which_nobody_looked_is_no_standstill(monkeypatch):
+    now = 1000.0
+    monkeypatch.setattr(clock.time, "monotonic", lambda: now)
+    simulated = SimClock(Silence())
+    simulated._add(7_000_000_000, 0)
+    simulated.look()
+    now += 3600.0
+    simulated.look()
+    for _ in range(10):
+        now += 0.5
+        simulated.look()
+    now += 0.5
+    with pytest.raises(LostError, match=r"/clock stands still at 7\.000 s for 5 s"):
+        simulated.look()
 
 
 def test_a_simulation_that_jumps_back_in_a_run(backend, simulation):

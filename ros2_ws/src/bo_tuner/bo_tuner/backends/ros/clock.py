@@ -16,6 +16,8 @@ from bo_tuner.errors import BackendError, StudyError
 TOPIC = "/clock"
 LARGEST_JUMP = 0.5
 """Difference [s] of the machine's clock and a steady one in a run that is no slow correction."""
+UNWATCHED = 1.0
+"""Time [s] without a look after which what a clock did before is forgotten."""
 LONGEST_STANDSTILL = 5.0
 """Time [s] of the machine after which a simulated clock that does not go on stands still."""
 END_OF_TIME = 2**31 - 1
@@ -110,7 +112,7 @@ class SimClock:
         self._received: list[int] = []
         self._times: list[int] = []
         self._is_running = False
-        self._advanced = time.monotonic()
+        self._advanced = self._looked = time.monotonic()
 
     def connect(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Wait for the first message.
@@ -147,8 +149,13 @@ class SimClock:
 
     def look(self) -> None:
         """Take what came, and refuse a clock that stands still, or was set back in a run."""
+        now = time.monotonic()
+        if now - self._looked > UNWATCHED:
+            # Between two runs a simulation may be paused.
+            self._advanced = now
+        self._looked = now
         self._take()
-        if time.monotonic() - self._advanced > LONGEST_STANDSTILL:
+        if now - self._advanced > LONGEST_STANDSTILL:
             raise LostError(
                 f"{TOPIC} stands still at {self.now * 1e-9:.3f} s for {LONGEST_STANDSTILL:g} s"
             )

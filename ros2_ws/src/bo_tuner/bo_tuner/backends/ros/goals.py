@@ -73,6 +73,7 @@ class Goal:
         self._handle = self._result = None
         future = self._client.send_goal_async(self._message)
         if not self._tuner.wait_until(future.done, CALL_TIMEOUT):
+            future.add_done_callback(_cancel_late)
             raise LostError(f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s")
         handle = future.result()
         if not handle.accepted:
@@ -138,6 +139,13 @@ class Goal:
             return interface_class(known()[self.name][0])
         except StudyError as error:
             raise error.under("action") from None
+
+
+def _cancel_late(future: Future) -> None:
+    """Cancel a goal that was accepted when nobody waited for it any more."""
+    handle = future.result()
+    if handle is not None and handle.accepted:
+        handle.cancel_goal_async()
 
 
 def _reason(result: Any) -> str:
