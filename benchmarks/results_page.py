@@ -200,6 +200,43 @@ def live_section(result: Result) -> str:
     )
 
 
+def unchanged_section(result: Result) -> str:
+    """What it takes to tune a system that knows nothing of the tuner."""
+    runs, slowest = result["runs"], result["slowest_metric"]
+    lost = ", ".join(
+        f"{runs['missing'][name]} of {count} messages of the {name} topic"
+        for name, count in runs["messages"].items()
+    )
+    rows = [
+        ["lines of the study", result["study_lines"]],
+        ["lines of an adapter", result["adapter_lines"]],
+        ["from the start of the command to the first finished trial", _seconds(result)],
+        [
+            "time of a run beyond the procedure's own, median",
+            f"{1e3 * runs['overhead_median']:.0f} ms",
+        ],
+        ["the same, 90 % of the runs", f"{1e3 * runs['overhead_p90']:.0f} ms"],
+        [f"missing in {runs['runs']} runs (100 Hz and 1 kHz)", lost],
+        [
+            f"slowest measure on {result['samples']} samples ({slowest}), processor time",
+            f"{1e3 * result['metric_seconds'][slowest]:.0f} ms",
+        ],
+    ]
+    return "\n\n".join(
+        [
+            "## A system that knows nothing of the tuner",
+            origin(result),
+            "The nodes of `examples/unchanged_system`; two signals have their own times. The load "
+            f"average of the machine was {result['load_average']:.1f}.",
+            table(["figure", "value"], rows),
+        ]
+    )
+
+
+def _seconds(result: Result) -> str:
+    return f"{result['first_trial_seconds']:.1f} s"
+
+
 def main() -> None:
     """Write the page."""
     sections = [INTRODUCTION]
@@ -208,6 +245,7 @@ def main() -> None:
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),
         ("live_overhead.json", live_section),
+        ("unchanged_system.json", unchanged_section),
         ("report.json", report_section),
         ("soak.json", soak_section),
         ("kill_soak.json", kill_section),
