@@ -201,7 +201,7 @@ def live_section(result: Result) -> str:
 
 
 def unchanged_section(result: Result) -> str:
-    """What it takes to tune a system that knows nothing of the tuner."""
+    """Lay out what it takes to tune a system that knows nothing of the tuner."""
     runs, slowest = result["runs"], result["slowest_metric"]
     lost = ", ".join(
         f"{runs['missing'][name]} of {count} messages of the {name} topic"
