@@ -6,12 +6,11 @@ from functools import partial
 from math import isnan
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
-from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel
-from bo_tuner.recording.recorder import bag_name
+from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity, values
+from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import (
     DEFAULT,
     LOOKS,
@@ -22,9 +21,6 @@ from bo_tuner.report.sections.trajectories import (
 )
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.limits import verdict
-
-MOST_POINTS = 2000
-"""Largest number of points of a recorded signal in the page; longer signals are decimated."""
 
 
 def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
@@ -130,10 +126,13 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
         return Section(name="signals", title="Signals", lead="The trial has no evaluation.")
     where = f"evaluation {worst.index}, the worst one ({values(worst.context) or 'no context'})"
     try:
-        recorded = _recorded(analysis, worst)
-        if recorded is not None:
-            figure = _of_bag(recorded)
-            lead = f"Recorded in bags/{recorded.bag}: {where}."
+        run = recorded(analysis, worst)
+        if run is not None:
+            figure = _figure(
+                signal_panels({"recorded": run}, {"recorded": LOOKS[TUNED]}),
+                "As the tuner heard them; each value holds until the next message.",
+            )
+            lead = f"Recorded in bags/{run.bag}: {where}."
         else:
             figure = _again(analysis, worst, f"trial {trial.number}")
             lead = (
@@ -143,41 +142,6 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
     except (NoTraceError, StudyError, BackendError, RunRecordError) as error:
         return Section(name="signals", title="Signals", lead=f"No signals: {error}.")
     return Section(name="signals", title="Signals", lead=lead, figures=[figure])
-
-
-def _recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
-    """Return the recorded signals of an evaluation; None if no bag has them."""
-    folder = analysis.record.path / "bags"
-    name = bag_name(wanted)
-    for bag in sorted((*folder.glob(name), *folder.glob(f"{name}_part*"))):
-        for run in recorded_runs(bag):
-            if run.trial == wanted.trial and run.evaluation.get("index") == wanted.index:
-                return run
-    return None
-
-
-def _of_bag(run: RecordedRun) -> Figure:
-    drawn = []
-    for name, seen in run.recording.signals.items():
-        step = max(1, -(-len(seen.time) // MOST_POINTS))
-        drawn.append(
-            Panel(
-                x=Axis(label="time", unit="s"),
-                y=Axis(label=name),
-                elements=[
-                    Line(
-                        x=seen.time[::step],
-                        y=seen.value[::step],
-                        name="recorded",
-                        color=Color.BLUE,
-                        dash=Dash.SOLID,
-                        width=1.5,
-                        step=True,
-                    )
-                ],
-            )
-        )
-    return _figure(drawn, "As the tuner heard them; each value holds until the next message.")
 
 
 def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:

@@ -1,9 +1,10 @@
-"""Signals of the default and the tuned parameter set, in the nominal and the worst context.
+"""Signals of the default and the tuned parameter set.
 
-They are simulated in this process by the objects that the study names for its nodes. The trigger's
-object may have a method ``trace()``, which returns the signals of its last evaluation by name, each
-with its unit and its values. ``time`` is their common abscissa; signals ``group/name`` of one group
-share a panel.
+Those of a study with signals are from the bags: the worst run of each that was recorded. Others, in
+the nominal and the worst context, are simulated in this process by the objects that the study names
+for its nodes. The trigger's object may have a method ``trace()``, which returns the signals of its
+last evaluation by name, each with its unit and its values. ``time`` is their common abscissa;
+signals ``group/name`` of one group share a panel.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.backends.inprocess import InProcessBackend, triggered
-from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, values
+from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
@@ -95,7 +97,8 @@ def trajectories(analysis: Analysis) -> Section | None:
     answer = analysis.answer
     if answer is None:
         return None
-    section = Section(name="trajectories", title="Trajectories", lead="")
+    if analysis.study.signals:
+        return _from_bags(analysis, answer.parameters)
     nominal = analysis.study.context_space()
     contexts = {"nominal context": nominal.to_dict(nominal.nominal())}
     for name, worst in answer.worst_cases.items():
@@ -107,8 +110,7 @@ def trajectories(analysis: Analysis) -> Section | None:
             partial(_simulated, analysis, answer.parameters, contexts),
         )
     except (NoTraceError, StudyError, BackendError) as error:
-        lead = f"No trajectories: {error}."
-        return Section(name=section.name, title=section.title, lead=lead)
+        return _section(f"No trajectories: {error}.")
     where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
     figure = Figure(
         name="trajectories",
@@ -121,12 +123,42 @@ def trajectories(analysis: Analysis) -> Section | None:
         panel_height=260,
     )
     lead = "Default and tuned parameter set in the same contexts, with the same noise"
-    return Section(
-        name=section.name,
-        title=section.title,
-        lead=f"{lead} ({where})." if where else f"{lead}.",
-        figures=[figure],
+    return _section(f"{lead} ({where})." if where else f"{lead}.", [figure])
+
+
+def _from_bags(analysis: Analysis, tuned: Mapping[str, Value]) -> Section:
+    """Show the worst run of default and tuned that a bag has."""
+    sides = {DEFAULT: analysis.defaults, TUNED: tuned}
+    try:
+        found = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
+    except RunRecordError as error:
+        return _section(f"No trajectories: {error}.")
+    runs = {name: item for name, item in found.items() if item is not None}
+    if not runs:
+        return _section(
+            "No trajectories: no bag has a run of the default or of the tuned parameter set; tune "
+            "with --record notable or all."
+        )
+    where = [
+        f"{name}: evaluation {evaluation.index} in bags/{run.bag}"
+        + (f" at {values(evaluation.context)}" if evaluation.context else "")
+        for name, (evaluation, run) in runs.items()
+    ]
+    where += [f"{name}: no bag has a run" for name in sides if name not in runs]
+    figure = Figure(
+        name="trajectories",
+        title="The worst recorded run of default and tuned",
+        caption="As the tuner heard the signals; each value holds until the next message. "
+        "Drag across a panel to zoom in; double-click to zoom out.",
+        alternative=f"Signals over time. {'; '.join(where)}.",
+        panels=signal_panels({name: run for name, (_, run) in runs.items()}, LOOKS),
+        panel_height=260,
     )
+    return _section(f"The worst run of each that was recorded. {'; '.join(where)}.", [figure])
+
+
+def _section(lead: str, figures: Sequence[Figure] = ()) -> Section:
+    return Section(name="trajectories", title="Trajectories", lead=lead, figures=figures)
 
 
 def simulate(study: Study, planned: Sequence[Evaluation]) -> list[Trace]:
