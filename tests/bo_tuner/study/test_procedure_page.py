@@ -30,3 +30,19 @@ def test_a_recipe(block):
     sections = yaml.safe_load(block)
     metrics = STUDY["metrics"] | sections.pop("metrics", {})
     study_from_mapping(STUDY | sections | {"metrics": metrics})
+
+
+@pytest.mark.parametrize(
+    "title",
+    [
+        "PID position control",
+        "An estimator with noise parameters",
+        "A node behind an action",
+        "A lifecycle node",
+    ],
+)
+def test_a_recipe_that_users_look_for(title):
+    """Under its title comes a study's section before the next title."""
+    _, found, text = PAGE.read_text(encoding="utf-8").partition(f"**{title}")
+    assert found
+    assert "```yaml" in text.split("\n**")[0]
