@@ -14,6 +14,7 @@ from bo_tuner.study.first_study import (
     first_study,
     parameter_offers,
     signal_offers,
+    suggested_parameters,
     suggested_signals,
 )
 from bo_tuner.study.strict_yaml import dump_line, parse
@@ -102,6 +103,20 @@ class TestParameters:
         assert {name for name, offer in found.items() if offer.suggested} == {"kp", "horizon"}
         assert set(found) == {"kp", "port", "horizon", "filter", "weights[0]", "weights[1]"}
         assert set(others) == {"frame", "serial"}
+
+    def test_of_many_those_are_suggested_whose_names_tell_of_tuning(self):
+        plain = {f"mass_{k}": Described("double", 1.0, 0.1, 9.0) for k in range(20)}
+        tuning = {
+            name: Described("double", 1.0, 0.1, 9.0)
+            for name in ("kp", "pid.i", "FollowPath.lookahead_dist", "process_noise", "lambda_mpc")
+        }
+        found, _ = offers(**plain, **tuning, kind=Described("double", 1.0, 0.1, 9.0))
+        assert {offer.name for offer in suggested_parameters(found.values())} == set(tuning)
+
+    def test_few_are_all_suggested_and_many_without_a_telling_name_are_cut(self):
+        for count, expected in ((8, 8), (9, 8), (30, 8)):
+            found, _ = offers(**{f"mass_{k}": Described("double", 1.0) for k in range(count)})
+            assert len(suggested_parameters(found.values())) == expected
 
     @pytest.mark.parametrize(
         "described",

@@ -20,6 +20,7 @@ from bo_tuner.study.first_study import (
     first_study,
     parameter_offers,
     signal_offers,
+    suggested_parameters,
     suggested_signals,
 )
 from bo_tuner.study.study_file import parse_study
@@ -190,7 +191,7 @@ def write_first_study(
         "parameters",
         parameters,
         of_nodes,
-        [offer for offer in of_nodes if offer.suggested],
+        suggested_parameters(of_nodes),
         lambda offer: [str(offer), offer.name],
         lambda offer: [str(offer), shown(offer.fields["default"]), offer.remark],
     )

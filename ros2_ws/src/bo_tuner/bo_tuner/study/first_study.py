@@ -23,6 +23,14 @@ OF_EVERY_NODE = ("use_sim_time", "start_type_description_service")
 """Parameters that say how a node talks, not what it does; so do those below `qos_overrides`."""
 WANTED = re.compile(r"set_?point|reference|target|desired|wanted|goal", re.IGNORECASE)
 """In the name of a topic: it carries what another signal shall follow."""
+MOST_SUGGESTED = 8
+"""Parameters that are suggested; of more, those with a name that tells of tuning."""
+TUNABLE = re.compile(
+    r"(^|[_.])(k[pidfvas]?|[pid]|alpha|beta|gamma|lambda|tau)([_.]|$)"
+    r"|gain|weight|penalt|noise|covariance|cut_?off|bandwidth|horizon|look_?ahead|time_constant",
+    re.IGNORECASE,
+)
+"""In the name of a parameter: controllers and estimators are tuned by it."""
 MOST_ITEMS = 12
 """Of an array whose items are offered."""
 DECADES = 100.0
@@ -86,7 +94,7 @@ class ParameterOffer:
     remark
         Where its bounds come from.
     suggested
-        Whether it is taken unless somebody says otherwise.
+        Whether it may be taken unless somebody says otherwise, see `suggested_parameters`.
     """
 
     node: str
@@ -145,6 +153,19 @@ def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, st
         else:
             others[name] = described.type.replace("_", " ") or "not set"
     return offers, others
+
+
+def suggested_parameters(offers: Iterable[ParameterOffer]) -> list[ParameterOffer]:
+    """Return the parameters that are taken unless somebody says otherwise.
+
+    Each one more asks for some twenty trials. Of many, only those are taken whose names tell of
+    tuning, and not masses, limits and rates, which are numbers with a range as well.
+    """
+    possible = [offer for offer in offers if offer.suggested]
+    if len(possible) <= MOST_SUGGESTED:
+        return possible
+    telling = [offer for offer in possible if TUNABLE.search(offer.name)]
+    return (telling or possible)[:MOST_SUGGESTED]
 
 
 def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> list[SignalOffer]:
