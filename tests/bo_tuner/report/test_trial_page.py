@@ -51,6 +51,22 @@ def test_the_signals_are_those_of_the_trial_beside_the_default(traced):
     np.testing.assert_allclose(lines["default"].y, 0.5 * np.arange(5))
 
 
+def test_a_bag_without_signals_is_named(traced, monkeypatch):
+    trial, parts = page_of(traced, TrialState.COMPLETE)
+    name = f"bags/trial_{trial.number:04d}"
+    assert name not in parts["signals"].lead
+    monkeypatch.setattr(trial_page, "recorded_runs", lambda _: iter(()))
+    bag = traced.record.path / name
+    bag.mkdir(parents=True)
+    try:
+        _, parts = page_of(traced, TrialState.COMPLETE)
+        assert parts["signals"].lead.endswith(f" The messages of the trial are in {name}.")
+        assert parts["signals"].figures
+    finally:
+        bag.rmdir()
+        bag.parent.rmdir()
+
+
 def test_recorded_signals_come_first(traced, monkeypatch):
     trial, _ = page_of(traced, TrialState.COMPLETE)
     worst = max(trial.evaluations, key=lambda e: e.outcome.metrics["peak"])
