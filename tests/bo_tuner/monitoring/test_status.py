@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from bo_tuner.models.hyperpriors import Hyperparameters
@@ -72,6 +73,44 @@ class TestTimes:
             tell(status, trial)
         # Algorithm I checks no candidates.
         assert status.now.time_left == pytest.approx(3.0 + 10 * 2.0)
+
+    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("growth", [0.0, 0.05, 0.2])
+    @pytest.mark.parametrize("trials", [30, 90])
+    def test_the_time_left_is_right_to_a_fifth(self, make_study, make_trial, trials, growth, seed):
+        """From a third of the run on, by a clock of our own.
+
+        Trials of 4 to 8 evaluations of half a second; a proposal takes a second at first and ever
+        longer, the ranking half of that; none is needed for the initial design, a sixth of all.
+        """
+        rng = np.random.default_rng(seed)
+        initial, checks, draws = trials // 6, 20, 30
+        study = make_study(
+            budget={"trials": trials, "initial_trials": initial, "drawn_contexts": 2,
+                    "search_evaluations": 2, "validation_draws": draws}
+        )  # fmt: skip
+        now = 0.0
+        status = RunStatus(study, ALGORITHMS["IV"], lambda: now)
+        status.begin(Phase.TUNING, trials)
+        told = []
+        for k in range(trials):
+            proposal = 0.0 if k < initial else 1.0 + growth * (k - initial)
+            trial = make_trial(k, {"gain": 0.5}, [1.0] * int(rng.integers(4, 9)))
+            trial = timed(trial, proposal, evaluation=0.5)
+            trial = dataclasses.replace(trial, origin="initial" if k < initial else "acquisition")
+            now += 1.5 * proposal + 0.5 * len(trial.evaluations)
+            if k == trials // 2:
+                # A pause is no time of the run.
+                status.pause(True)
+                now += 1000.0
+                status.pause(False)
+                told = [(done, at + 1000.0, left) for done, at, left in told]
+            tell(status, trial)
+            told.append((k + 1, now, status.now.time_left))
+        end = now + 0.5 * (checks + 2 * draws)
+        for done, at, left in told:
+            if 3 * done >= trials:
+                assert left == pytest.approx(end - at, rel=0.2), done
 
     def test_trials_on_record_count_as_if_just_run(self, make_study, make_trial):
         trials = [

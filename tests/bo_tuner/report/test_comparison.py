@@ -1,5 +1,8 @@
 """Runs side by side: each run says on the page what its own report says."""
 
+import sys
+
+import numpy as np
 import pytest
 
 from bo_tuner.cli import report as report_command
@@ -56,6 +59,29 @@ def test_a_run_without_an_incumbent_is_named(both, parts):
     lines = [line.name for panel in figure.panels for line in panel.elements]
     assert lines == names(both)[:1]
     assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is believed feasible."]
+
+
+def test_the_results_move_side_by_side(both, importable):
+    """The object's position is its gain times the number of the step."""
+    runs = dict(zip(names(both), both, strict=True))
+    section = {s.name: s for s in comparison(runs)}["trajectories"]
+    position, *_ = section.figures[0].panels
+    assert position.title == "nominal context"
+    lines = {line.name: line for line in position.elements}
+    assert set(lines) == {"reference", *runs}
+    for name, analysis in runs.items():
+        gain = analysis.answer.parameters["gain"]
+        np.testing.assert_allclose(lines[name].y, gain * np.arange(5))
+
+
+def test_a_run_without_signals_is_named(both, monkeypatch):
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if "axis" not in p])
+    monkeypatch.delitem(sys.modules, "report_objects", raising=False)
+    section = {s.name: s for s in comparison(dict(zip(names(both), both, strict=True)))}
+    (first, second) = section["trajectories"].notes
+    assert first.startswith(f"{names(both)[0]}: no trajectories: ")
+    assert second.startswith(f"{names(both)[1]}: no trajectories: ")
+    assert section["trajectories"].figures == []
 
 
 @pytest.fixture

@@ -42,6 +42,21 @@ def test_output_and_figures_go_where_they_are_told(report, tuned, tmp_path, impo
     assert sorted(written) == [str(plots / name) for name in names]
 
 
+def test_a_trial_has_a_file_of_its_own(report, tuned):
+    code, out, err = report(tuned.path, "--trial", "0")
+    path = tuned.path / "trial_0000.html"
+    assert (code, out, err) == (0, f"report: {path}\n", "")
+    assert "trial 0</h1>" in path.read_text(encoding="utf-8")
+    path.unlink()
+
+
+@pytest.mark.parametrize("number", ["-1", "7"])
+def test_a_trial_that_is_not_there(report, tuned, number):
+    code, out, err = report(tuned.path, "--trial", number)
+    assert (code, out) == (2, "")
+    assert err == f"error: {tuned.path}: no trial {number}; expected 0 to 6\n"
+
+
 def test_latest_is_the_last_run(report, tuned, tmp_path, monkeypatch):
     (tmp_path / "runs").symlink_to(tuned.path.parent)
     monkeypatch.chdir(tmp_path)
@@ -57,6 +72,7 @@ def test_latest_is_the_last_run(report, tuned, tmp_path, monkeypatch):
         (["."], "no run folder"),
         ([], "the following arguments are required: RUN"),
         ([".", "--format", "gif"], "argument --format: gif: expected one or more of png, svg"),
+        ([".", ".", "--trial", "1"], "--trial: expected one run"),
         ([".", "--colour"], "unrecognized arguments: --colour"),
     ],
 )

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.cli.common import Parser, guarded, read_result
+from bo_tuner.cli.common import Parser, guarded, read_result, trial_of
 from bo_tuner.cli.exit_codes import EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunRecordError
@@ -12,14 +12,15 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
-from bo_tuner.report.page import NAME, figures, sections, write_comparison, write_page
+from bo_tuner.report.page import NAME, figures, sections, write_comparison, write_page, write_trial
+from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
 Explain a run in one HTML file: the answer first, then convergence, contexts,
 trajectories, surrogates, sensitivity to the parameters, times and failures.
 The file needs no network; the run may still be in progress. Of several runs,
-compare verdicts, parameters, numbers and convergence side by side.
+compare verdicts, parameters, numbers, convergence and trajectories.
 """
 
 EPILOG = """\
@@ -35,6 +36,7 @@ examples:
   report runs/benchmark-20260801-101500   into its folder, as report.html
   report latest --output answer.html      elsewhere
   report runs/a runs/b runs/c             compared, as comparison.html
+  report latest --trial 12                one trial, with its signals
   report latest --figures plots --format png,svg
 """
 
@@ -51,6 +53,13 @@ def make_parser() -> Parser:
         type=Path,
         metavar="FILE",
         help=f"HTML file (default: RUN/{NAME}; of several runs: {COMPARISON})",
+    )
+    parser.add_argument(
+        "--trial",
+        type=int,
+        metavar="N",
+        help="the page of this trial: its parameters, its evaluations, and the signals of the "
+        "worst one (default file: RUN/trial_NNNN.html)",
     )
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="also write the figures to this folder"
@@ -77,14 +86,25 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     interruption
         Ends the command on a signal.
     """
-    arguments = make_parser().parse_args(argv)
+    parser = make_parser()
+    arguments = parser.parse_args(argv)
+    if arguments.trial is not None and len(arguments.run) > 1:
+        parser.error("--trial: expected one run")
     analyses = _read(arguments.run)
     if not analyses:
         return EXIT_USAGE
     if arguments.trust:
         for analysis in analyses:
             trust(analysis.study)
-    if len(analyses) == 1:
+    if arguments.trial is not None:
+        (analysis,) = analyses
+        number = trial_of(analysis.record, arguments.trial).number
+        (trial,) = [trial for trial in analysis.trials if trial.number == number]
+        parts = trial_sections(analysis, trial)
+        interruption.check()
+        of_trial = analysis.record.path / f"trial_{number:04d}.html"
+        path = write_trial(analysis, trial, parts, arguments.output or of_trial)
+    elif len(analyses) == 1:
         (analysis,) = analyses
         parts = sections(analysis)
         interruption.check()

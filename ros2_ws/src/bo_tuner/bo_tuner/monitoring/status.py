@@ -1,10 +1,11 @@
 """Status of a run: a snapshot after each step, which displays and topics read."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from bo_tuner.optimizers.algorithms import Algorithm
-from bo_tuner.optimizers.base import SPACE_FILLING
+from bo_tuner.optimizers.base import INITIAL, SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
@@ -15,7 +16,12 @@ from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.verdict.verdict import Verdict
 
 RECENT = 10
-"""Number of latest trials that the time left is estimated from: proposals take ever longer."""
+"""Number of latest trials that the time left is estimated from, since later trials take longer.
+
+Their evaluations are those of the latest half, if that is more: their number differs a lot.
+"""
+FEWEST_FOR_A_TREND = 5
+"""Number of proposals from which on their growth is estimated."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,8 @@ class RunStatus(RunObserver):
         The study.
     algorithm
         The algorithm of the run.
+    clock
+        Returns the time [s] from a fixed point on.
 
     Attributes
     ----------
@@ -86,12 +94,17 @@ class RunStatus(RunObserver):
         The present snapshot. It is replaced as a whole, never changed.
     """
 
-    def __init__(self, study: Study, algorithm: Algorithm) -> None:
+    def __init__(
+        self, study: Study, algorithm: Algorithm, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._study = study
+        self._clock = clock
+        self._mark = clock()
         self._evaluations = 0
         self._evaluation_seconds = 0.0
         self._optimizer_seconds = 0.0
-        self._trial_seconds: list[float] = []
+        # Of each trial: its evaluations, all else, and whether a model proposed it.
+        self._trial_times: list[tuple[float, float, bool]] = []
         self._phase_evaluations = 0
         # Of one candidate: usually the first one passes.
         self._check_evaluations = most_check_evaluations(study) if algorithm.most_checked else 0
@@ -102,6 +115,7 @@ class RunStatus(RunObserver):
     def begin(self, phase: str, total: int) -> None:
         """Set the phase."""
         self._phase_evaluations = 0
+        self._mark = self._clock()
         self._update(phase=phase, done=0, total=total)
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
@@ -111,6 +125,7 @@ class RunStatus(RunObserver):
                 self._count(evaluation)
             self._take(trial)
         self._phase_evaluations = 0
+        self._mark = self._clock()
         self._update(incumbent=incumbent)
 
     def evaluation(self, evaluation: Evaluation) -> None:
@@ -124,7 +139,9 @@ class RunStatus(RunObserver):
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Count a trial; its evaluations are counted before."""
-        self._take(trial)
+        now = self._clock()
+        self._take(trial, now - self._mark)
+        self._mark = now
         self._update(incumbent=incumbent)
 
     def advise(self, advice: StopAdvice) -> None:
@@ -133,6 +150,8 @@ class RunStatus(RunObserver):
 
     def pause(self, paused: bool) -> None:
         """Set whether the run is paused."""
+        # In a pause the mark is the time that the trial has taken so far: a pause is in no trial.
+        self._mark = self._clock() - self._mark
         self._update(paused=paused)
 
     def conclude(self, verdict: Verdict) -> None:
@@ -146,11 +165,13 @@ class RunStatus(RunObserver):
         if evaluation.outcome.state is EvaluationState.LOST:
             self._update(lost=self.now.lost + 1)
 
-    def _take(self, trial: Trial) -> None:
+    def _take(self, trial: Trial, elapsed: float = 0.0) -> None:
+        """Count a trial that took `elapsed` seconds by the clock, if it was run just now."""
         self._optimizer_seconds += trial.seconds
-        self._trial_seconds.append(
-            trial.seconds + sum(evaluation.seconds for evaluation in trial.evaluations)
-        )
+        evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)
+        # Beside the proposal these are the search for the worst context and the ranking.
+        other = max(trial.seconds, elapsed - evaluating)
+        self._trial_times.append((evaluating, other, trial.origin != INITIAL))
         failed = trial.state is TrialState.FAILED
         violating = not failed and bool(violated(self._study, trial))
         self._update(
@@ -171,15 +192,30 @@ class RunStatus(RunObserver):
         return self._optimizer_seconds / busy if busy > 0.0 else None
 
     def _time_left(self, now: Snapshot) -> float | None:
-        if not self._trial_seconds:
+        if not self._trial_times:
             return None
-        recent = self._trial_seconds[-RECENT:]
         seconds, evaluations = 0.0, self._validation_evaluations
         if now.phase == Phase.TUNING:
-            seconds = (now.total - now.done) * sum(recent) / len(recent)
+            seconds = self._trials_left(now.total - now.done)
             evaluations += self._check_evaluations
         elif now.phase == Phase.CHECKING:
             evaluations += max(0, self._check_evaluations - self._phase_evaluations)
         else:
             evaluations = max(0, evaluations - self._phase_evaluations)
         return seconds + evaluations * self._evaluation_seconds / self._evaluations
+
+    def _trials_left(self, count: int) -> float:
+        """Return the estimated time [s] of so many trials to come."""
+        known = len(self._trial_times)
+        half = self._trial_times[-max(RECENT, known // 2) :]
+        evaluating = sum(item[0] for item in half) / len(half)
+        times = list(enumerate(self._trial_times))[-RECENT:]
+        # A trial of the initial design says nothing of what a proposal takes.
+        times = [item for item in times if item[1][2]] or times
+        mean, slope = sum(item[1][1] for item in times) / len(times), 0.0
+        middle = sum(item[0] for item in times) / len(times)
+        if len(times) >= FEWEST_FOR_A_TREND:
+            spread = sum((number - middle) ** 2 for number, _ in times)
+            slope = sum((k - middle) * (time[1] - mean) for k, time in times) / spread
+        ahead = known + 0.5 * (count - 1) - middle
+        return count * (evaluating + mean + max(slope, 0.0) * ahead)

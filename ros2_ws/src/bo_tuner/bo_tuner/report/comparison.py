@@ -1,14 +1,18 @@
-"""Several runs side by side: verdicts, parameters, numbers and convergence."""
+"""Several runs side by side: verdicts, parameters, numbers, convergence and trajectories."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, product
 
+from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
+from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import incumbents
+from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.parts import LOG
+from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.verdict.verdict import Quantity, Status
 
 LINES = tuple(
@@ -19,6 +23,7 @@ LINES = tuple(
 )
 """Dash and colour of the lines of one run after the other."""
 
+NOMINAL, WORST = "nominal context", "own worst context"
 MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
 
 
@@ -30,7 +35,13 @@ def comparison(runs: Mapping[str, Analysis]) -> list[Section]:
     runs
         At least two runs by the names that they have on the page.
     """
-    return [_verdicts(runs), _parameters(runs), _numbers(runs), _convergence(runs)]
+    return [
+        _verdicts(runs),
+        _parameters(runs),
+        _numbers(runs),
+        _convergence(runs),
+        _trajectories(runs),
+    ]
 
 
 def names(analyses: Sequence[Analysis]) -> list[str]:
@@ -193,3 +204,57 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         figures=[figure] if panels else [],
         notes=[f"{name}: no trial is believed feasible." for name in without],
     )
+
+
+def _trajectories(runs: Mapping[str, Analysis]) -> Section:
+    """Show the signals of each run's result, with the same noise."""
+    columns: dict[str, dict[str, Trace]] = {NOMINAL: {}, WORST: {}}
+    notes = []
+    (first, *_) = runs.values()
+    seed = noise_seed(first.study.seed, Stream.VALIDATION_NOISE, 0)
+    for name, analysis in runs.items():
+        try:
+            for column, trace in _traces(analysis, seed).items():
+                columns[column][name] = trace
+        except (NoTraceError, StudyError, BackendError) as error:
+            notes.append(f"{name}: no trajectories: {error}.")
+    columns = {title: sides for title, sides in columns.items() if sides}
+    looks = {name: (color, dash) for name, (dash, color) in zip(runs, cycle(LINES), strict=False)}
+    figures = []
+    if columns:
+        figures.append(
+            Figure(
+                name="trajectories",
+                title="One evaluation of the result of each run, with the same noise",
+                caption="Simulated in process by each study's objects, not recorded. Drag across "
+                "a panel to zoom in; double-click to zoom out.",
+                alternative=f"Signals over time of {', '.join(columns[NOMINAL])}.",
+                panels=panels(columns, looks),
+                columns=len(columns),
+                panel_height=260,
+            )
+        )
+    return Section(
+        name="trajectories",
+        title="Trajectories",
+        lead="The result of each run, or its best so far, in the nominal context of its study and "
+        "in the worst one that the run found for it.",
+        figures=figures,
+        notes=notes,
+    )
+
+
+def _traces(analysis: Analysis, seed: int) -> dict[str, Trace]:
+    """Return the signals of a run's result by the title of their column."""
+    answer = analysis.answer
+    if answer is None:
+        raise NoTraceError("no trial is complete")
+    space = analysis.study.context_space()
+    contexts = {NOMINAL: space.to_dict(space.nominal())}
+    if answer.worst_case is not None:
+        contexts[WORST] = dict(answer.worst_case.context)
+    planned = [
+        Evaluation(0, 0, Stage.VALIDATION, answer.parameters, context, seed)
+        for context in contexts.values()
+    ]
+    return dict(zip(contexts, simulate(analysis.study, planned), strict=True))

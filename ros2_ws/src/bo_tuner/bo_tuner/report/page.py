@@ -26,6 +26,7 @@ from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
 from bo_tuner.report.sections.draws import draws
 from bo_tuner.report.sections.failures import failures
+from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.sections.parallel import parallel
 from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.surrogates import surrogates
@@ -35,6 +36,7 @@ from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.trials import Trial
 from bo_tuner.verdict.verdict import State
 
 NAME = "report.html"
@@ -57,6 +59,7 @@ SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (
     trajectories,
     surrogates,
     sensitivity,
+    influence,
     timing,
     failures,
     all_trials,
@@ -106,6 +109,22 @@ def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path
         If the file cannot be written.
     """
     return _write(path, render(analysis, parts, os.path.relpath(analysis.record.path, path.parent)))
+
+
+def trial_html(analysis: Analysis, trial: Trial, parts: Sequence[Section], home: str = "") -> str:
+    """Return the HTML of the page of a trial, with a link to the page of the run, if any."""
+    return fill("trial.html", study=analysis.study, number=trial.number, sections=parts, home=home)
+
+
+def write_trial(analysis: Analysis, trial: Trial, parts: Sequence[Section], path: Path) -> Path:
+    """Write the page of a trial to `path` and return it.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    return _write(path, trial_html(analysis, trial, parts))
 
 
 def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:

@@ -139,6 +139,9 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
                 f"Simulated again in process by the study's objects, not recorded: {where}, beside "
                 "the default in the same context with the same noise."
             )
+            bag = f"bags/{bag_name(worst)}"
+            if (analysis.record.path / bag).is_dir():
+                lead += f" The messages of the trial are in {bag}."
     except (NoTraceError, StudyError, BackendError, RunRecordError) as error:
         return Section(name="signals", title="Signals", lead=f"No signals: {error}.")
     return Section(name="signals", title="Signals", lead=lead, figures=[figure])

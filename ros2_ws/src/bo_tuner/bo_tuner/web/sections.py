@@ -6,12 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html
+from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html, trial_html
+from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 
 ANSWER = "answer"
+SLOW = (influence,)
+"""Sections that take longer than a trial may, and are made at the end only."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class LiveSections:
         analysis = self.analysis(ended=ended)
         yield Part(ANSWER, answer_html(analysis))
         for make in SECTIONS:
-            section = make(analysis)
+            section = make(analysis) if ended or make not in SLOW else None
             if section is not None:
                 yield Part(section.name, section_html(section))
 
@@ -67,8 +70,8 @@ class LiveSections:
         analysis = self.analysis(ended=False)
         if not 0 <= number < len(analysis.trials):
             return None
-        parts = trial_sections(analysis, analysis.trials[number])
-        return fill("trial.html", study=analysis.study, number=number, sections=parts, home="/")
+        trial = analysis.trials[number]
+        return trial_html(analysis, trial, trial_sections(analysis, trial), home="/")
 
 
 def _ignore(_: str) -> None:

@@ -1,0 +1,133 @@
+"""How much each tuned parameter matters for each metric, over the whole search space."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
+from bo_tuner.models.categories import Coding, coded_fit
+from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.numerics.sobol_indices import total_indices
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.content import Section, Table
+from bo_tuner.trials import Trial
+
+FEWEST_FOR_EACH = 5
+"""Trials for each parameter, below which a model over all of them says nothing."""
+MOST_TRIALS = 200
+"""Trials that the models are fitted to, evenly chosen: a fit takes time with their cube."""
+
+
+def influence(analysis: Analysis) -> Section | None:
+    """Show the total Sobol' indices of each metric; None for one parameter or few trials."""
+    space = analysis.study.search_space()
+    chosen = [
+        trial
+        for trial in analysis.trials
+        if analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
+    ]
+    if space.dimension < 2 or len(chosen) < FEWEST_FOR_EACH * space.dimension:
+        return None
+    chosen = chosen[:: -(-len(chosen) // MOST_TRIALS)]
+    found = {name: _indices(analysis, chosen, y) for name, y in _responses(analysis, chosen)}
+    if all(np.isnan(totals).any() for totals in found.values()):
+        return None
+    names = space.names
+    return Section(
+        name="influence",
+        title="Influence of each parameter",
+        lead=" ".join(
+            f"{response}: most by {names[int(np.argmax(totals))]}."
+            for response, totals in found.items()
+            if not np.isnan(totals).any()
+        ),
+        figures=[_figure(names, found)],
+        tables=[
+            Table(
+                caption="Total Sobol' indices",
+                header=["response", *names],
+                rows=[[response, *map(_shown, totals)] for response, totals in found.items()],
+                numeric=list(range(1, 1 + len(names))),
+                folded=True,
+            )
+        ],
+        notes=[
+            "Total index (Homma and Saltelli 1996): the share of the variance over the search "
+            "space that remains as long as this parameter is free, its interactions with others "
+            "included; the indices of a response can therefore add up to more than 1.",
+            f"Of the posterior means of Gaussian processes, fitted to the means of {len(chosen)} "
+            "trials without failures and outliers: far from all trials they know little. "
+            "Parameters are taken as independent and uniform on the scale of the study; sets in "
+            "the wrong order count as the permitted ones nearest to them.",
+        ],
+    )
+
+
+def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array]]:
+    """Return each response by its name, with its value (N,) in each of the trials."""
+    study = analysis.study
+    found = [
+        (f"mean {name}", np.array([np.mean(trial.observations(name)) for trial in trials]))
+        for name in study.metrics
+    ]
+    worst = study.worst_case_constraint
+    cases = [trial.worst_case for trial in trials]
+    if worst is not None and all(case is not None for case in cases):
+        values = np.array([case.value for case in cases if case is not None])
+        found.insert(0, (f"worst {worst.metric}", values))
+    return found
+
+
+def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
+    """Return the total index (d,) of each parameter; NaN if the response does not vary."""
+    space = analysis.study.search_space()
+    if np.ptp(values) == 0.0:
+        return np.full(space.dimension, np.nan)
+    points = np.array([space.to_cube(trial.parameters) for trial in trials])
+    fit = coded_fit(GaussianProcess.fit, Coding(space.levels))
+    rng = generator(analysis.study.seed, Stream.ACQUISITION, 2**31, len(trials))
+    model = fit(points, values, rng=rng, minimum_length_scales=space.minimum_length_scales())
+    return total_indices(lambda cube: model.predict_mean(space.repair(cube)), space.dimension)
+
+
+def _figure(names: tuple[str, ...], found: Mapping[str, Array]) -> Figure:
+    places = np.arange(len(names), dtype=float)
+    ticks = list(zip(places.tolist(), names, strict=True))
+    return Figure(
+        name="influence",
+        title="Share of each response's variance that depends on a parameter",
+        caption="Total Sobol' index: near 0, the parameter could be left at any value; near 1, "
+        "hardly anything else matters.",
+        alternative="; ".join(
+            f"{response}: "
+            + ", ".join(f"{n} {_shown(v)}" for n, v in zip(names, totals, strict=True))
+            for response, totals in found.items()
+        ),
+        panels=[
+            Panel(
+                title=response,
+                x=Axis(label="", ticks=ticks),
+                y=Axis(label="total index", limits=(0.0, max(1.05, 1.05 * float(totals.max())))),
+                elements=[
+                    Bars(
+                        x=places,
+                        y=totals,
+                        base=np.zeros(len(names)),
+                        name="total index",
+                        color=Color.BLUE,
+                        hover=[f"{n}: {_shown(v)}" for n, v in zip(names, totals, strict=True)],
+                    )
+                ],
+            )
+            for response, totals in found.items()
+            if not np.isnan(totals).any()
+        ],
+        columns=min(3, max(1, len(found))),
+        panel_height=260,
+    )
+
+
+def _shown(value: float) -> str:
+    return "–" if np.isnan(value) else f"{max(value, 0.0):.2f}"
