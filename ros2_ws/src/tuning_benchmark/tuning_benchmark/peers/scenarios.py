@@ -3,10 +3,10 @@
 As MATLAB's `systune` is used for robust tuning: a good local optimizer tunes for a finite set of
 plants, all of which must keep the limits; the worst plant of the result is sought and joins the
 set. The local optimizer is COBYQA (Ragonneau and Zhang 2024), the trust-region method for
-nonlinear constraints, in the package of its authors (SciPy's copy of it holds a lock while it runs,
-so that a second loop could not begin), with its documented defaults but for the radii, which suit the unit
-cube and stop where noise would lead it astray. `systune` itself uses gradients of linear models,
-which a measured plant does not have.
+nonlinear constraints, with its documented defaults but for the radii, which suit the unit cube and
+stop where noise would lead it astray. (SciPy's copy holds a lock while it runs, so that a second
+loop could not begin; hence the package of its authors.) `systune` itself uses gradients of linear
+models, which a measured plant does not have.
 
 Plants
     At first a few drawn contexts. Their mean cost is the objective in every round; all plants must
