@@ -37,6 +37,9 @@ class Judge:
             np.mean(gains) * self.drawn,
         )
 
+    def worst_runs(self, values):
+        return np.array([[self.judge(values).worst]])
+
 
 class NoisyJudge(Judge):
     """With runs in the worst context that are uniform around the mean, give or take 0.1."""

@@ -41,6 +41,7 @@ setup(
             "greenlet",
             "smac>=2.4,<3",
             "cma>=4.5,<5",
+            "cobyqa>=1.1,<2",
         ],
         "test": ["pytest"],
     },

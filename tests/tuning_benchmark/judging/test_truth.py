@@ -38,7 +38,10 @@ def test_a_limit_on_single_runs_is_judged_by_the_share_that_keeps_it(study, gain
     assert verdict.feasible == (kept >= 0.85)
     on_mean = Truth(study, "valley:NoisyJudge").verdict({"g0": gain, "g1": gain})
     assert on_mean.feasible
-    assert np.isnan(on_mean.worst_kept)
+    assert on_mean.worst_kept == verdict.worst_kept
+    few = Truth(study, "valley:NoisyJudge").verdict({"g0": gain, "g1": gain}, 2)
+    assert few.feasible
+    assert np.isnan(few.worst_kept)
 
 
 def test_single_violations_are_a_share_of_the_drawn_contexts(truth):

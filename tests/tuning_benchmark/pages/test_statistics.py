@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from tuning_benchmark.pages.statistics import difference, fisher, mean, power, share
+from tuning_benchmark.pages.statistics import difference, fisher, mcnemar, mean, power, share
 
 
 def test_mean_of_one_to_five():
@@ -78,3 +78,10 @@ def test_power_law():
     assert (found.exponent, found.factor) == pytest.approx((1.7, 0.5))
     noisy = [3.0, 4.0, 11.0, 30.0]
     assert power(x, noisy).exponent == pytest.approx(stats.linregress(np.log(x), np.log(noisy))[0])
+
+
+def test_mcnemar_is_a_fair_coin_over_the_pairs_that_differ():
+    assert mcnemar(0, 0) == 1.0
+    assert mcnemar(3, 3) == 1.0
+    assert mcnemar(6, 0) == pytest.approx(2 * 0.5**6)
+    assert mcnemar(1, 5) == pytest.approx(2 * (1 + 6) * 0.5**6)

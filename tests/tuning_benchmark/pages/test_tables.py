@@ -5,6 +5,7 @@ import pytest
 from scipy import special, stats
 
 from tuning_benchmark.experiments.experiment import Cost, Experiment, Point, Row
+from tuning_benchmark.experiments.optima import Optimum
 from tuning_benchmark.pages import page, tables
 from tuning_benchmark.pages.findings import about_points, beside_others, beside_the_paper
 from tuning_benchmark.pages.summary import feasible_at, summarise
@@ -33,7 +34,9 @@ def summaries(make_case, answer, record):
             for name, answers in rows.items()
             for seed, found in enumerate(answers, start=1)
         }
-        return case, [summarise(case, row, done, optimum=0.5) for row in case.rows.values()]
+        return case, [
+            summarise(case, row, done, optimum=Optimum(0.5)) for row in case.rows.values()
+        ]
 
     return make
 
@@ -52,6 +55,65 @@ def test_a_row_counts_and_averages_its_runs(summaries, answer):
     assert cells["worst case"].startswith("0.6500")
     assert cells["narrow"] == "1 of 2"
     assert cells["evaluations (trials + checks)"] == "100 + 20, at most 120"
+
+
+def test_regret_is_against_the_best_at_the_same_worst_case(make_case, answer, record):
+    case = make_case(runs=4, rows={"A": Row(name="A", algorithm="IV")})
+    found = [answer(1.5, 0.5), answer(1.5, 0.25), answer(0.9, 0.75, feasible=False), answer(2, 9)]
+    done = {f"run/c/A/{seed}": record(a) for seed, a in enumerate(found, start=1)}
+    # Lowest objectives 2, 1.5 and 1 at worst cases 0, 0.5 and 1.
+    optimum = Optimum(1.0, (0.0, 1.0), (2.0, 1.0))
+    regrets = summarise(case, case.rows["A"], done, optimum).regrets
+    assert regrets == {1: pytest.approx(0.0), 2: pytest.approx(100.0 * (1.5 / 1.75 - 1.0))}
+    assert summarise(case, case.rows["A"], done, Optimum(1.0)).regrets == {}
+
+
+@pytest.mark.parametrize(
+    ("way", "reached"),
+    [
+        ([(10, None), (20, 1), (30, 2), (40, 2)], 30),
+        ([(10, 2), (20, 1), (30, 2)], 30),
+        ([(10, 2), (20, 2)], 10),
+        ([(10, 2), (20, None)], np.inf),
+        ([(10, 3), (20, 1)], np.inf),
+    ],
+)
+def test_near_is_when_the_incumbent_stays_near(make_case, answer, record, way, reached):
+    case = make_case(runs=1, rows={"A": Row(name="A", algorithm="IV")})
+    incumbents = {
+        "1": {"objective": 1.06, "feasible": True},
+        "2": {"objective": 1.04, "feasible": True},
+        "3": {"objective": 0.9, "feasible": False},
+    }
+    done = {"run/c/A/1": record(answer(), way, incumbents)}
+    assert summarise(case, case.rows["A"], done, Optimum(1.0)).reached == {1: reached}
+    assert summarise(case, case.rows["A"], done, None).reached == {1: np.inf}
+
+
+def test_rows_are_compared_pair_by_pair(summaries, answer):
+    bad = answer(feasible=False)
+    case, found = summaries(
+        A=[answer(1.0), answer(2.0), answer(3.0), bad, bad],
+        B=[answer(1.5), answer(2.3), bad, answer(1.0), bad],
+    )
+    cells = columns_of(tables.paired_table(case, found))
+    assert cells["row less A"] == "B"
+    assert cells["feasible only in the row : only in A"] == "1 : 1 (p = 1)"
+    interval = stats.ttest_rel([1.5, 2.3], [1.0, 2.0]).confidence_interval()
+    assert cells["objective"] == f"+0.4000 ({interval.low:.4f} to {interval.high:.4f})"
+    assert cells["regret at equal margin [%]"] == "none"
+    assert tables.paired_table(case, found[:1]) == ""
+
+
+def test_realised_probabilities_are_shown_of_all_answers(make_case, answer, record):
+    case = make_case(runs=2, rows={"A": Row(name="A", algorithm="IV")})
+    done = {}
+    for seed, kept in ((1, 0.9), (2, 0.7)):
+        found = answer()
+        done[f"run/c/A/{seed}"] = record(found | {"truth": found["truth"] | {"worst_kept": kept}})
+    summary = summarise(case, case.rows["A"], done, Optimum(1.0))
+    cells = columns_of(tables.fair_table(case, [summary]))
+    assert cells["realised probability"] == "0.800, lowest 0.700"
 
 
 def test_the_most_evaluations_are_those_of_one_run(make_case, record, answer):

@@ -1,9 +1,7 @@
 """Experiments: which studies, algorithms and optimizers a campaign compares, and how often."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from bo_tuner.worst_case.search import OBSERVED, POSTERIOR
+from tuning_benchmark.experiments.optima import Optimum, optimum_of
 
 RANDOM, WORST_CASE, OWN = "random", "worst_case", "own"
 
@@ -319,27 +318,9 @@ class Experiment:
         if not self.cases:
             raise StudyError("expected at least one", ("cases",))
 
-    def optimum(self, study: Study) -> float | None:
-        """Objective of a study's grid optimum; None if it was not searched."""
-        entry = self.optima.get(study.name)
-        return None if entry is None else float(entry["optimum"]["E"])
-
-
-def read_optima(path: Path) -> dict[str, Any]:
-    """Read the result file of `benchmarks/grid_search.py`.
-
-    Raises
-    ------
-    StudyError
-        If it cannot be read.
-    """
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StudyError(f"cannot read {path}: {error}", ("truth",)) from None
-    if not isinstance(entries, dict):
-        raise StudyError(f"{path}: expected an object of studies", ("truth",))
-    return entries
+    def optimum(self, study: Study) -> Optimum | None:
+        """Return what is known of a study's optimum; None if it is not known."""
+        return optimum_of(self.optima, study)
 
 
 def _check_mapping(value: object, key: str) -> None:

@@ -19,8 +19,8 @@ from tuning_benchmark.experiments.experiment import (
     Point,
     Row,
     SurrogateFigure,
-    read_optima,
 )
+from tuning_benchmark.experiments.optima import read_optima
 from tuning_benchmark.problems.closed_form import ClosedForm
 
 T = TypeVar("T")

@@ -1,9 +1,12 @@
 """A parameter set compared with its neighbours: a narrow optimum is not a robust one."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, Verdict, verdict_record
 
@@ -12,9 +15,6 @@ def judge_neighbours(
     truth: Truth, parameters: Mapping[str, Value], verdict: Verdict
 ) -> list[dict[str, Any]]:
     """Judge the parameter sets one step away, see `SearchSpace.neighbours`.
-
-    A neighbour is ``tolerable`` if it exceeds neither the limit of the worst case, nor the
-    objective of `verdict`, by more than `TOLERABLE`.
 
     Returns
     -------
@@ -25,18 +25,36 @@ def judge_neighbours(
     space = truth.study.search_space()
     for neighbour in space.neighbours(parameters):
         found = truth.verdict(neighbour, FEW_REAL_EVALUATIONS)
-        worse = abs(verdict.objective) * TOLERABLE
-        sign = truth.study.objective.sign
-        tolerable = (
-            found.worst <= truth.limit + TOLERABLE * abs(truth.limit)
-            and sign * (found.objective - verdict.objective) <= worse
-        )
+        tolerable = is_tolerable(truth.study, verdict.objective, found.objective, found.worst)
         judged.append(
             {
                 "parameters": neighbour,
                 "changed": [name for name in space.names if neighbour[name] != parameters[name]],
                 "truth": verdict_record(found),
-                "tolerable": bool(tolerable),
+                "tolerable": tolerable,
             }
         )
     return judged
+
+
+def is_tolerable(study: Study, objective: float, there: float, worst: float) -> bool:
+    """Whether a neighbour is no reason to call a parameter set narrow.
+
+    Its objective `there` is worse than `objective`, and its `worst` case above the limit, by no
+    more than the part `TOLERABLE`.
+    """
+    constraint = study.worst_case_constraint
+    limit = np.inf if constraint is None else constraint.upper
+    within = constraint is None or worst <= limit + TOLERABLE * abs(limit)
+    return bool(within and study.objective.sign * (there - objective) <= TOLERABLE * abs(objective))
+
+
+def deciding(study: Study, changed: Iterable[str]) -> bool:
+    """Whether a step of the `changed` parameters counts: one of an integer, if there are integers.
+
+    Where a limit is active, a step of a real parameter exceeds it by an amount that depends on the
+    arbitrary length of the step; an integer's step has no such choice.
+    """
+    space = study.search_space()
+    integers = {name for name, integer in zip(space.names, space.integer, strict=True) if integer}
+    return not integers or bool(integers.intersection(changed))

@@ -40,6 +40,22 @@ choice. The table counts the truly feasible choices and gives their mean true ob
 """
 
 
+FAIR = """\
+Against what is known of the optimum. *Regret at equal margin*: distance of the truly feasible
+answers to the lowest objective of any parameter set whose worst case is as large as the answer's
+own, so that an answer is not blamed for its margin; it needs the frontier of the problem.
+*Realised probability*: share of runs within the limit in the answer's worst context, mean and
+lowest over all answers. *Near*: evaluations until the incumbent was truly feasible and within 5 %
+of the optimum for good; the median counts a run that never was as longer than any other.
+"""
+
+PAIRED = """\
+Compared pairwise, by seed, with the first row: the runs in which only one of both has a truly
+feasible answer, with the exact test of McNemar (1947), and the differences where both have one,
+first mean and interval of the true objective, then of the regret at equal margin:
+"""
+
+
 @dataclass(frozen=True)
 class Section:
     """Part of the page.
@@ -118,7 +134,7 @@ def _case(
     summaries: Sequence[RowSummary],
     done: Mapping[str, Record],
 ) -> Section:
-    study = case.study
+    study, optimum = case.study, experiment.optimum(case.study)
     initial = case.initial_trials or study.budget.initial_trials
     text = [
         f"{case.runs} {'run' if case.runs == 1 else 'runs'} of each row on the study "
@@ -135,12 +151,16 @@ def _case(
     published = tables.published_table(summaries)
     if published:
         text += ["The paper's numbers beside ours:", published]
+    fair = tables.fair_table(case, summaries)
+    paired = tables.paired_table(case, summaries)
+    text += [FAIR.strip(), fair] if fair else []
+    text += [PAIRED.strip(), paired] if paired else []
     said = findings.beside_the_paper(case, summaries) + findings.beside_others(case, summaries)
     if said:
         text.append("\n".join(f"- {sentence}" for sentence in said))
     if case.remarks:
         text += [REMARKS, case.remarks.strip()]
-    figure = figures.convergence(case, summaries, experiment.optimum(study))
+    figure = figures.convergence(case, summaries, None if optimum is None else optimum.objective)
     text += [
         _with("Truly feasible incumbents during the runs, and their mean objective:", figure),
         tables.convergence_table(case, summaries),

@@ -80,6 +80,16 @@ def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
     return float(stats.fisher_exact(table).pvalue)
 
 
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Probability that so many pairs differ in one direction by chance.
+
+    The two-sided exact test of McNemar (1947): of the pairs in which just one succeeds, each of
+    both is as likely to be that one. 1 without such pairs.
+    """
+    pairs = only_first + only_second
+    return float(stats.binomtest(only_first, pairs).pvalue) if pairs else 1.0
+
+
 def power(x: Sequence[float], y: Sequence[float]) -> Power:
     """Fit a power law to positive values by least squares of their logarithms."""
     slope, offset = np.polyfit(np.log(x), np.log(y), 1)

@@ -4,12 +4,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from bo_tuner.study.study import Study
 from tuning_benchmark.experiments.experiment import Case, Row
+from tuning_benchmark.experiments.optima import Optimum
 from tuning_benchmark.experiments.task_names import run_task
+from tuning_benchmark.judging.neighbours import deciding
 from tuning_benchmark.pages.statistics import Mean, Share, mean, share
 
 Record = Mapping[str, Any]
+
+NEAR = 0.05
+"""Relative distance to the optimum that counts as near."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,15 @@ class RowSummary:
     objective
         True objective, over the truly feasible answers.
     distance
-        Its distance to the grid's optimum [%]; None without one.
+        Its distance to the optimum [%]; None without one.
+    regrets
+        By seed, distance [%] of the truly feasible answers to the lowest objective at their own
+        worst case, so that a larger margin is no fault; of those where the frontier is known.
+    kept
+        Realised probability by seed: share of runs within the limit in the worst context.
+    reached
+        By seed, evaluations after which the incumbent was truly feasible and within `NEAR` of the
+        optimum for good; infinite if that was never so.
     worst
         True worst case, over all answers.
     best
@@ -70,6 +85,9 @@ class RowSummary:
     difference: Mean
     objective: Mean
     distance: Mean | None
+    regrets: Mapping[int, float]
+    kept: Mapping[int, float]
+    reached: Mapping[int, float]
     worst: Mean
     best: float | None
     evaluations: Mean
@@ -78,7 +96,7 @@ class RowSummary:
 
 
 def summarise(
-    case: Case, row: Row, done: Mapping[str, Record], optimum: float | None
+    case: Case, row: Row, done: Mapping[str, Record], optimum: Optimum | None
 ) -> RowSummary:
     """Sum up a row.
 
@@ -89,7 +107,7 @@ def summarise(
     done
         Records of the campaign by task.
     optimum
-        Objective of the grid's optimum.
+        What is known of the study's optimum.
     """
     records = {s: done[run_task(case.name, row.name, s)] for s in range(1, case.runs + 1)}
     results = {seed: r["result"] for seed, r in records.items() if not r["failed"]}
@@ -115,11 +133,20 @@ def summarise(
         feasible=share(len(feasible), case.runs),
         narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers.values()),
         validation=mean(list(validated.values())),
-        difference=mean([E - answers[k]["training"] for k, E in validated.items()]),
+        difference=mean(
+            [
+                E - answers[k]["training"]
+                for k, E in validated.items()
+                if answers[k]["training"] is not None
+            ]
+        ),
         objective=mean(list(feasible.values())),
         distance=None
         if optimum is None
-        else mean([100.0 * sign * (E / optimum - 1.0) for E in feasible.values()]),
+        else mean([100.0 * sign * (E / optimum.objective - 1.0) for E in feasible.values()]),
+        regrets=_regrets(answers, optimum, sign),
+        kept={k: a["truth"]["worst_kept"] for k, a in answers.items() if _kept(a) is not None},
+        reached={k: _reached(r, optimum, sign) for k, r in results.items()},
         worst=mean([w for a in answers.values() if (w := a["truth"]["worst"]) is not None]),
         best=None if not objectives else min(objectives, key=lambda E: sign * E),
         evaluations=mean([result["cuts"] for result in results.values()]),
@@ -128,16 +155,42 @@ def summarise(
     )
 
 
-def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:
-    """Whether a step of an integer is not tolerable; of any parameter if there are no integers.
+def _regrets(
+    answers: Mapping[int, Record], optimum: Optimum | None, sign: float
+) -> dict[int, float]:
+    found = {}
+    for seed, answer in answers.items():
+        truth = answer["truth"]
+        least = optimum.at(truth["worst"]) if optimum and truth["feasible"] else None
+        if least is not None:
+            found[seed] = 100.0 * sign * (truth["objective"] / least - 1.0)
+    return found
 
-    Where a limit is active, a step of a real parameter exceeds it by an amount that depends on the
-    arbitrary length of the step; an integer's step has no such choice.
-    """
-    space = study.search_space()
-    integers = {name for name, integer in zip(space.names, space.integer, strict=True) if integer}
-    judged = [n for n in neighbours if not integers or integers.intersection(n["changed"])]
-    return not all(neighbour["tolerable"] for neighbour in judged)
+
+def _kept(answer: Record) -> float | None:
+    """Realised probability of an answer; records from before it was judged have none."""
+    kept: float | None = answer["truth"].get("worst_kept")
+    return kept
+
+
+def _reached(result: Record, optimum: Optimum | None, sign: float) -> float:
+    """Return the evaluations after which the incumbent was near the optimum for good."""
+    reached = np.inf
+    for used, number in result["trajectory"]:
+        truth = None if number is None else result["incumbents"][str(number)]
+        near = (
+            optimum is not None
+            and truth is not None
+            and truth["feasible"]
+            and sign * (truth["objective"] / optimum.objective - 1.0) <= NEAR
+        )
+        reached = min(reached, used) if near else np.inf
+    return float(reached)
+
+
+def is_narrow(study: Study, neighbours: Sequence[Record]) -> bool:
+    """Whether a step that counts, see `neighbours.deciding`, is not tolerable."""
+    return not all(n["tolerable"] for n in neighbours if deciding(study, n["changed"]))
 
 
 def incumbent_at(result: Record, evaluations: int) -> Record | None:

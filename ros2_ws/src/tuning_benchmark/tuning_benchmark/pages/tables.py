@@ -10,7 +10,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.experiments.experiment import Case, Cost
 from tuning_benchmark.experiments.task_names import cost_task, point_task
-from tuning_benchmark.pages.statistics import Mean, Share, mean
+from tuning_benchmark.pages.statistics import Mean, Share, difference, mcnemar, mean
 from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at, is_narrow
 
 MARKS = 4
@@ -48,6 +48,58 @@ def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
         ]
         for s in summaries
     ]
+    return markdown(header, rows)
+
+
+def fair_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Regret at equal margin, realised probability and speed; empty if none of it is known."""
+    if not any(s.regrets or s.kept or s.distance for s in summaries):
+        return ""
+    header = [
+        "row", "truly feasible", "regret at equal margin [%]", "realised probability", "near",
+        "median evaluations until near",
+    ]  # fmt: skip
+    rows = []
+    for s in summaries:
+        near = sorted(s.reached.values())
+        count = sum(np.isfinite(near))
+        median = float(np.median(near)) if near else np.inf
+        kept = list(s.kept.values())
+        rows.append(
+            [
+                s.row.name,
+                _share(s.feasible),
+                _mean(mean(list(s.regrets.values())), digits=1),
+                f"{np.mean(kept):.3f}, lowest {min(kept):.3f}" if kept else "not judged",
+                f"{count} of {case.runs}" if s.distance else "",
+                f"{median:.0f}" if np.isfinite(median) else "never",
+            ]
+        )
+    return markdown(header, rows)
+
+
+def paired_table(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Compare each row with the first by pairs of runs with one seed; empty for a single row."""
+    if len(summaries) < 2:
+        return ""
+    first, *others = summaries
+    mine = first.feasible_objectives
+    rows = []
+    for s in others:
+        theirs = s.feasible_objectives
+        only, only_first = len(theirs.keys() - mine.keys()), len(mine.keys() - theirs.keys())
+        rows.append(
+            [
+                s.row.name,
+                f"{only} : {only_first} (p = {mcnemar(only, only_first):.2g})",
+                _mean(difference(theirs, mine), signed=True),
+                _mean(difference(s.regrets, first.regrets), digits=1, signed=True),
+            ]
+        )
+    header = [
+        f"row less {first.row.name}", f"feasible only in the row : only in {first.row.name}",
+        "objective", "regret at equal margin [%]",
+    ]  # fmt: skip
     return markdown(header, rows)
 
 

@@ -11,9 +11,10 @@ Sources
 Contexts in the set
     All corners, up to eight of them, and four drawn ones. The expectation is that over the drawn.
 Next evaluation
-    Parameters by qLogNEI of the expected cost under the constraint on the value at risk; context,
-    as in the tutorial, not the optimizer's choice alone: half of the time one of the set drawn at
-    random, else the one with the highest mean plus two standard deviations of the excess.
+    Parameters by qLogNEI of the expected cost with an exact penalty on the value at risk, since
+    BoTorch's constraints do not go with an input transform that makes many points of one. Context:
+    half of the time one of the set drawn at random, else the one with the highest mean plus two
+    standard deviations of the excess.
 Failed evaluations
     Count as the largest cost and excess so far.
 Recommendation
@@ -49,11 +50,14 @@ are contexts."""
 
 SAMPLES, RESTARTS, RAW_SAMPLES = 32, 4, 64
 REFIT = 5
+PENALTY = 5.0
+"""Cost of exceeding the limit by as much as its size, as in `confidence_bounds`."""
+
 OPTIONS = {"maxiter": 50, "batch_limit": RESTARTS, "init_batch_limit": RAW_SAMPLES}
 
 
 class RiskAverse:
-    """qLogNEI of the expected cost under a limit on the value at risk."""
+    """qLogNEI of the expected cost with a penalty on the value at risk."""
 
     def __init__(self, study: Study, seed: int) -> None:
         self._study = study
@@ -137,21 +141,17 @@ class RiskAverse:
         cost, worst = self._means(model, evaluated)
         baseline = evaluated[(cost + worst.clamp(min=0.0)).argsort()[:BASELINE]]
 
-        # Both are repeated for each context, since feasibility has the shape of the samples.
-        def expected(samples: Tensor, X: Tensor | None = None) -> Tensor:
+        def penalised(samples: Tensor, X: Tensor | None = None) -> Tensor:
             drawn = samples[..., 0].unflatten(-1, (-1, count))[..., :DRAWN]
-            return -drawn.mean(dim=-1).repeat_interleave(count, dim=-1)
-
-        def at_risk(samples: Tensor) -> Tensor:
             # Risk measures are of what is maximised.
-            return -risk(-samples[..., 1:]).repeat_interleave(count, dim=-1) + margin
+            at_risk = -risk(-samples[..., 1:]) + margin
+            return -drawn.mean(dim=-1) - PENALTY * at_risk.clamp(min=0.0)
 
         acquisition = qLogNoisyExpectedImprovement(
             model=model,
             X_baseline=baseline,
             sampler=SobolQMCNormalSampler(torch.Size([SAMPLES]), seed=seed),
-            objective=GenericMCObjective(expected),
-            constraints=[at_risk],
+            objective=GenericMCObjective(penalised),
             prune_baseline=False,
         )
         dimension = self._space.dimension

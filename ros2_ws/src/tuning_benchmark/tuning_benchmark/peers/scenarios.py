@@ -3,9 +3,10 @@
 As MATLAB's `systune` is used for robust tuning: a good local optimizer tunes for a finite set of
 plants, all of which must keep the limits; the worst plant of the result is sought and joins the
 set. The local optimizer is COBYQA (Ragonneau and Zhang 2024), the trust-region method for
-nonlinear constraints in SciPy, with its documented defaults but for the radii, which suit the unit
-cube and stop where noise would lead it astray. `systune` itself uses gradients of linear models,
-which a measured plant does not have.
+nonlinear constraints, with its documented defaults but for the radii, which suit the unit cube and
+stop where noise would lead it astray. (SciPy's copy holds a lock while it runs, so that a second
+loop could not begin; hence the package of its authors.) `systune` itself uses gradients of linear
+models, which a measured plant does not have.
 
 Plants
     At first a few drawn contexts. Their mean cost is the objective in every round; all plants must
@@ -26,8 +27,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from cobyqa import minimize
 from greenlet import getcurrent, greenlet
-from scipy.optimize import NonlinearConstraint, minimize
+from scipy.optimize import Bounds, NonlinearConstraint
 
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.study import Study
@@ -127,10 +129,9 @@ class ScenarioLoop:
         found = minimize(
             lambda x: both(x)[0],
             start,
-            method="COBYQA",
-            bounds=[(0.0, 1.0)] * len(start),
+            bounds=Bounds(np.zeros(len(start)), np.ones(len(start))),
             constraints=NonlinearConstraint(lambda x: both(x)[1], -np.inf, 0.0),
-            options={"initial_tr_radius": radius, "final_tr_radius": FINAL_RADIUS},
+            options={"radius_init": radius, "radius_final": FINAL_RADIUS},
         )
         best: Array = np.clip(found.x, 0.0, 1.0)
         return best

@@ -35,7 +35,7 @@ Crash
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -351,6 +351,15 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
         contexts=int(settings["contexts"]),
         noise=str(settings["noise"]),
         crash=bool(settings["crash"]),
+    )
+
+
+def problem_of_study(study: Study) -> ClosedForm:
+    """Return the problem of a study that was made by `ClosedForm.study`."""
+    (node,) = study.nodes.values()
+    limit = study.worst_case_constraint
+    return replace(
+        problem_of(node.parameters), probability=None if limit is None else limit.probability
     )
 
 

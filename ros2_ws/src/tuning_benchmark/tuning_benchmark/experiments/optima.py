@@ -1,0 +1,111 @@
+"""What is known of a study's optimum, to measure answers against."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from bo_tuner.errors import StudyError
+from bo_tuner.study.parts import WORST_CASE
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import study_to_yaml
+from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study
+
+JUDGED = ("nodes", "parameters", "contexts", "metrics", "objective", "constraints", "order")
+"""Sections of a study that change the truth of a parameter set."""
+
+SAMPLES = 400
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The best objective of a study, and the best at each margin.
+
+    Attributes
+    ----------
+    objective
+        Lowest expected objective under the study's limits.
+    worst, least
+        Frontier: the lowest expected objective of any parameter set whose worst case is at most so
+        large, by ascending worst case; empty if unknown.
+    """
+
+    objective: float
+    worst: tuple[float, ...] = ()
+    least: tuple[float, ...] = ()
+
+    def at(self, worst: float) -> float | None:
+        """Lowest objective at a worst case, interpolated; None beyond what is known."""
+        if not self.worst or not self.worst[0] <= worst <= self.worst[-1]:
+            return None
+        return float(np.interp(worst, self.worst, self.least))
+
+
+def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
+    """Return what is known of a study: by its closed form, or by the search of a grid.
+
+    Parameters
+    ----------
+    entries
+        Results of `benchmarks/grid_search.py` by name of the study.
+    study
+        The study.
+
+    Returns
+    -------
+    Optimum or None
+        None if nothing is known, or if the search was of another study of this name.
+    """
+    objects = [node.object for node in study.nodes.values()]
+    if objects == [f"{Node.__module__}:{Node.__name__}"]:
+        problem = problem_of_study(study)
+        worst = np.linspace(0.0, 1.5 * LIMIT, SAMPLES)
+        return Optimum(problem.best, tuple(worst), tuple(problem.frontier(worst)))
+    entry = entries.get(study.name)
+    if entry is None or entry["digest"] != study_digest(study):
+        return None
+    frontier = entry.get("frontier", [])
+    return Optimum(
+        float(entry["optimum"]["E"]),
+        tuple(float(worst) for worst, _ in frontier),
+        tuple(float(least) for _, least in frontier),
+    )
+
+
+def study_digest(study: Study) -> str:
+    """Digest of what decides over the truth of a study's parameter sets.
+
+    Seed, budget and what is tried first are no part of it, nor is the probability of the worst-case
+    constraint, since a search says itself what it asked for.
+    """
+    content = yaml.safe_load(study_to_yaml(study))
+    judged = {key: content[key] for key in JUDGED if key in content}
+    for constraint in judged.get("constraints", {}).values():
+        if constraint["kind"] == WORST_CASE:
+            constraint.pop("probability", None)
+    return hashlib.sha256(json.dumps(judged, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def read_optima(path: Path) -> dict[str, Any]:
+    """Read the result file of `benchmarks/grid_search.py`.
+
+    Raises
+    ------
+    StudyError
+        If it cannot be read.
+    """
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StudyError(f"cannot read {path}: {error}", ("truth",)) from None
+    if not isinstance(entries, dict):
+        raise StudyError(f"{path}: expected an object of studies", ("truth",))
+    for name, entry in entries.items():
+        if not isinstance(entry, dict) or not {"digest", "optimum"} <= entry.keys():
+            raise StudyError(f"{path}: {name}: expected a digest and an optimum", ("truth",))
+    return entries
