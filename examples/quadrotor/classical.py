@@ -24,8 +24,8 @@ def ultimate_gain(loop: control.TransferFunction) -> float:
 
 def ziegler_nichols(
     motor_time_constant: float = crazyflie_params.quad_params["tau_m"],
-) -> dict[str, float]:
-    """Return the gains of the controller node.
+) -> dict[str, dict[str, float]]:
+    """Return the gains of the controller node, by the name of the rule.
 
     Parameters
     ----------
@@ -38,10 +38,11 @@ def ziegler_nichols(
     kd_att, kp_att, attitude = _cascade(rotors)
     kd_xy, kp_xy, _ = _cascade(attitude)
     kd_z, kp_z, _ = _cascade(rotors)
-    return {
+    gains = {
         "kp_xy": kp_xy, "kd_xy": kd_xy, "kp_z": kp_z, "kd_z": kd_z, "kp_att": kp_att,
         "kd_att": kd_att,
     }  # fmt: skip
+    return {"Ziegler-Nichols": gains}
 
 
 def _cascade(

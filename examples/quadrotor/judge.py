@@ -5,8 +5,7 @@ are written anew here, so a mistake in one of them shows as a difference.
 """
 
 import itertools
-from collections.abc import Iterable, Mapping
-from concurrent.futures import Executor
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,9 +112,18 @@ def grid(sparse: bool = False) -> list[Conditions]:
     ]
 
 
-def judge_all(
-    gains: Gains, conditions: Iterable[Conditions], executor: Executor
-) -> list[Judgement]:
-    """Fly in all conditions, on the executor's processors."""
-    conditions = list(conditions)
-    return list(executor.map(judge, [gains] * len(conditions), conditions, chunksize=4))
+def draws(number: int) -> list[Conditions]:
+    """Return conditions drawn as the study says, each with gusts and noise of its own."""
+    rng = np.random.default_rng(2016)
+    return [
+        Conditions(
+            wind_speed=float(rng.uniform(0.0, WIND_SPEEDS[-1])),
+            wind_direction=float(rng.uniform(-np.pi, np.pi)),
+            payload=float(rng.uniform(*PAYLOADS)),
+            motor_time_constant=float(
+                rng.uniform(MOTOR_TIME_CONSTANTS[0], MOTOR_TIME_CONSTANTS[-1])
+            ),
+            seed=30_000 + i,
+        )
+        for i in range(number)
+    ]

@@ -17,7 +17,7 @@ def draw(judged: dict[str, dict[str, object]], tuned: str) -> Figure:
 
     The worst condition is that of the default.
     """
-    worst = Conditions(**judged["default"]["worst_condition"])
+    worst = Conditions(**judged["default"]["worst"]["conditions"])
     columns = {
         "no wind, no payload": Conditions(seed=1),
         f"{worst.wind_speed:g} m/s wind, {1000 * worst.payload:g} g payload": worst,

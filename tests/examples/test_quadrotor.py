@@ -1,37 +1,28 @@
 """The quadrotor in wind: what the nodes fly is what RotorPy flies, by a code path of its own."""
 
-import importlib
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.study_file import parse_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
-ROOT = Path(__file__).parents[2]
-EXAMPLE = ROOT / "examples" / "quadrotor"
+STUDY = Path(__file__).parents[2] / "examples" / "quadrotor" / "study.yaml"
 DURATION = 1.0  # instead of 4 s of flight
 
 
 @pytest.fixture
-def module(monkeypatch):
+def module(module_of):
     """Function that imports a module of the example."""
-    monkeypatch.syspath_prepend(EXAMPLE)
-    return importlib.import_module
+    return functools.partial(module_of, "quadrotor")
 
 
 @pytest.fixture
-def backend(monkeypatch, tmp_path):
-    """The study, over ROS, with flights of `DURATION`; as from the root of the repository."""
-    monkeypatch.chdir(ROOT)
-    text = (EXAMPLE / "study.yaml").read_text(encoding="utf-8")
-    study = parse_study(text.replace("end: {after: 4.0}", f"end: {{after: {DURATION}}}"))
-    made = RosBackend(study, tmp_path)
-    made.open()
-    yield made
-    made.close()
+def backend(backend_of):
+    """The study, over ROS, with flights of `DURATION`."""
+    return backend_of("quadrotor", ("end: {after: 4.0}", f"end: {{after: {DURATION}}}"))
 
 
 @pytest.mark.ros
@@ -76,7 +67,7 @@ def test_the_defaults_are_those_of_rotorpy(module):
         "kd_z": control.kd_pos[2], "kp_att": control.kp_att, "kd_att": control.kd_att,
     }  # fmt: skip
     assert gains == judge.DEFAULT
-    study = parse_study((EXAMPLE / "study.yaml").read_text(encoding="utf-8"))
+    study = parse_study(STUDY.read_text(encoding="utf-8"))
     assert {p.name: p.default for p in study.parameters.values()} == judge.DEFAULT
 
 
@@ -104,10 +95,3 @@ def test_gusts_are_those_of_the_filter(module, monkeypatch):
     correlation = (gusts[1:] * gusts[:-1]).mean() / (gusts**2).mean()
     expected = np.exp(-flight.PERIOD * flight.AIRSPEED / flight.GUST_LENGTH)
     assert correlation == pytest.approx(expected, abs=0.002)
-
-
-def test_the_bridge_knows_nothing_of_the_tuner_and_the_study_is_short():
-    for name in ("flight.py", "simulator_node.py", "controller_node.py"):
-        text = (EXAMPLE / name).read_text(encoding="utf-8")
-        assert not any(word in text for word in ("tuner", "bo_", "trial", "evaluation"))
-    assert len((EXAMPLE / "study.yaml").read_text(encoding="utf-8").splitlines()) <= 40
