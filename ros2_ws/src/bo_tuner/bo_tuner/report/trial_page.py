@@ -7,6 +7,7 @@ from math import isnan
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
+from bo_tuner.recording.recorder import bag_name
 from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity, values
