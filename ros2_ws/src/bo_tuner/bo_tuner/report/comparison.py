@@ -13,6 +13,7 @@ from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.parts import LOG
 from bo_tuner.trials import Evaluation, Stage
+from bo_tuner.tuning.limits import tightest
 from bo_tuner.verdict.verdict import Quantity, Status
 
 LINES = tuple(
@@ -251,8 +252,8 @@ def _traces(analysis: Analysis, seed: int) -> dict[str, Trace]:
         raise NoTraceError("no trial is complete")
     space = analysis.study.context_space()
     contexts = {NOMINAL: space.to_dict(space.nominal())}
-    if answer.worst_case is not None:
-        contexts[WORST] = dict(answer.worst_case.context)
+    if (found := tightest(analysis.study, answer)) is not None:
+        contexts[WORST] = dict(found[1].context)
     planned = [
         Evaluation(0, 0, Stage.VALIDATION, answer.parameters, context, seed)
         for context in contexts.values()

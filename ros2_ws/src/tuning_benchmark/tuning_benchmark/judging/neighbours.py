@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import numpy as np
-
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
@@ -43,9 +41,7 @@ def is_tolerable(study: Study, objective: float, there: float, worst: float) -> 
     Its objective `there` is worse than `objective`, and its `worst` case above the limit, by no
     more than the part `TOLERABLE`.
     """
-    constraint = study.worst_case_constraint
-    limit = np.inf if constraint is None else constraint.upper
-    within = constraint is None or worst <= limit + TOLERABLE * abs(limit)
+    within = all(item.excess(worst) <= TOLERABLE for item in study.worst_case_constraints)
     return bool(within and study.objective.sign * (there - objective) <= TOLERABLE * abs(objective))
 
 

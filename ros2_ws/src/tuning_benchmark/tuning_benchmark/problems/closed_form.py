@@ -357,10 +357,8 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
 def problem_of_study(study: Study) -> ClosedForm:
     """Return the problem of a study that was made by `ClosedForm.study`."""
     (node,) = study.nodes.values()
-    limit = study.worst_case_constraint
-    return replace(
-        problem_of(node.parameters), probability=None if limit is None else limit.probability
-    )
+    (limit,) = study.worst_case_constraints
+    return replace(problem_of(node.parameters), probability=limit.probability)
 
 
 def warped(u: Array) -> Array:

@@ -72,12 +72,15 @@ def _responses(analysis: Analysis, trials: list[Trial]) -> list[tuple[str, Array
         (f"mean {name}", np.array([np.mean(trial.observations(name)) for trial in trials]))
         for name in study.metrics
     ]
-    worst = study.worst_case_constraint
-    cases = [trial.worst_case for trial in trials]
-    if worst is not None and all(case is not None for case in cases):
-        values = np.array([case.value for case in cases if case is not None])
-        found.insert(0, (f"worst {worst.metric}", values))
-    return found
+    worst = [
+        (
+            f"{item.extreme} {item.metric} in the worst context",
+            np.array([trial.worst_cases[item.name].value for trial in trials]),
+        )
+        for item in study.worst_case_constraints
+        if all(item.name in trial.worst_cases for trial in trials)
+    ]
+    return worst + found
 
 
 def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
