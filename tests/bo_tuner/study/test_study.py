@@ -39,11 +39,7 @@ class TestShippedStudies:
             "lambda_kf": -1.0,
         }
         assert study.budget == Budget(
-            trials=30,
-            initial_trials=10,
-            drawn_contexts=5,
-            search_evaluations=10,
-            validation_draws=25,
+            trials=80, evaluations=160, initial_trials=10, validation_draws=25
         )
 
     def test_full_is_the_scenario(self):
@@ -53,7 +49,7 @@ class TestShippedStudies:
         np.testing.assert_array_equal([space.lower, space.upper], [[1, 1, -5, -5], [20, 25, 1, 2]])
         assert study.order == (("control_horizon", "prediction_horizon"),)
         assert space.defaults == load_study("benchmark").search_space().defaults
-        assert (study.budget.trials, study.budget.initial_trials) == (80, 20)
+        assert (study.budget.evaluations, study.budget.initial_trials) == (300, 20)
 
     @pytest.mark.parametrize("name", ["benchmark", "full"])
     def test_contexts_and_constraints_are_the_scenario(self, name):

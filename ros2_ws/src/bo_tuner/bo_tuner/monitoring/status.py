@@ -176,7 +176,8 @@ class RunStatus(RunObserver):
         recent = self._trial_seconds[-RECENT:]
         seconds, evaluations = 0.0, self._validation_evaluations
         if now.phase == Phase.TUNING:
-            seconds = (now.total - now.done) * sum(recent) / len(recent)
+            remaining = self._study.budget.remaining(now.trials, self._evaluations)
+            seconds = remaining * sum(recent) / len(recent)
             evaluations += self._check_evaluations
         elif now.phase == Phase.CHECKING:
             evaluations += max(0, self._check_evaluations - self._phase_evaluations)
