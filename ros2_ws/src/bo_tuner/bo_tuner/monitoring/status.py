@@ -176,7 +176,10 @@ class RunStatus(RunObserver):
         recent = self._trial_seconds[-RECENT:]
         seconds, evaluations = 0.0, self._validation_evaluations
         if now.phase == Phase.TUNING:
-            remaining = self._study.budget.remaining(now.trials, self._evaluations)
+            remaining = now.total - now.done
+            if self._study.budget.evaluations is not None:
+                left = self._study.budget.remaining(now.trials, self._evaluations)
+                remaining = min(remaining, left)
             seconds = remaining * sum(recent) / len(recent)
             evaluations += self._check_evaluations
         elif now.phase == Phase.CHECKING:
