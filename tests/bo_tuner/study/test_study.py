@@ -39,11 +39,7 @@ class TestShippedStudies:
             "lambda_kf": -1.0,
         }
         assert study.budget == Budget(
-            trials=30,
-            initial_trials=10,
-            drawn_contexts=5,
-            search_evaluations=10,
-            validation_draws=25,
+            trials=80, evaluations=160, initial_trials=10, validation_draws=25
         )
 
     def test_full_is_the_scenario(self):
@@ -53,7 +49,7 @@ class TestShippedStudies:
         np.testing.assert_array_equal([space.lower, space.upper], [[1, 1, -5, -5], [20, 25, 1, 2]])
         assert study.order == (("control_horizon", "prediction_horizon"),)
         assert space.defaults == load_study("benchmark").search_space().defaults
-        assert (study.budget.trials, study.budget.initial_trials) == (80, 20)
+        assert (study.budget.evaluations, study.budget.initial_trials) == (300, 20)
 
     @pytest.mark.parametrize("name", ["benchmark", "full"])
     def test_contexts_and_constraints_are_the_scenario(self, name):
@@ -244,3 +240,24 @@ class TestObjective:
     def test_log_of_what_is_not_positive_is_not_a_number(self):
         cost = Objective(metric="error", scale="log").to_cost([0.0, -1.0, np.nan, 1.0])
         assert np.all(np.isnan(cost) == [True, True, True, False])
+
+
+class TestBudget:
+    def test_trials_alone(self):
+        budget = Budget(trials=10, initial_trials=3)
+        assert [budget.remaining(n, 7 * n) for n in (0, 4, 10, 12)] == [10, 6, 0, 0]
+
+    def test_evaluations_end_it_first(self):
+        """After 4 trials of 5 evaluations, 30 more suffice for 6; after 50, for none."""
+        budget = Budget(trials=100, initial_trials=3, evaluations=50)
+        assert budget.remaining(4, 20) == 6
+        assert budget.is_spent(11, 50)
+        assert not budget.is_spent(11, 49)
+        assert budget.is_spent(100, 10)
+
+    def test_another_budget_replaces_it(self):
+        study = load_study("benchmark")
+        trials = study.replace(trials=30).budget
+        assert (trials.trials, trials.evaluations) == (30, None)
+        evaluations = study.replace(evaluations=300).budget
+        assert (evaluations.trials, evaluations.evaluations) == (300, 300)

@@ -79,7 +79,7 @@ def test_the_answer_lies_at_the_active_limit(make_study, function_backend, algor
     assert worst.context["load"] == pytest.approx(2.0, abs=0.15)
 
 
-@pytest.mark.parametrize("algorithm", ["I", "IV", "V"])
+@pytest.mark.parametrize("algorithm", ["I", "IV", "V", "boundary"])
 def test_a_run_with_a_lower_limit_mirrors_one_with_an_upper(
     make_study, function_backend, algorithm
 ):

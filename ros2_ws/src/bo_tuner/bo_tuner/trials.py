@@ -1,7 +1,7 @@
 """Evaluations and trials: the record of a run."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 Value = bool | int | float | str
@@ -176,3 +176,42 @@ class Trial:
             if evaluation.stage in ESTIMATING
             and evaluation.outcome.state is EvaluationState.COMPLETE
         ]
+
+    def mean(self, metric: str) -> float | None:
+        """Return the mean of `observations`; None without any, as of a repetition."""
+        values = self.observations(metric)
+        return sum(values) / len(values) if values else None
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether it failed for a reason that tells nothing of its parameters."""
+        return any(evaluation.outcome.spoilt for evaluation in self.evaluations)
+
+
+def pooled(trials: Iterable[Trial]) -> list[Trial]:
+    """Join the trials of each parameter set, such as its repetitions, into its first one.
+
+    The joint trial has all evaluations and the latest estimate of the worst case. It is failed if
+    one of its trials is, unless that was spoilt.
+
+    Parameters
+    ----------
+    trials
+        In the order of the run.
+    """
+    sets: dict[tuple[tuple[str, Value], ...], Trial] = {}
+    for trial in trials:
+        key = tuple(sorted(trial.parameters.items()))
+        first = sets.get(key)
+        if first is None or (first.spoilt and not trial.spoilt):
+            sets[key] = trial if first is None else replace(trial, number=first.number)
+        elif not trial.spoilt:
+            failed = trial if trial.state is TrialState.FAILED else first
+            sets[key] = replace(
+                first,
+                state=failed.state,
+                reason=failed.reason,
+                evaluations=first.evaluations + trial.evaluations,
+                worst_cases={**first.worst_cases, **trial.worst_cases},
+            )
+    return list(sets.values())

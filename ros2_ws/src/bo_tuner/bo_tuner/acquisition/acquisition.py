@@ -20,10 +20,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.models.constraints import SurrogateConstraint
-from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.protocol import Model
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.surrogates import Classifier, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 
@@ -115,7 +114,7 @@ class Unevaluated:
 class LogFeasibility:
     """Log probability that a constraint holds."""
 
-    constraint: SurrogateConstraint
+    constraint: LimitedResponse
 
     def __call__(self, x: Array) -> Array:
         """Return the log probability (m,) at x (m, d)."""
@@ -130,7 +129,7 @@ class LogAvoidance:
     uncertain there, while the reinterpolation improvement elsewhere tends to zero.
     """
 
-    classifier: NeighbourClassifier
+    classifier: Classifier
     avoid: float = 0.5
 
     def __call__(self, x: Array) -> Array:
@@ -176,7 +175,7 @@ def constrained_improvement(
     return LogSum(tuple(terms))
 
 
-def feasibility_terms(constraints: Iterable[SurrogateConstraint]) -> list[Acquisition]:
+def feasibility_terms(constraints: Iterable[LimitedResponse]) -> list[Acquisition]:
     """Return a term for each constraint, all taken as independent."""
     return [LogFeasibility(constraint) for constraint in constraints]
 

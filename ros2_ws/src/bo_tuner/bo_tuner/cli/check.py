@@ -20,6 +20,7 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.descriptors import Described, problem
 from bo_tuner.study.study import Study
@@ -204,8 +205,12 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
 def evaluations_of(study: Study) -> tuple[int, int]:
     """Return the number of evaluations of a run, at most, and of the draws of its certificate."""
     budget = study.budget
-    searched = budget.search_evaluations if study.worst_case_constraints else 0
-    tuning = budget.trials * (budget.drawn_contexts + searched) + 2 * budget.validation_draws
+    drawn, searched = ALGORITHMS[DEFAULT_ALGORITHM].evaluations(study)
+    each = drawn + searched if study.worst_case_constraints else drawn
+    tuning = budget.trials * each
+    if budget.evaluations is not None:
+        tuning = min(tuning, budget.evaluations + each - 1)
+    tuning += 2 * budget.validation_draws
     return tuning, 2 * required_draws(study, study.certificate.confidence)
 
 

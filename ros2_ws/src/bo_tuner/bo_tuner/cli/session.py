@@ -17,7 +17,7 @@ from bo_tuner.monitoring.display import Output, Result
 from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
@@ -71,7 +71,7 @@ class RunOptions:
         Where to serve the live page; None for no page.
     """
 
-    algorithm: str = "IV"
+    algorithm: str = DEFAULT_ALGORITHM
     backend: str = ROS
     attach: bool = False
     ros_arguments: Sequence[str] = ()

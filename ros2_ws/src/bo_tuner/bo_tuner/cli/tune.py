@@ -22,7 +22,7 @@ from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord, read_run
@@ -70,7 +70,6 @@ examples:
 """
 
 STUDY = "benchmark"
-ALGORITHM = "IV"
 LARGEST_PORT = 65535
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
@@ -86,7 +85,16 @@ def make_parser() -> Parser:
         f"(default: {STUDY})",
     )
     parser.add_argument(
-        "--trials", type=int, metavar="N", help="number of parameter sets (default: the study's)"
+        "--trials",
+        type=int,
+        metavar="N",
+        help="number of trials, in place of the study's budget of trials and evaluations",
+    )
+    parser.add_argument(
+        "--evaluations",
+        type=int,
+        metavar="N",
+        help="number of evaluations of all trials, in place of the study's budget",
     )
     parser.add_argument(
         "--seed", type=int, metavar="N", help="seed of everything random (default: the study's)"
@@ -118,14 +126,14 @@ def make_parser() -> Parser:
         "--algorithm",
         choices=tuple(ALGORITHMS),
         help="; ".join(f"{name}: {method.title}" for name, method in ALGORITHMS.items())
-        + f" (default: {ALGORITHM})",
+        + f" (default: {DEFAULT_ALGORITHM})",
     )
     parser.add_argument(
         "--resume",
         type=Path,
         metavar="RUN",
         help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
-        "with --trials N larger than before, the run continues to N trials",
+        "with --trials N or --evaluations N larger than before, the run continues to N",
     )
     parser.add_argument(
         "--start",
@@ -250,12 +258,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
         study, algorithm, backend = record.study, record.algorithm, recorded_backend(record)
         stop_early = arguments.stop_early or record.stop_early
-        if arguments.trials is not None:
-            if arguments.trials <= study.budget.trials:
-                parser.error(
-                    f"--trials: expected more than the {study.budget.trials} of the run, found "
-                    f"{arguments.trials}"
-                )
+        if arguments.trials is not None or arguments.evaluations is not None:
+            _check_more(arguments, record, parser)
             # Who asks for more trials does not want the earlier advice to stop.
             study, stop_early = _changed(study, arguments), arguments.stop_early
     elif arguments.earlier is not None:
@@ -271,7 +275,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         # Where that cannot be noted down, the commands on this run will ask for --trust.
         with contextlib.suppress(OutputError):
             trust(study)
-        algorithm, backend = arguments.algorithm or ALGORITHM, arguments.backend or BACKENDS[0]
+        algorithm, backend = (
+            arguments.algorithm or DEFAULT_ALGORITHM,
+            arguments.backend or BACKENDS[0],
+        )
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
     if arguments.record not in (None, Policy.NONE) and backend != ROS:
@@ -304,6 +311,21 @@ def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > LARGEST_PORT:
         raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
     return int(text)
+
+
+def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:
+    """Refuse to continue a run to what it has already, or to what it was to have anyway."""
+    trials, evaluations = record.study.budget.trials, record.study.budget.evaluations
+    done = sum(len(trial.evaluations) for trial in record.trials)
+    if evaluations is not None:
+        # The run may have ended before its last trial.
+        trials = len(record.trials)
+    for name, given, had in (
+        ("trials", arguments.trials, trials),
+        ("evaluations", arguments.evaluations, max(done, evaluations or 0)),
+    ):
+        if given is not None and given <= had:
+            parser.error(f"--{name}: expected more than the {had} of the run, found {given}")
 
 
 def _megabytes(text: str) -> int:
@@ -341,7 +363,13 @@ def _check_comparable(
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
     if not record.trials:
         raise RunRecordError(f"{record.path}: has no whole trial to begin with")
-    if len(record.trials) >= study.budget.trials:
+    evaluations = sum(len(trial.evaluations) for trial in record.trials)
+    if study.budget.is_spent(len(record.trials), evaluations):
+        if study.budget.evaluations is not None and evaluations >= study.budget.evaluations:
+            parser.error(
+                f"--evaluations: expected more than the {evaluations} of --from, found "
+                f"{study.budget.evaluations}"
+            )
         parser.error(
             f"--trials: expected more than the {len(record.trials)} of --from, found "
             f"{study.budget.trials}"
@@ -352,7 +380,12 @@ def _changed(study: Study, arguments: argparse.Namespace) -> Study:
     """Return the study with the options of the command line."""
     sets = [read_parameter_set(path, study) for path in arguments.start or ()]
     try:
-        return study.replace(trials=arguments.trials, seed=arguments.seed, start=sets)
+        return study.replace(
+            trials=arguments.trials,
+            evaluations=arguments.evaluations,
+            seed=arguments.seed,
+            start=sets,
+        )
     except StudyError as error:
         option = error.path[-1] if error.path else ""
         raise StudyError(f"--{option}: {error.problem}") from error

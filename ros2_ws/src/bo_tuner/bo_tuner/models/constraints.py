@@ -1,5 +1,6 @@
 """Probability that a response keeps its limit, from its surrogate model."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -11,8 +12,49 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_normal_cdf
 
 
+class LimitedResponse(ABC):
+    """Limit on an uncertain response, in its unit: an upper one, or with the `sign` -1 a lower."""
+
+    limit: float
+    sign: float
+
+    @abstractmethod
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
+
+    def log_probability(self, x: Array) -> Array:
+        """Return the log probability that the constraint holds.
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, d)
+
+        Returns
+        -------
+        ndarray, shape (m,)
+        """
+        mean, variance = self.predict(x)
+        return log_probability_below(self.sign * self.limit, self.sign * mean, variance)
+
+    def excess(self, x: Array) -> Array:
+        """Return by how much the mean response (m,) at x (m, d) violates the limit."""
+        return self.sign * (self.predict(x)[0] - self.limit)
+
+    def least_log_probability(self, x: Array) -> Array:
+        """Return the least `log_probability` (m,) of all contexts that the response knows."""
+        return self.log_probability(x)
+
+
+def log_probability_below(limit: float, mean: Array, variance: Array) -> Array:
+    """Return the log probability (m,) that normal values are below `limit`."""
+    # Rounding can make the variance zero; the logarithm must still be finite.
+    sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
+    with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
+        return log_normal_cdf((limit - mean) / sd)
+
+
 @dataclass(frozen=True, eq=False)
-class SurrogateConstraint:
+class SurrogateConstraint(LimitedResponse):
     """Limit on a response and the surrogate of the response; build it by a class method.
 
     Attributes
@@ -76,30 +118,9 @@ class SurrogateConstraint:
         z = float(ndtri(probability))
         return cls(model, limit - sign * z * model.noise_variance**0.5, sign)
 
-    def excess(self, x: Array) -> Array:
-        """Return by how much the mean response (m,) at x (m, d) violates the limit."""
-        return self.sign * (self.predict(x)[0] - self.limit)
-
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
         return self.model.predict(x)
-
-    def log_probability(self, x: Array) -> Array:
-        """Return the log probability that the constraint holds.
-
-        Parameters
-        ----------
-        x : ndarray, shape (m, d)
-
-        Returns
-        -------
-        ndarray, shape (m,)
-        """
-        mean, variance = self.predict(x)
-        # Rounding can make the variance zero; the logarithm must still be finite.
-        sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
-        with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
-            return log_normal_cdf(self.sign * (self.limit - mean) / sd)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,30 @@ from numpy.typing import ArrayLike
 from bo_tuner.numerics.arrays import Array
 
 
-class Model(Protocol):
+class Fitted(Protocol):
+    """What a fit to observations leaves behind.
+
+    Attributes
+    ----------
+    length_scales : ndarray, shape (d,)
+        Distance along each axis within which the response changes little.
+    warm_start : tuple of float
+        Starting point for a later fit to similar data; recorded with the trial.
+    warnings : tuple of str
+        Numerical problems of the fit, one line each.
+    """
+
+    @property
+    def length_scales(self) -> Array: ...  # noqa: D102
+
+    @property
+    def warm_start(self) -> tuple[float, ...]: ...  # noqa: D102
+
+    @property
+    def warnings(self) -> tuple[str, ...]: ...  # noqa: D102
+
+
+class Model(Fitted, Protocol):
     """Posterior of a response over the unit cube.
 
     Attributes
@@ -21,16 +44,10 @@ class Model(Protocol):
         Distinct points at which the response was observed.
     counts : ndarray, shape (n,)
         Number of observations at each point.
-    length_scales : ndarray, shape (d,)
-        Distance along each axis within which the response changes little.
     scale : float
         Spread of the responses, in their unit.
     noise_variance : float
         Variance of one observation's noise, in the squared unit of the response.
-    warm_start : tuple of float
-        Starting point for a later fit to similar data; recorded with the trial.
-    warnings : tuple of str
-        Numerical problems of the fit, one line each.
     """
 
     @property
@@ -40,19 +57,10 @@ class Model(Protocol):
     def counts(self) -> Array: ...  # noqa: D102
 
     @property
-    def length_scales(self) -> Array: ...  # noqa: D102
-
-    @property
     def scale(self) -> float: ...  # noqa: D102
 
     @property
     def noise_variance(self) -> float: ...  # noqa: D102
-
-    @property
-    def warm_start(self) -> tuple[float, ...]: ...  # noqa: D102
-
-    @property
-    def warnings(self) -> tuple[str, ...]: ...  # noqa: D102
 
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the latent response at x (m, d)."""

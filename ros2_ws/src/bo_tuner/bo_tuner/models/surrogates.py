@@ -13,25 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding, coded, coded_fit
-from bo_tuner.models.constraints import JointConstraint, SurrogateConstraint
+from bo_tuner.models.constraints import JointConstraint, LimitedResponse, SurrogateConstraint
+from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
-from bo_tuner.models.protocol import FitModel, Model
+from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, TrialState
+from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, pooled
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
 BELIEVED_FEASIBLE = 0.5
 """Lowest probability of feasibility of a parameter set that counts as feasible."""
 
+CONFIDENT = 0.975
+"""Lowest probability of feasibility of the answer of an algorithm with pooled evaluations."""
+
 # Length scale of the classifiers in the unit cube. The objective's length scales do not suit them:
 # they are fitted to complete trials only, and are long if the response is flat.
 CLASSIFIER_SCALE = 0.25
+
+EXPECTED_OVER = 256
+"""Number of contexts, the same in every fit, that an expectation is taken over."""
+
+Classifier = NeighbourClassifier | CrashModel
 
 
 @dataclass(frozen=True)
@@ -45,12 +56,16 @@ class ModelOptions:
     joint
         Model the constrained metric by one process over parameter set and context (Algorithm V)
         instead of the worst cases estimated in the trials.
+    pooled
+        Model objective and constrained metric by processes over parameter set and context with
+        local noise, to which all evaluations contribute; failed runs likewise.
     fit
         Fits the model of a response; by default a Gaussian process.
     """
 
     reject_outliers: bool = True
     joint: bool = False
+    pooled: bool = False
     fit: FitModel = GaussianProcess.fit
 
 
@@ -78,10 +93,10 @@ class Surrogates:
     """
 
     objective: Model | None
-    constraints: Mapping[str, SurrogateConstraint]
-    classifiers: tuple[NeighbourClassifier, ...]
+    constraints: Mapping[str, LimitedResponse]
+    classifiers: tuple[Classifier, ...]
     outliers: frozenset[int] = frozenset()
-    models: Mapping[str, Model] = field(default_factory=dict)
+    models: Mapping[str, Fitted] = field(default_factory=dict)
 
     @property
     def warm_starts(self) -> dict[str, tuple[float, ...]]:
@@ -118,19 +133,28 @@ class Surrogates:
         options
             Which models to fit.
         """
+        if options.pooled:
+            trials = pooled(trials)
         fitting = _Fitting(study, rng, start or {}, options)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers: frozenset[int] = frozenset()
         objective = None
-        constraints: dict[str, SurrogateConstraint] = {}
+        constraints: dict[str, LimitedResponse] = {}
         if complete:
             if options.reject_outliers:
                 outliers = fitting.outliers(complete)
             # Trials with an outlying objective would distort the other models as well.
             kept = [t for t in complete if t.number not in outliers]
+            if options.pooled:
+                # A failed trial's complete evaluations tell of the contexts that they were in.
+                kept = [t for t in trials if t.number not in outliers]
             objective = fitting.objective(kept)
             constraints = fitting.constraints(kept)
-        classifiers = [fitting.classifier(trials, lambda t: t.state is TrialState.FAILED)]
+        classifiers: list[Classifier] = []
+        if options.pooled:
+            classifiers.append(fitting.crashes(trials))
+        else:
+            classifiers.append(fitting.classifier(trials, lambda t: t.state is TrialState.FAILED))
         if options.reject_outliers and complete:
             classifiers.append(fitting.classifier(complete, lambda t: t.number in outliers))
         return cls(
@@ -146,6 +170,13 @@ class Surrogates:
         total = np.zeros(len(x))
         for constraint in self.constraints.values():
             total += constraint.log_probability(x)
+        return total
+
+    def log_confidence(self, x: Array) -> Array:
+        """Return `log_feasibility` with each limit in its most doubtful context."""
+        total = np.zeros(len(x))
+        for constraint in self.constraints.values():
+            total += constraint.least_log_probability(x)
         return total
 
 
@@ -166,7 +197,7 @@ class _Fitting:
         self._rng = rng
         self._start = start
         self._options = options
-        self.models: dict[str, Model] = {}
+        self.models: dict[str, Fitted] = {}
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
         objective = self._study.objective
@@ -183,20 +214,24 @@ class _Fitting:
         return frozenset(number[mask].tolist())
 
     def objective(self, trials: Sequence[Trial]) -> Model:
+        if self._options.pooled:
+            metric, contexts = self._study.objective.metric, self._study.context_space()
+            process = self._process(OBJECTIVE, trials, metric, self._study.objective.to_cost)
+            drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
+            return ExpectedObjective(process, contexts.to_cube(drawn), self._study.objective)
         x, y, _ = self._observations(trials, self._study.objective.metric)
         return self._fit(OBJECTIVE, x, self._study.objective.to_cost(y), self._minimum)
 
-    def constraints(self, trials: Sequence[Trial]) -> dict[str, SurrogateConstraint]:
-        found: dict[str, SurrogateConstraint] = {}
+    def constraints(self, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
+        found: dict[str, LimitedResponse] = {}
         for chance in self._study.chance_constraints:
             x, y, _ = self._observations(trials, chance.metric)
             model = self._fit(chance.name, x, y, self._minimum)
             found[chance.name] = SurrogateConstraint.on_observation(
                 model, chance.limit, chance.level, chance.sign
             )
-        by = self._joint_worst_case if self._options.joint else self._worst_case
         for worst in self._study.worst_case_constraints:
-            found[worst.name] = by(trials, worst)
+            found[worst.name] = self._worst(trials, worst)
         return found
 
     def classifier(
@@ -206,6 +241,13 @@ class _Fitting:
         points = self._coding.encode(self._points(trials))
         scales = np.full(points.shape[1], CLASSIFIER_SCALE)
         return NeighbourClassifier(points, labels, scales, encode=self._coding.encode)
+
+    def _worst(self, trials: Sequence[Trial], worst: Constraint) -> LimitedResponse:
+        if self._options.pooled:
+            return self._every_context(trials, worst)
+        if self._options.joint:
+            return self._joint_worst_case(trials, worst)
+        return self._worst_case(trials, worst)
 
     def _worst_case(self, trials: Sequence[Trial], worst: Constraint) -> SurrogateConstraint:
         y = single_evaluation_worst_cases(trials, worst)
@@ -223,12 +265,57 @@ class _Fitting:
             model, worst.limit - margin, worst.sign, contexts=contexts.candidates()
         )
 
+    def _every_context(self, trials: Sequence[Trial], worst: Constraint) -> EveryContext:
+        process = self._process(worst.name, trials, worst.metric)
+        candidates = self._study.context_space().candidates()
+        return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign)
+
+    def crashes(self, trials: Sequence[Trial]) -> CrashModel:
+        contexts = self._study.context_space()
+        runs = [
+            (point, evaluation)
+            for trial, point in zip(trials, self._points(trials), strict=True)
+            for evaluation in trial.evaluations
+            if not evaluation.outcome.spoilt
+        ]
+        return CrashModel.fit(
+            np.array([point for point, _ in runs]).reshape(-1, self._space.dimension),
+            cube_of([evaluation for _, evaluation in runs], contexts),
+            np.array([e.outcome.state is not EvaluationState.COMPLETE for _, e in runs], bool),
+            coding=self._coding,
+            contexts=contexts.candidates(),
+            neighbours=self.classifier(trials, lambda t: t.state is TrialState.FAILED),
+            rng=self._rng,
+        )
+
+    def _process(
+        self,
+        name: str,
+        trials: Sequence[Trial],
+        metric: str,
+        transform: Callable[[Array], Array] = np.asarray,
+    ) -> JointProcess:
+        contexts = self._study.context_space()
+        points = {t.number: point for t, point in zip(trials, self._points(trials), strict=True)}
+        z, y = joint_observations(trials, points, contexts, metric)
+        d = self._space.dimension
+        process = JointProcess.fit(
+            z[:, :d],
+            z[:, d:],
+            transform(y),
+            coding=self._coding,
+            rng=self._rng,
+            minimum_length_scales=self._minimum,
+            start=self._start.get(name),
+        )
+        self.models[name] = process
+        return process
+
     def _fit(self, name: str, x: Array, y: Array, minimum: Array) -> Model:
         fit = coded_fit(self._options.fit, self._coding)
-        self.models[name] = fit(
-            x, y, rng=self._rng, minimum_length_scales=minimum, start=self._start.get(name)
-        )
-        return self.models[name]
+        model = fit(x, y, rng=self._rng, minimum_length_scales=minimum, start=self._start.get(name))
+        self.models[name] = model
+        return model
 
     def _points(self, trials: Sequence[Trial]) -> Array:
         rows = [self._space.to_cube(t.parameters) for t in trials]
@@ -267,10 +354,16 @@ def joint_observations(
     for trial in trials:
         for evaluation in trial.evaluations:
             if evaluation.outcome.state is EvaluationState.COMPLETE:
-                context = [[evaluation.context[name] for name in contexts.names]]
-                rows.append(np.append(cube[trial.number], contexts.to_cube(context)[0]))
+                context = cube_of([evaluation], contexts)[0]
+                rows.append(np.append(cube[trial.number], context))
                 values.append(evaluation.outcome.metrics[metric])
     return np.array(rows), np.array(values)
+
+
+def cube_of(evaluations: Sequence[Evaluation], contexts: ContextSpace) -> Array:
+    """Return the contexts (n, e) of evaluations in the unit cube."""
+    rows = [[evaluation.context[name] for name in contexts.names] for evaluation in evaluations]
+    return contexts.to_cube(np.array(rows).reshape(len(rows), contexts.dimension))
 
 
 def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:

@@ -136,8 +136,7 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
     }
     if trial.state is TrialState.COMPLETE:
         for name in study.metrics:
-            observed = trial.observations(name)
-            values[f"metrics.{name}"] = sum(observed) / len(observed)
+            values[f"metrics.{name}"] = trial.mean(name)
     if (found := tightest(study, trial)) is not None:
         constraint, worst = found
         values |= {"worst_constraint": constraint.name, "worst_case": worst.value}

@@ -135,8 +135,8 @@ class JsonLines(Display):
     def _of_trial(self, trial: Trial) -> dict[str, object]:
         metrics = {}
         if trial.state is TrialState.COMPLETE:
-            observed = {name: trial.observations(name) for name in self._study.metrics}
-            metrics = {name: sum(values) / len(values) for name, values in observed.items()}
+            means = {name: trial.mean(name) for name in self._study.metrics}
+            metrics = {name: mean for name, mean in means.items() if mean is not None}
         return {
             "trial": trial.number,
             "origin": trial.origin,

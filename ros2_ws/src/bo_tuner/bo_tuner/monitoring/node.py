@@ -119,9 +119,9 @@ class LiveNode(RunObserver):
 
     def _numbers(self, trial: Trial, incumbent: Candidate | None) -> Mapping[str, float]:
         numbers = {}
-        if trial.state is TrialState.COMPLETE:
-            observed = trial.observations(self._study.objective.metric)
-            numbers["objective"] = sum(observed) / len(observed)
+        mean = trial.mean(self._study.objective.metric)
+        if trial.state is TrialState.COMPLETE and mean is not None:
+            numbers["objective"] = mean
         if (found := tightest(self._study, trial)) is not None:
             numbers["worst_case"] = found[1].value
         if incumbent is not None:

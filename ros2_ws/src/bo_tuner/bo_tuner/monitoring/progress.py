@@ -214,8 +214,8 @@ def describe(trial: Trial, study: Study) -> str:
         evaluation = trial.evaluations[-1]
         context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
         return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
-    values = trial.observations(study.objective.metric)
-    text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
+    mean = trial.mean(study.objective.metric)
+    text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
     for worst in study.worst_case_constraints:
         value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"

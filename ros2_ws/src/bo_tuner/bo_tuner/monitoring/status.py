@@ -196,7 +196,11 @@ class RunStatus(RunObserver):
             return None
         seconds, evaluations = 0.0, self._validation_evaluations
         if now.phase == Phase.TUNING:
-            seconds = self._trials_left(now.total - now.done)
+            remaining = now.total - now.done
+            if self._study.budget.evaluations is not None:
+                left = self._study.budget.remaining(now.trials, self._evaluations)
+                remaining = min(remaining, left)
+            seconds = self._trials_left(remaining)
             evaluations += self._check_evaluations
         elif now.phase == Phase.CHECKING:
             evaluations += max(0, self._check_evaluations - self._phase_evaluations)

@@ -7,15 +7,17 @@ import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, joint_observations
+from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, cube_of, joint_observations
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.optimizers.boundary import BoundaryOptimization
 from bo_tuner.optimizers.random_search import RandomSearch
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import EvaluationState, Trial, TrialState
 from bo_tuner.worst_case.contexts import worst_contexts_nearby
 from bo_tuner.worst_case.joint_search import JointSearch
+from bo_tuner.worst_case.pooled_search import PooledSearch
 from bo_tuner.worst_case.protocol import WorstCaseSearch
 from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
 from bo_tuner.worst_case.searches import ConstraintSearch, WorstCaseSearches
@@ -39,6 +41,9 @@ class Algorithm:
         Makes the acquisition function.
     worst_case
         Estimate of the worst case: ``posterior`` or ``observed``, as in `ReinterpolationSearch`.
+    drawn_contexts, search_evaluations
+        Evaluations of a trial, unless the study says otherwise: in drawn contexts, and at most in
+        the search for the worst one.
     neighbour_starts
         Largest number of starting contexts of a worst-case search, which are the worst contexts of
         neighbouring trials.
@@ -52,6 +57,8 @@ class Algorithm:
     models: ModelOptions = DEFAULT_MODELS
     acquisition: AcquisitionRule = constrained_improvement
     worst_case: str = POSTERIOR
+    drawn_contexts: int = 5
+    search_evaluations: int = 10
     neighbour_starts: int = 2
     most_checked: int = 6
 
@@ -59,7 +66,21 @@ class Algorithm:
         """Make the optimizer of stage one."""
         if self.random:
             return RandomSearch(study)
+        if self.models.pooled:
+            return BoundaryOptimization(study, self.models, self.acquisition)
         return BayesianOptimization(study, self.models, self.acquisition)
+
+    def protocol(self, study: Study, proposal: Proposal) -> tuple[int, int]:
+        """Return the evaluations of a trial: in drawn contexts, and at most in the search."""
+        return self.evaluations(study) if proposal.protocol is None else proposal.protocol
+
+    def evaluations(self, study: Study) -> tuple[int, int]:
+        """Return `protocol` where a proposal does not say otherwise."""
+        drawn, searched = study.budget.drawn_contexts, study.budget.search_evaluations
+        return (
+            self.drawn_contexts if drawn is None else drawn,
+            self.search_evaluations if searched is None else searched,
+        )
 
     def worst_case_searches(
         self, study: Study, proposal: Proposal, trials: Sequence[Trial]
@@ -75,15 +96,17 @@ class Algorithm:
         trials
             All trials so far.
         """
-        return WorstCaseSearches(
-            [
-                ConstraintSearch(
-                    constraint, self.worst_case_search(study, constraint, proposal, trials)
-                )
-                for constraint in study.worst_case_constraints
-            ],
-            study.budget.search_evaluations,
-        )
+        searches = [
+            ConstraintSearch(
+                constraint, self.worst_case_search(study, constraint, proposal, trials)
+            )
+            for constraint in study.worst_case_constraints
+        ]
+        if self.models.pooled and searches:
+            # A repetition is one run: each time it is another constraint's turn.
+            first = len(trials) % len(searches)
+            searches = searches[first:] + searches[:first]
+        return WorstCaseSearches(searches, self.protocol(study, proposal)[1])
 
     def worst_case_search(
         self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
@@ -93,9 +116,34 @@ class Algorithm:
         limit = sign * constraint.limit
         if self.nominal:
             return ReinterpolationSearch(contexts, limit, 0, OBSERVED)
+        _, searched = self.protocol(study, proposal)
         space = study.search_space()
         coding = Coding(space.levels)
         point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
+        if self.models.pooled:
+            evaluations = [
+                (t, e)
+                for t in trials
+                for e in t.evaluations
+                if e.outcome.state is EvaluationState.COMPLETE
+            ]
+            # Without context variables, drawn evaluations are those in the worst context.
+            idle = contexts.dimension == 0 and proposal.protocol is None
+            return PooledSearch(
+                contexts,
+                limit,
+                constraint.deviations,
+                0 if idle else searched,
+                space.to_cube(proposal.parameters),
+                np.array([space.to_cube(t.parameters) for t, _ in evaluations]).reshape(
+                    -1, space.dimension
+                ),
+                cube_of([e for _, e in evaluations], contexts),
+                sign * np.array([e.outcome.metrics[constraint.metric] for _, e in evaluations]),
+                coding,
+                proposal.hyperparameters.get(constraint.name) or None,
+                until_clear=proposal.protocol is None,
+            )
         if self.models.joint:
             kept = [t for t in trials if t.state is TrialState.COMPLETE]
             points = {t.number: space.to_cube(t.parameters) for t in kept}
@@ -104,7 +152,7 @@ class Algorithm:
                 contexts,
                 limit,
                 constraint.level,
-                study.budget.search_evaluations,
+                searched,
                 point,
                 coding.encode(x.reshape(-1, space.dimension + contexts.dimension)),
                 sign * y,
@@ -115,7 +163,7 @@ class Algorithm:
         return ReinterpolationSearch(
             contexts,
             limit,
-            study.budget.search_evaluations,
+            searched,
             self.worst_case,
             worst_contexts_nearby(
                 point,
@@ -129,6 +177,9 @@ class Algorithm:
         )
 
 
+BOUNDARY = "boundary"
+DEFAULT_ALGORITHM = BOUNDARY
+
 ALGORITHMS = {
     "I": Algorithm("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
     "II": Algorithm("random sampling in stage one", random=True),
@@ -140,5 +191,12 @@ ALGORITHMS = {
     "V": Algorithm(
         "as IV, with one joint model of parameter set and context",
         models=ModelOptions(joint=True),
+    ),
+    BOUNDARY: Algorithm(
+        "search, then repeated runs at the boundary of the limits, all pooled in one joint model",
+        models=ModelOptions(pooled=True),
+        drawn_contexts=2,
+        search_evaluations=3,
+        most_checked=0,
     ),
 }

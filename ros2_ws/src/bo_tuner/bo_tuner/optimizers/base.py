@@ -29,12 +29,16 @@ class Proposal:
         Numerical problems while it was proposed, one line each.
     hyperparameters
         As in `Trial`.
+    protocol
+        Evaluations of the trial: in drawn contexts, and those in the worst one. By default as the
+        study and the algorithm have it.
     """
 
     parameters: dict[str, Value]
     origin: str
     warnings: tuple[str, ...] = ()
     hyperparameters: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    protocol: tuple[int, int] | None = None
 
 
 class Optimizer(Protocol):

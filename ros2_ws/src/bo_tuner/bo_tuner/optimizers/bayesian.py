@@ -118,7 +118,14 @@ class BayesianOptimization(DesignedOptimizer):
         Which surrogate models to fit.
     acquisition
         Makes the acquisition function.
+
+    Attributes
+    ----------
+    avoid
+        Largest probability of a failure or an outlier of a proposal, as long as there are others.
     """
+
+    avoid = 0.5
 
     def __init__(
         self,
@@ -162,7 +169,7 @@ class BayesianOptimization(DesignedOptimizer):
 
     def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> tuple[Array | None, str]:
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
-        avoid = 0.5
+        avoid = self.avoid
         found = search.maximise(avoid=avoid)
         if not np.isfinite(found.value):
             # Every point is near a failure or an outlier: rank them by Eq. 5 without the cutoff.

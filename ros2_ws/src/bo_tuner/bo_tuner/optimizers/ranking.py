@@ -11,12 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.surrogates import (
+    BELIEVED_FEASIBLE,
+    CONFIDENT,
+    DEFAULT_MODELS,
+    ModelOptions,
+    Surrogates,
+)
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState
+from bo_tuner.trials import Trial, TrialState, pooled
 
 TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.
@@ -46,6 +52,8 @@ class Candidate:
         Mean over the neighbours of the relative losses beyond `TOLERABLE`, in cost and in limits.
     score
         Posterior mean of the cost plus the penalty in its unit; ranks the feasible candidates.
+    required
+        Lowest probability with which it counts as feasible.
     """
 
     trial: Trial
@@ -54,11 +62,12 @@ class Candidate:
     violation: float
     penalty: float
     score: float
+    required: float = BELIEVED_FEASIBLE
 
     @property
     def believed_feasible(self) -> bool:
-        """Whether the probability of feasibility is at least `BELIEVED_FEASIBLE`."""
-        return self.feasibility >= BELIEVED_FEASIBLE
+        """Whether the probability of feasibility is high enough."""
+        return self.feasibility >= self.required
 
 
 def rank(
@@ -84,9 +93,19 @@ def rank(
     list of Candidate
         Empty if no trial is complete.
     """
-    space = study.search_space()
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
     models = Surrogates.fit(study, trials, rng=rng, options=options)
+    return ranked_by(models, study, trials, options)
+
+
+def ranked_by(
+    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
+) -> list[Candidate]:
+    """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
+    space = study.search_space()
+    log_feasibility, required = models.log_feasibility, BELIEVED_FEASIBLE
+    if options.pooled:
+        trials, log_feasibility, required = pooled(trials), models.log_confidence, CONFIDENT
     # The data of the objective's model exclude the outliers, so it cannot judge them.
     complete = [
         t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
@@ -106,10 +125,11 @@ def rank(
             Candidate(
                 trial=trial,
                 objective=float(study.objective.from_cost(cost)),
-                feasibility=float(np.exp(models.log_feasibility(x)[0])),
+                feasibility=float(np.exp(log_feasibility(x)[0])),
                 violation=float(excess),
                 penalty=penalty,
                 score=float(cost + scale * penalty),
+                required=required,
             )
         )
     return sorted(

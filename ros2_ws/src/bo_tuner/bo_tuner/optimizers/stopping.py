@@ -117,7 +117,8 @@ class StopAdvisor:
             All trials so far; one more than in the call before.
         """
         budget = self._study.budget
-        done, remaining = len(trials), budget.trials - len(trials)
+        done = len(trials)
+        remaining = budget.remaining(done, sum(len(trial.evaluations) for trial in trials))
         if self.advice is not None or self._algorithm.random or remaining <= 0:
             return None
         if done < budget.initial_trials or done % PERIOD:

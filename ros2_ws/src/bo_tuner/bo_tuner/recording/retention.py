@@ -1,6 +1,7 @@
 """Which bags stay: what is worth keeping of a run, within a limit of size."""
 
 import contextlib
+import math
 import os
 import re
 import shutil
@@ -67,8 +68,8 @@ def badness(study: Study, trial: Trial) -> float:
     if (found := tightest(study, trial)) is not None:
         constraint, worst = found
         return constraint.excess(worst.value)
-    values = trial.observations(study.objective.metric)
-    return float(study.objective.sign * sum(values) / len(values))
+    mean = trial.mean(study.objective.metric)
+    return -math.inf if mean is None else float(study.objective.sign * mean)
 
 
 def evaluation_badness(study: Study, evaluation: Evaluation) -> tuple[bool, float]:

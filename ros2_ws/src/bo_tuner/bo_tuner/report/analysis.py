@@ -123,8 +123,8 @@ class Analysis:
 
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""
-        seen = trial.observations(self.study.objective.metric)
-        return sum(seen) / len(seen) if seen else math.nan
+        mean = trial.mean(self.study.objective.metric)
+        return math.nan if mean is None else mean
 
     def tuned_values(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return the tuned ones among `parameters`."""

@@ -148,6 +148,8 @@ class ContextSpace:
         """
         axes = [[0.0, 1.0]] * min(self.dimension, MOST_CORNER_DIMENSIONS)
         points = np.full((2 ** len(axes), self.dimension), 0.5)
+        if not axes:
+            return points
         points[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
         return points
 

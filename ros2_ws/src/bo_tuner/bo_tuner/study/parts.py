@@ -4,6 +4,7 @@ A violated rule raises a `StudyError` with the key path from the object to the v
 """
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -343,6 +344,7 @@ MOST = {
     "drawn_contexts": maxima.EVALUATIONS,
     "search_evaluations": maxima.EVALUATIONS,
     "validation_draws": maxima.DRAWS,
+    "evaluations": maxima.TRIALS * maxima.EVALUATIONS,
 }
 
 
@@ -377,24 +379,45 @@ class Budget:
         Trials, each of one parameter set, including the initial design.
     initial_trials : int
         Trials of the initial design.
-    drawn_contexts : int
-        Evaluations per trial in contexts drawn from their distribution.
-    search_evaluations : int
+    drawn_contexts : int, optional
+        Evaluations per trial in contexts drawn from their distribution. Unless given, the
+        algorithm's: 2, or 5 for I to V.
+    search_evaluations : int, optional
         Largest number of evaluations per trial in the search for the worst context, for all
-        worst-case constraints together.
+        worst-case constraints together. Unless given, the algorithm's: 3, or 10 for I to V.
     validation_draws : int
         Fresh draws of context and noise for the validation of the result.
+    evaluations : int, optional
+        Evaluations of all trials together; the tuning also ends with the trial that reaches it.
     """
 
     trials: int
     initial_trials: int
-    drawn_contexts: int = 5
-    search_evaluations: int = 10
+    drawn_contexts: int | None = None
+    search_evaluations: int | None = None
     validation_draws: int = 25
+    evaluations: int | None = None
+
+    def remaining(self, trials: int, evaluations: int) -> int:
+        """Return how many more trials the budget suffices for, after so many with so many.
+
+        Where evaluations limit it, further trials are expected to take as many each as the others.
+        """
+        left = self.trials - trials
+        if self.evaluations is not None:
+            each = max(evaluations, 1) / max(trials, 1)
+            left = min(left, math.ceil((self.evaluations - evaluations) / each))
+        return max(left, 0)
+
+    def is_spent(self, trials: int, evaluations: int) -> bool:
+        """Return whether so many trials, with so many evaluations, use up the budget."""
+        return self.remaining(trials, evaluations) == 0
 
     def __post_init__(self) -> None:
         """Check the fields."""
         for item in dataclasses.fields(self):
+            if item.default is None and getattr(self, item.name) is None:
+                continue
             lowest = 0 if item.name == "search_evaluations" else 1
             most = MOST[item.name]
             checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)

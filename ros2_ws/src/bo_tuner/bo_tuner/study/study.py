@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
@@ -283,13 +284,15 @@ class Study:
         drawn_contexts: int | None = None,
         search_evaluations: int | None = None,
         validation_draws: int | None = None,
+        evaluations: int | None = None,
         start: Sequence[Mapping[str, Value]] = (),
     ) -> "Study":
         """Return the study with another seed or budget, checked again; None keeps a value.
 
         The parameter sets in `start` are tried after those that the study has.
 
-        With `trials` alone, the initial design shrinks to that number if necessary.
+        With `trials` alone, the initial design shrinks to that number if necessary, and no number
+        of evaluations limits the run; with `evaluations` alone, no other number of trials does.
 
         Raises
         ------
@@ -302,8 +305,13 @@ class Study:
             "drawn_contexts": drawn_contexts,
             "search_evaluations": search_evaluations,
             "validation_draws": validation_draws,
+            "evaluations": evaluations,
         }
-        changes = {key: value for key, value in given.items() if value is not None}
+        changes: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+        if trials is not None and evaluations is None:
+            changes["evaluations"] = None
+        if evaluations is not None and trials is None:
+            changes["trials"] = max(evaluations, self.budget.initial_trials)
         if trials is not None and initial_trials is None:
             changes["initial_trials"] = max(1, min(self.budget.initial_trials, trials))
         try:

@@ -140,7 +140,9 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
     """Return the names of the constraints that a complete trial violates."""
     broken = []
     for chance in study.chance_constraints:
-        if not judge_sample(chance, trial.observations(chance.metric)).holds:
+        values = trial.observations(chance.metric)
+        # A repetition in the worst context alone has none, and says nothing of this limit.
+        if values and not judge_sample(chance, values).holds:
             broken.append(chance.name)
     for worst in study.worst_case_constraints:
         found = trial.worst_cases.get(worst.name)

@@ -73,7 +73,9 @@ class Tuning:
         RunError
             If three trials in a row were lost with their nodes or disturbed.
         """
-        while len(self.trials) < self._study.budget.trials:
+        while not self._study.budget.is_spent(
+            len(self.trials), sum(len(trial.evaluations) for trial in self.trials)
+        ):
             begin = time.monotonic()
             proposal = self._optimizer.ask()
             trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)
@@ -117,7 +119,7 @@ class Tuning:
         def rng() -> np.random.Generator:
             return generator(self._study.seed, Stream.SEARCH, number, len(done))
 
-        for stage, context in self._estimating_contexts(number):
+        for stage, context in self._estimating_contexts(number, proposal):
             outcome = run(stage, context)
             if outcome.state is not EvaluationState.COMPLETE:
                 return TrialState.FAILED, outcome.reason, {}
@@ -132,9 +134,12 @@ class Tuning:
             searches.tell(context, outcome.metrics)
         return TrialState.COMPLETE, "", searches.worst_cases(rng())
 
-    def _estimating_contexts(self, number: int) -> list[tuple[Stage, dict[str, float]]]:
+    def _estimating_contexts(
+        self, number: int, proposal: Proposal
+    ) -> list[tuple[Stage, dict[str, float]]]:
         if self._algorithm.nominal:
             return [(Stage.NOMINAL, self._contexts.to_dict(self._contexts.nominal()))]
         rng = generator(self._study.seed, Stream.CONTEXTS, number)
-        drawn = self._contexts.draw_stratified(self._study.budget.drawn_contexts, rng)
+        count, _ = self._algorithm.protocol(self._study, proposal)
+        drawn = self._contexts.draw_stratified(count, rng)
         return [(Stage.DRAWN, self._contexts.to_dict(row)) for row in drawn]

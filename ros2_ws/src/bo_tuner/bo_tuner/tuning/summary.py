@@ -165,12 +165,14 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
     study, algorithm = record.study, ALGORITHMS[record.algorithm]
-    if len(record.trials) < study.budget.trials and not record.stop_early:
+    evaluations = sum(len(trial.evaluations) for trial in record.trials)
+    spent = study.budget.is_spent(len(record.trials), evaluations)
+    if not spent and not record.stop_early:
         return None
     advisor = StopAdvisor(study, algorithm)
     for count in range(1, len(record.trials) + 1):
         advisor.consider(record.trials[:count])
-    if len(record.trials) < study.budget.trials and advisor.advice is None:
+    if not spent and advisor.advice is None:
         return None
     # What the trials hold is not given again.
     later = [item for item in record.evaluations if item.stage not in TUNING]

@@ -18,13 +18,14 @@ DEFAULT, TUNED = 0, 1
 def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
     """Return the verdict of a run that has no result, or none yet."""
     done, planned = len(trials), study.budget.trials
+    spent = study.budget.is_spent(done, sum(len(trial.evaluations) for trial in trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)
-    if done >= planned and failed == done:
+    if spent and failed == done:
         reasons = (f"All {failed} trials failed",)
         return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
     evidence = f"{done} of {planned} trials"
-    if done >= planned:
-        evidence = f"all {planned} trials are done but not validated"
+    if spent:
+        evidence = f"all {done} trials are done but not validated"
     return Verdict(state=State.OPEN, trial=None, evidence=evidence)
 
 

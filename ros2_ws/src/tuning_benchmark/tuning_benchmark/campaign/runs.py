@@ -220,7 +220,13 @@ def _run(study: Study, row: Row, seed: int, size: RunSize) -> Run | OwnContextsR
 def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
     """Study of one run: its seed, and more trials than its budget suffices for."""
     initial = size.initial_trials
-    study = study.replace(seed=seed, trials=max(size.evaluations, initial), initial_trials=initial)
+    study = study.replace(
+        seed=seed,
+        trials=max(size.evaluations, initial),
+        initial_trials=initial,
+        # An algorithm may divide its budget into parts.
+        evaluations=size.evaluations,
+    )
     if row.protocol == RANDOM:
         study = study.replace(drawn_contexts=row.contexts, search_evaluations=0)
     return study

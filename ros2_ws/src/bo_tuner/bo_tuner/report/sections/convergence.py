@@ -54,6 +54,8 @@ def convergence(analysis: Analysis) -> Section:
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
     evaluations = sum(len(trial.evaluations) for trial in trials)
     lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
+    if study.budget.evaluations is not None:
+        lead += f" of {study.budget.evaluations}"
     return Section(
         name="convergence",
         title="Convergence",

@@ -18,7 +18,7 @@ from bo_tuner.figures.figure import (
     Points,
     Scale,
 )
-from bo_tuner.models.constraints import SurrogateConstraint
+from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
@@ -92,7 +92,7 @@ def _constraint_slice(
     answer: Trial,
     grid: ParameterGrid,
     constraint: Constraint,
-    model: SurrogateConstraint,
+    model: LimitedResponse,
 ) -> Panel:
     points, allowed = _along(analysis, answer, grid)
     mean, variance = model.predict(points)

@@ -1,0 +1,146 @@
+"""Objective and worst-case constraint of a parameter set, by processes that include the context."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
+
+from bo_tuner.models.constraints import LimitedResponse, log_probability_below
+from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.parts import LOG, Objective
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedObjective:
+    """Cost of the expectation of the objective's metric over the contexts; see `Model`.
+
+    On the log scale the expectation is that of the metric itself, not of its logarithm: with
+    f(x, c) the process of log C and σ² its noise, E[C] is the mean of exp(f + σ²/2) over the
+    contexts. The variance is that of the mean of f over the contexts.
+
+    Attributes
+    ----------
+    process
+        Of the cost in a context.
+    contexts : ndarray, shape (k, e)
+        Drawn from their distribution, in the unit cube.
+    objective
+        The study's; says the scale.
+    """
+
+    process: JointProcess
+    contexts: Array
+    objective: Objective
+
+    @property
+    def points(self) -> Array:  # noqa: D102
+        return self.process.points
+
+    @property
+    def counts(self) -> Array:  # noqa: D102
+        return self.process.counts
+
+    @property
+    def length_scales(self) -> Array:  # noqa: D102
+        return self.process.length_scales[: self.points.shape[1]]
+
+    @property
+    def scale(self) -> float:  # noqa: D102
+        return self.process.scale
+
+    @property
+    def noise_variance(self) -> float:  # noqa: D102
+        return self.process.noise_variance
+
+    @property
+    def warm_start(self) -> tuple[float, ...]:  # noqa: D102
+        return self.process.warm_start
+
+    @property
+    def warnings(self) -> tuple[str, ...]:  # noqa: D102
+        return self.process.warnings
+
+    def predict(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the cost at x (m, d)."""
+        points = np.asarray(x, dtype=np.float64)
+        return self.predict_mean(points), self.process.variance_of_mean(points, self.contexts)
+
+    def predict_mean(self, x: ArrayLike) -> Array:
+        """Return the mean (m,) alone at x (m, d)."""
+        cost = self.process.means(np.asarray(x, dtype=np.float64), self.contexts)
+        if self.objective.scale != LOG:
+            linear: Array = cost.mean(axis=1)
+            return linear
+        logarithm = logsumexp(self.objective.sign * cost, axis=1) - np.log(len(self.contexts))
+        found: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
+        return found
+
+    def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return as `predict`, with a variance of 0 at `points`."""
+        points = np.asarray(x, dtype=np.float64)
+        mean, variance = self.predict(points)
+        evaluated = {point.tobytes() for point in self.points}
+        known = [point.tobytes() in evaluated for point in np.ascontiguousarray(points)]
+        return mean, np.where(known, 0.0, variance)
+
+    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
+        """Draw the cost independently at each of x (m, d), shape (count, m)."""
+        mean, variance = self.predict(x)
+        return mean + np.sqrt(variance) * rng.standard_normal((count, len(mean)))
+
+
+@dataclass(frozen=True, eq=False)
+class EveryContext(LimitedResponse):
+    """Limit on a metric in every context, by its process over parameter set and context.
+
+    A single run stays below mean + z σ, or above mean - z σ for a lower limit, with the
+    constraint's probability, where σ is the local noise; z = 0 if the limit is on the mean. The
+    uncertainty is that of both: with ν degrees of freedom the variance of z σ is about
+    z² σ² / (2 ν).
+
+    Attributes
+    ----------
+    process
+        Of the metric.
+    limit
+        In the metric's unit.
+    contexts : ndarray, shape (k, e)
+        Candidates for the worst one, in the unit cube.
+    deviations
+        z.
+    sign
+        1 for an upper limit, -1 for a lower one.
+    """
+
+    process: JointProcess
+    limit: float
+    contexts: Array
+    deviations: float = 0.0
+    sign: float = 1.0
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the constrained quantity in the worst context."""
+        worst = (self.sign * self.process.means(x, self.contexts)).argmax(axis=1)
+        return self.quantile(x, worst)
+
+    def quantile(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
+        mean = self.process.means(x, self.contexts)[np.arange(len(x)), which]
+        variance = self.process.variances(x, self.contexts, which)
+        if self.deviations == 0.0:
+            return mean, variance
+        noise, degrees = self.process.noise(x, self.contexts, which)
+        margin = self.deviations * np.sqrt(noise)
+        return mean + self.sign * margin, variance + margin**2 / (2.0 * degrees)
+
+    def least_log_probability(self, x: Array) -> Array:
+        """Return the log probability (m,) that the limit holds in the most doubtful context."""
+        found = np.full(len(x), np.inf)
+        for row in range(len(self.contexts)):
+            mean, variance = self.quantile(x, np.full(len(x), row))
+            found = np.minimum(
+                found, log_probability_below(self.sign * self.limit, self.sign * mean, variance)
+            )
+        return found

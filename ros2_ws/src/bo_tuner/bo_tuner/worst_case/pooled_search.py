@@ -1,0 +1,147 @@
+"""Stage two with one process over parameter set and context, whose noise is local."""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import sqrt
+
+import numpy as np
+
+from bo_tuner.models.categories import Coding
+from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.trials import WorstCase
+from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
+
+DECIDED = 2.0
+"""Standard deviations between the constrained quantity and the limit that end the search."""
+
+
+class PooledSearch:
+    """Search for the worst context of one parameter set, with an ask-and-tell interface.
+
+    Each evaluation is where the constrained quantity, the mean or the quantile of a run, has the
+    largest upper confidence bound, by a process to which all earlier evaluations contribute.
+
+    Parameters
+    ----------
+    space
+        The context space.
+    limit
+        Upper limit of the metric, in its unit.
+    deviations
+        Standard deviations of a single run between its mean and the limit; 0 for a limit on the
+        mean.
+    evaluations
+        Largest number of contexts that `ask` returns.
+    point
+        The parameter set (d,) in the unit cube.
+    x, c, y
+        Parameter sets (n, d) and contexts (n, e) in their unit cubes, and values (n,) of the metric
+        in earlier evaluations.
+    coding
+        Of the parameters' columns.
+    hyperparameters
+        Of the process, as in `JointProcess.condition`; by default they are fitted to the data.
+    until_clear
+        Whether the search ends when the decision is clear.
+    """
+
+    def __init__(
+        self,
+        space: ContextSpace,
+        limit: float,
+        deviations: float,
+        evaluations: int,
+        point: Array,
+        x: Array,
+        c: Array,
+        y: Array,
+        coding: Coding,
+        hyperparameters: Sequence[float] | None = None,
+        *,
+        until_clear: bool = True,
+    ) -> None:
+        self._space = space
+        self._limit = limit
+        self._deviations = deviations
+        self._evaluations = evaluations
+        self._point = point
+        self._x, self._c, self._y = x, c, y
+        self._coding = coding
+        self._hyperparameters = hyperparameters
+        self._until_clear = until_clear
+        self._process: JointProcess | None = None
+        self._observed: list[float] = []
+        self._asked = 0
+
+    def tell(self, context: Mapping[str, float], value: float) -> None:
+        """Add an evaluation: its context and the constrained metric."""
+        self._x = np.vstack([self._x, self._point])
+        self._c = np.vstack([self._c, self._to_cube(context)])
+        self._y = np.append(self._y, value)
+        self._observed.append(value)
+        self._process = None
+
+    def done(self, rng: np.random.Generator) -> bool:
+        """Return whether all evaluations are used or the decision is clear."""
+        if self._asked >= self._evaluations:
+            return True
+        if not self._until_clear:
+            return False
+        process = self._fit(rng)
+        context, _ = self._maximise(self._upper(process), rng)
+        mean, variance = self._quantile(process, self._to_cube(context))
+        distance = self._limit - float(mean[0])
+        error = DECIDED * sqrt(float(variance[0]))
+        # A process with few data can be overconfident: the limit counts as kept only after an
+        # evaluation where the upper confidence bound is largest.
+        return distance < -error or (distance > error and self._asked > 0)
+
+    def ask(self, rng: np.random.Generator) -> dict[str, float]:
+        """Return the context with the largest upper confidence bound."""
+        self._asked += 1
+        return self._maximise(self._upper(self._fit(rng)), rng)[0]
+
+    def worst_case(self, rng: np.random.Generator) -> WorstCase:
+        """Estimate the worst case from all evaluations so far, with the local noise there."""
+        process = self._fit(rng)
+        point = self._point[None]
+        context, value = self._maximise(lambda c: process.means(point, c)[0], rng)
+        noise, _ = process.noise(point, self._to_cube(context), np.zeros(1, dtype=np.intp))
+        return WorstCase(value, context, max(self._observed), sqrt(float(noise[0])))
+
+    def _fit(self, rng: np.random.Generator) -> JointProcess:
+        if self._process is None and self._hyperparameters is None:
+            self._process = JointProcess.fit(
+                self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
+            )
+        elif self._process is None and self._hyperparameters is not None:
+            self._process = JointProcess.condition(
+                self._hyperparameters, self._x, self._c, self._y, coding=self._coding
+            )
+        if self._process is None:
+            raise RuntimeError("unreachable: the process was just made")
+        return self._process
+
+    def _quantile(self, process: JointProcess, c: Array) -> tuple[Array, Array]:
+        everywhere = EveryContext(process, self._limit, c, self._deviations)
+        return everywhere.quantile(np.tile(self._point, (len(c), 1)), np.arange(len(c)))
+
+    def _upper(self, process: JointProcess) -> Callable[[Array], Array]:
+        def upper(c: Array) -> Array:
+            mean, variance = self._quantile(process, c)
+            return mean + np.sqrt(variance)
+
+        return upper
+
+    def _to_cube(self, context: Mapping[str, float]) -> Array:
+        return self._space.to_cube([[context[name] for name in self._space.names]])
+
+    def _maximise(
+        self, function: Callable[[Array], Array], rng: np.random.Generator
+    ) -> tuple[dict[str, float], float]:
+        own = self._c[len(self._c) - len(self._observed) :]
+        if self._space.dimension == 0:
+            return {}, float(function(np.empty((1, 0)))[0])
+        return maximise_over_contexts(self._space, function, rng, own)

@@ -1,0 +1,239 @@
+"""Processes over parameter set and context, against scikit-learn and closed forms."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from bo_tuner.models.categories import Coding
+from bo_tuner.models.crashes import CrashModel
+from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective
+from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.distributions import Uniform
+from bo_tuner.study.parts import Objective
+
+PLAIN = Coding((0,))
+CORNERS = np.array([[0.0], [0.5], [1.0]])
+
+
+def scattered(count, seed=0, sd=lambda c: 0.01):
+    """Values of x + c² with noise, at random points and, every third, at ones seen before."""
+    rng = np.random.default_rng(seed)
+    x, c = rng.random((count, 1)), rng.random((count, 1))
+    again = np.arange(2, count, 3)
+    x[again], c[again] = x[again - 1], c[again - 1]
+    y = x[:, 0] + c[:, 0] ** 2 + np.vectorize(sd)(c[:, 0]) * rng.standard_normal(count)
+    return x, c, y
+
+
+def fitted(x, c, y, coding=PLAIN):
+    return JointProcess.fit(x, c, y, coding=coding, rng=np.random.default_rng(0))
+
+
+def reference(process):
+    """The same posterior by scikit-learn, given kernel and noise, in the unit of the response."""
+    theta = process.hyperparameters
+    kernel = ConstantKernel(theta.signal**2) * RBF(theta.length_scales) + ConstantKernel(1.0)
+    x, c = process.data.x[:, : process.columns], process.data.x[:, process.columns :]
+    noise, _ = process.noise(x, c, np.arange(len(c)))
+    regressor = GaussianProcessRegressor(
+        kernel, alpha=noise / process.scale**2 / process.data.count, optimizer=None
+    )
+    return regressor.fit(process.data.x, process.data.mean)
+
+
+class TestPosterior:
+    @pytest.fixture
+    def process(self):
+        return fitted(*scattered(60))
+
+    def test_is_that_of_an_independent_library(self, process):
+        x = np.array([[0.1], [0.45], [0.9]])
+        which = np.array([2, 0, 1])
+        mean, deviation = reference(process).predict(
+            np.hstack([x, CORNERS[which]]), return_std=True
+        )
+        shift, scale = process.standardisation.shift, process.scale
+        means = process.means(x, CORNERS)[np.arange(3), which]
+        assert means == pytest.approx(shift + scale * mean, abs=1e-8)
+        variances = process.variances(x, CORNERS, which)
+        assert np.sqrt(variances) == pytest.approx(scale * deviation, rel=1e-4)
+
+    def test_of_the_mean_over_contexts(self, process):
+        """Its variance is the mean of all covariances of the contexts."""
+        z = np.hstack([np.full((3, 1), 0.45), CORNERS])
+        _, covariance = reference(process).predict(z, return_cov=True)
+        found = process.variance_of_mean(np.array([[0.45]]), CORNERS)
+        assert found == pytest.approx(process.scale**2 * covariance.mean(), rel=1e-4)
+
+    def test_conditioned_on_more_data(self):
+        x, c, y = scattered(60)
+        process = fitted(x, c, y)
+        again = JointProcess.condition(process.warm_start, x, c, y, coding=PLAIN)
+        assert again.means(x, CORNERS) == pytest.approx(process.means(x, CORNERS))
+
+    def test_without_contexts(self):
+        x, _, _ = scattered(40)
+        nothing = np.empty((40, 0))
+        process = fitted(x, nothing, 2.0 * x[:, 0])
+        at = np.array([[0.3], [0.7]])
+        assert process.means(at, np.empty((1, 0)))[:, 0] == pytest.approx([0.6, 1.4], abs=0.01)
+
+    def test_of_choices(self):
+        """Three choices without an order, each with its own level."""
+        rng = np.random.default_rng(0)
+        x = rng.integers(0, 3, (60, 1)) / 2.0
+        level = np.array([1.0, -2.0, 0.5])[np.rint(2.0 * x[:, 0]).astype(int)]
+        process = fitted(x, rng.random((60, 1)), level, Coding((3,)))
+        found = process.means(np.array([[0.0], [0.5], [1.0]]), CORNERS)[:, 1]
+        assert found == pytest.approx([1.0, -2.0, 0.5], abs=0.05)
+        assert sorted(process.points[:, 0]) == [0.0, 0.5, 1.0]
+        assert process.counts.sum() == 60
+
+
+class TestLocalNoise:
+    @pytest.mark.parametrize("seed", range(3))
+    def test_follows_the_context(self, seed):
+        """Noise of 0.01 on one side and of 0.05 on the other; the common one is 0.036."""
+        x, c, y = scattered(300, seed, sd=lambda c: 0.01 if c < 0.5 else 0.05)
+        process = fitted(x, c, y)
+        variance, degrees = process.noise(np.full((2, 1), 0.5), CORNERS, np.array([0, 2]))
+        ratio = np.sqrt(variance) / [0.01, 0.05]
+        assert (np.abs(np.log(ratio)) < np.log(1.7)).all()
+        assert (degrees > 30).all()
+
+    def test_is_the_common_one_where_nothing_was_tried(self):
+        x, c, y = scattered(100)
+        process = fitted(0.1 * x, 0.1 * c, y)
+        far = process.noise(np.array([[1.0]]), CORNERS, np.array([2]))
+        assert far[0] == pytest.approx([process.noise_variance], rel=0.1)
+        assert far[1] == pytest.approx([2.0], abs=0.5)
+
+    def test_of_repetitions_of_one_point(self):
+        """In number, they determine it: the sample's own standard deviation."""
+        values = np.random.default_rng(1).normal(2.0, 0.3, 400)
+        process = fitted(np.full((400, 1), 0.5), np.full((400, 1), 1.0), values)
+        variance, _ = process.noise(np.array([[0.5]]), CORNERS, np.array([2]))
+        assert np.sqrt(variance) == pytest.approx([values.std(ddof=1)], rel=0.02)
+
+
+class TestExpectedObjective:
+    """log C = 0.5 + x + c + noise with c uniform in [0, 1], so E[C] is in closed form."""
+
+    NOISE = 0.2
+
+    def expected(self, sign):
+        rng = np.random.default_rng(0)
+        x, c = rng.random((300, 1)), rng.random((300, 1))
+        log = 0.5 + x[:, 0] + c[:, 0] + self.NOISE * rng.standard_normal(300)
+        objective = Objective(
+            metric="C", scale="log", direction="minimize" if sign > 0 else "maximize"
+        )
+        contexts = ContextSpace({"c": Uniform(bounds=(0.0, 1.0))})
+        drawn = contexts.draw_stratified(256, np.random.default_rng(1))
+        process = fitted(x, c, objective.to_cost(np.exp(log)))
+        return ExpectedObjective(process, contexts.to_cube(drawn), objective), objective
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_is_that_of_the_metric_not_of_its_logarithm(self, sign):
+        model, objective = self.expected(sign)
+        x = np.array([[0.2], [0.5], [0.8]])
+        truth = np.exp(0.5 + x[:, 0]) * (np.e - 1.0) * np.exp(0.5 * self.NOISE**2)
+        mean, variance = model.predict(x)
+        assert objective.from_cost(mean) == pytest.approx(truth, rel=0.05)
+        assert np.sqrt(variance).max() < 0.05
+        # The mean of the logarithm is 4.1 % and the noise 2 % lower.
+        assert objective.from_cost(mean) == pytest.approx(model_of_samples(model, x), rel=0.05)
+
+    def test_on_a_linear_scale(self):
+        x, c, y = scattered(200)
+        model = ExpectedObjective(fitted(x, c, y), CORNERS, Objective(metric="C"))
+        mean, _ = model.predict(np.array([[0.4]]))
+        assert mean == pytest.approx([0.4 + (0.0 + 0.25 + 1.0) / 3.0], abs=0.02)
+
+    def test_reinterpolated_where_it_was_evaluated(self):
+        x, c, y = scattered(50)
+        model = ExpectedObjective(fitted(x, c, y), CORNERS, Objective(metric="C"))
+        _, variance = model.predict_reinterpolated(np.vstack([x[:1], [[0.123456]]]))
+        assert variance[0] == 0.0
+        assert variance[1] > 0.0
+
+
+def model_of_samples(model, x):
+    """The expectation by draws of the latent process of each context."""
+    rng = np.random.default_rng(2)
+    means = model.process.means(x, model.contexts) * model.objective.sign
+    noise = np.sqrt(model.process.noise_variance) * rng.standard_normal((200, *means.shape))
+    return np.exp(means + noise).mean(axis=(0, 2))
+
+
+class TestEveryContext:
+    def test_is_the_worst_case(self):
+        """The worst of x + c² is x + 1."""
+        constraint = EveryContext(fitted(*scattered(150)), 1.5, CORNERS)
+        x = np.linspace(0.0, 1.0, 9)[:, None]
+        mean, variance = constraint.predict(x)
+        assert mean == pytest.approx(x[:, 0] + 1.0, abs=0.03)
+        probability = np.exp(constraint.log_probability(x))
+        assert probability[x[:, 0] < 0.45].min() > 0.95
+        assert probability[x[:, 0] > 0.55].max() < 0.05
+        assert variance.max() < 0.03**2
+
+    def test_a_run_keeps_its_distance_by_the_noise_of_that_context(self):
+        process = fitted(*scattered(400, sd=lambda c: 0.01 if c < 0.5 else 0.05))
+        x = np.array([[0.5]])
+        of_mean = EveryContext(process, 1.5, CORNERS)
+        of_runs = EveryContext(process, 1.5, CORNERS, float(norm.ppf(0.9)))
+        margin = of_runs.predict(x)[0] - of_mean.predict(x)[0]
+        assert margin == pytest.approx([norm.ppf(0.9) * 0.05], rel=0.3)
+        assert of_runs.predict(x)[1] > of_mean.predict(x)[1]
+
+    def test_the_most_doubtful_context_counts(self):
+        """No run was in the upper half of the contexts: nothing is shown there."""
+        x, c, y = scattered(100)
+        constraint = EveryContext(fitted(x, 0.5 * c, y), 3.0, CORNERS)
+        at = np.array([[0.5]])
+        alone = EveryContext(constraint.process, 3.0, CORNERS[:1])
+        least = constraint.least_log_probability(at)
+        assert least < alone.least_log_probability(at)
+        each = [
+            EveryContext(constraint.process, 3.0, CORNERS[k : k + 1]).log_probability(at)
+            for k in range(3)
+        ]
+        assert least == pytest.approx(np.min(each, axis=0))
+
+
+class TestCrashModel:
+    def fit(self, crashed):
+        x, c, _ = scattered(60)
+        labels = crashed(x[:, 0], c[:, 0])
+        neighbours = NeighbourClassifier(x, labels, np.array([0.25]))
+        return CrashModel.fit(
+            x, c, labels, coding=PLAIN, contexts=CORNERS, neighbours=neighbours,
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+
+    def test_learns_where_runs_fail(self):
+        model = self.fit(lambda x, c: x > 0.6)
+        probability = model.probability(np.array([[0.1], [0.4], [0.75], [0.95]]))
+        assert (probability[:2] < 0.15).all()
+        assert (probability[2:] > 0.85).all()
+
+    def test_one_context_is_enough(self):
+        """Only under the largest loads does a run fail; at 0.1 never."""
+        model = self.fit(lambda x, c: x * c > 0.4)
+        low, high = model.probability(np.array([[0.1], [0.9]]))
+        assert low < 0.15
+        assert high > 0.85
+
+    def test_close_to_a_failed_set_its_neighbours_decide(self):
+        model = self.fit(lambda x, c: x > 0.6)
+        failed = model.neighbours.x[model.labels]
+        assert (model.probability(failed) == 1.0).all()
+
+    def test_no_failure_no_doubt(self):
+        model = self.fit(lambda x, c: np.zeros(len(x), dtype=bool))
+        assert (model.probability(np.array([[0.1], [0.9]])) == 0.0).all()
