@@ -1,27 +1,35 @@
 """The sections of the page, made anew from the journal whenever the run has come further."""
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.content import Section
 from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html, trial_html
+from bo_tuner.report.sections.appendix import all_trials
+from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
 
+Maker = Callable[[Analysis], Section | None]
+
 ANSWER = "answer"
 SLOW = (influence,)
 """Sections that take longer than a trial may, and are made at the end only."""
+FAST = (failures, all_trials)
+"""Sections that need no model, and are made first: what a trial was shows at once."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A section as it stands on the page: its name and its HTML."""
+    """A section as it stands on the page: its name, its place from the top, and its HTML."""
 
     name: str
+    place: int
     html: str
 
 
@@ -54,11 +62,10 @@ class LiveSections:
     def parts(self, *, ended: bool) -> Iterator[Part]:
         """Yield the sections in the order in which they are ready."""
         analysis = self.analysis(ended=ended)
-        yield Part(ANSWER, answer_html(analysis))
-        for make in SECTIONS:
-            section = make(analysis) if ended or make not in SLOW else None
-            if section is not None:
-                yield Part(section.name, section_html(section))
+        later = [make for make in SECTIONS if make not in FAST and (ended or make not in SLOW)]
+        yield from _made(analysis, FAST)
+        yield Part(ANSWER, 0, answer_html(analysis))
+        yield from _made(analysis, later)
 
     def shell(self) -> str:
         """Return the page without sections, which the browser asks for."""
@@ -72,6 +79,12 @@ class LiveSections:
             return None
         trial = analysis.trials[number]
         return trial_html(analysis, trial, trial_sections(analysis, trial), home="/")
+
+
+def _made(analysis: Analysis, makers: Iterable[Maker]) -> Iterator[Part]:
+    for make in makers:
+        if (section := make(analysis)) is not None:
+            yield Part(section.name, 1 + SECTIONS.index(make), section_html(section))
 
 
 def _ignore(_: str) -> None:

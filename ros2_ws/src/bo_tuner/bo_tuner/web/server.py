@@ -126,7 +126,7 @@ class LiveState:
                 if part.name not in self.parts or self.parts[part.name][1] != part:
                     self.parts[part.name] = self.version + 1, part
                     self._publish()
-            # In the order of the report, without those that no longer apply.
+            # Without those that no longer apply.
             self.parts = {name: self.parts[name] for name in names}
             problem = ""
         except BoTunerError as error:
@@ -214,7 +214,7 @@ class State(Page):
                     "now": state.now,
                     "problem": state.problem,
                     "complete": state.complete,
-                    "order": list(state.parts),
+                    "order": sorted(state.parts, key=lambda name: state.parts[name][1].place),
                     "sections": {
                         name: part.html
                         for name, (since, part) in state.parts.items()
