@@ -23,9 +23,9 @@ from common import RESULTS, provenance, table, write_result
 import bo_tuner.cli.session
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.interruption import Interruption
-from bo_tuner.monitoring.monitor import Monitor
 from bo_tuner.monitoring.node import HEADLINES, LiveNode
 from bo_tuner.monitoring.progress import RunProgress
+from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.stopping import StopAdvisor
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
@@ -90,8 +90,10 @@ class Meter:
 def install(meter: Meter) -> list[subprocess.Popen]:
     """Have the product's classes measured; returns a list that gets the listener when it starts."""
     listeners: list[subprocess.Popen] = []
-    for name in ("begin", "recall", "cut", "advance", "trial"):
-        setattr(Monitor, name, meter.timed("calls", getattr(Monitor, name)))
+    steps = {"begin", "recall", "evaluation", "advance", "trial"}
+    for observer in (RunStatus, RunProgress, LiveNode):
+        for name in steps.intersection(vars(observer)):
+            setattr(observer, name, meter.timed("calls", getattr(observer, name)))
     StopAdvisor.consider = meter.timed("advice", StopAdvisor.consider)
     bo_tuner.cli.session.rank = meter.timed("incumbent", bo_tuner.cli.session.rank)
     enter, leave, draw_no_more = LiveNode.__init__, LiveNode.close, RunProgress.__exit__
