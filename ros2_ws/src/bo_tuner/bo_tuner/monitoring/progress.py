@@ -217,7 +217,8 @@ def describe(trial: Trial, study: Study) -> str:
     values = trial.observations(study.objective.metric)
     text = f"{where}  {_pair(study.objective.metric, sum(values) / len(values))}"
     for worst in study.worst_case_constraints:
-        value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_cases[worst.name].value)
+        name = f"worst {worst.limited}".replace(" ", JOIN)
+        value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
     if broken := violated(study, trial):
         text += f"  violates {', '.join(broken)}"
