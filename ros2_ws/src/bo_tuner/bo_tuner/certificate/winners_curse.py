@@ -88,7 +88,7 @@ def training_gaps(
         if constraint.worst and estimate is not None:
             gaps.append(
                 Gap(
-                    name=f"worst mean {constraint.metric}",
+                    name=f"worst mean {study.constraints[constraint.name].limited}",
                     unit=constraint.unit,
                     # Like with like: the largest observation would exceed both means.
                     observed=estimate.value,

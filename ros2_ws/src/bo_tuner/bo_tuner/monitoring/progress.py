@@ -217,7 +217,8 @@ def describe(trial: Trial, study: Study) -> str:
     mean = trial.mean(study.objective.metric)
     text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
     for worst in study.worst_case_constraints:
-        value = _pair(f"worst{JOIN}{worst.metric}", trial.worst_cases[worst.name].value)
+        name = f"worst {worst.limited}".replace(" ", JOIN)
+        value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
     if broken := violated(study, trial):
         text += f"  violates {', '.join(broken)}"

@@ -84,7 +84,7 @@ def _of_constraint(
     change, bound = Change.UNKNOWN, nan
     if constraint.kind == WORST_CASE and name in default.worst and name in tuned.worst:
         theirs, ours = default.worst[name], tuned.worst[name]
-        label = f"worst-case {metric}" if constraint.sign > 0.0 else f"worst-case lowest {metric}"
+        label = f"worst-case {constraint.limited}"
         values = theirs.value, ours.value
         bound = ours.bound
         difference = unpaired(

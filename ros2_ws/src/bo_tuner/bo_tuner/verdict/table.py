@@ -79,8 +79,8 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
     for quantity in verdict.quantities:
         if quantity.remark:
             bound = quantity.bound
-            upper = f"upper bound {shown(bound)}; " if isfinite(bound) else ""
-            yield f"{quantity.label}: {upper}{quantity.remark}"
+            bounded = f"bound of the mean {shown(bound)}; " if isfinite(bound) else ""
+            yield f"{quantity.label}: {bounded}{quantity.remark}"
     yield (
         f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "
         "confidence interval"

@@ -4,7 +4,6 @@ import numpy as np
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
-from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study_file import study_to_yaml
 
 RESULT, NEIGHBOUR = "result", "neighbour"
@@ -20,7 +19,7 @@ def all_trials(analysis: Analysis) -> Section:
     worst = study.worst_case_constraints
     header = ["trial", "origin", *(_with_unit(n, study.parameters[n].unit) for n in names)]
     header.append(_with_unit(f"mean {metric.name}", metric.unit))
-    header += [_with_unit(_worst(c), study.metrics[c.metric].unit) for c in worst]
+    header += [_with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
     header += ["evaluations", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []
@@ -83,10 +82,6 @@ def provenance(analysis: Analysis) -> Section:
             ),
         ],
     )
-
-
-def _worst(constraint: Constraint) -> str:
-    return f"worst {'' if constraint.sign > 0.0 else 'lowest '}{constraint.metric}"
 
 
 def _with_unit(name: str, unit: str) -> str:
