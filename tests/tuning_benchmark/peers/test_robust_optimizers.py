@@ -14,7 +14,7 @@ from tuning_benchmark.problems.closed_form import ClosedForm
 
 pytestmark = [pytest.mark.filterwarnings("ignore"), pytest.mark.timeout(600)]
 
-JUDGE = "tuning_benchmark.problems.judge:Judge"
+JUDGE = "tuning_benchmark.judging.closed_form:Judge"
 PEERS = {
     "StableOpt": ("tuning_benchmark.peers.confidence_bounds:StableOpt", ""),
     "CARBO": ("tuning_benchmark.peers.confidence_bounds:Carbo", ""),

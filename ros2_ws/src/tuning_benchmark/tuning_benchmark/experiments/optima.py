@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study.parts import WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.study.study_file import study_to_mapping
 from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study
 
 JUDGED = ("nodes", "parameters", "contexts", "metrics", "objective", "constraints", "order")
@@ -83,11 +82,12 @@ def study_digest(study: Study) -> str:
     Seed, budget and what is tried first are no part of it, nor is the probability of the worst-case
     constraint, since a search says itself what it asked for.
     """
-    content = yaml.safe_load(study_to_yaml(study))
+    content: dict[str, Any] = dict(study_to_mapping(study))
     judged = {key: content[key] for key in JUDGED if key in content}
-    for constraint in judged.get("constraints", {}).values():
-        if constraint["kind"] == WORST_CASE:
-            constraint.pop("probability", None)
+    judged["constraints"] = {
+        name: {k: v for k, v in item.items() if k != "probability" or item["kind"] != WORST_CASE}
+        for name, item in content.get("constraints", {}).items()
+    }
     return hashlib.sha256(json.dumps(judged, sort_keys=True).encode()).hexdigest()[:16]
 
 
