@@ -8,7 +8,7 @@ import pytest
 from bo_tuner.errors import RunRecordError
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.recording.signal_bag import RecordedRun
-from bo_tuner.report import trial_page
+from bo_tuner.report import recorded_signals
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.trials import TrialState
@@ -55,7 +55,7 @@ def test_a_bag_without_signals_is_named(traced, monkeypatch):
     trial, parts = page_of(traced, TrialState.COMPLETE)
     name = f"bags/trial_{trial.number:04d}"
     assert name not in parts["signals"].lead
-    monkeypatch.setattr(trial_page, "recorded_runs", lambda _: iter(()))
+    monkeypatch.setattr(recorded_signals, "recorded_runs", lambda _: iter(()))
     bag = traced.record.path / name
     bag.mkdir(parents=True)
     try:
@@ -76,7 +76,7 @@ def test_recorded_signals_come_first(traced, monkeypatch):
     own = dataclasses.replace(other, evaluation={"index": worst.index})
     bag = traced.record.path / "bags" / f"trial_{trial.number:04d}"
     bag.mkdir(parents=True)
-    monkeypatch.setattr(trial_page, "recorded_runs", lambda _: iter([other, own]))
+    monkeypatch.setattr(recorded_signals, "recorded_runs", lambda _: iter([other, own]))
     try:
         _, parts = page_of(traced, TrialState.COMPLETE)
         assert parts["signals"].lead.startswith("Recorded in bags/")
@@ -86,7 +86,7 @@ def test_recorded_signals_come_first(traced, monkeypatch):
         def damaged(_):
             raise RunRecordError("bags/x: cannot be read")
 
-        monkeypatch.setattr(trial_page, "recorded_runs", damaged)
+        monkeypatch.setattr(recorded_signals, "recorded_runs", damaged)
         _, parts = page_of(traced, TrialState.COMPLETE)
         assert parts["signals"].lead == "No signals: bags/x: cannot be read."
     finally:

@@ -39,7 +39,11 @@ class TestShippedStudies:
             "lambda_kf": -1.0,
         }
         assert study.budget == Budget(
-            trials=80, evaluations=160, initial_trials=10, validation_draws=25
+            trials=30,
+            initial_trials=10,
+            drawn_contexts=5,
+            search_evaluations=10,
+            validation_draws=25,
         )
 
     def test_full_is_the_scenario(self):
@@ -49,7 +53,7 @@ class TestShippedStudies:
         np.testing.assert_array_equal([space.lower, space.upper], [[1, 1, -5, -5], [20, 25, 1, 2]])
         assert study.order == (("control_horizon", "prediction_horizon"),)
         assert space.defaults == load_study("benchmark").search_space().defaults
-        assert (study.budget.evaluations, study.budget.initial_trials) == (300, 20)
+        assert (study.budget.trials, study.budget.initial_trials) == (80, 20)
 
     @pytest.mark.parametrize("name", ["benchmark", "full"])
     def test_contexts_and_constraints_are_the_scenario(self, name):
@@ -256,8 +260,7 @@ class TestBudget:
         assert budget.is_spent(100, 10)
 
     def test_another_budget_replaces_it(self):
-        study = load_study("benchmark")
-        trials = study.replace(trials=30).budget
+        evaluations = load_study("benchmark").replace(evaluations=300)
+        assert (evaluations.budget.trials, evaluations.budget.evaluations) == (300, 300)
+        trials = evaluations.replace(trials=30).budget
         assert (trials.trials, trials.evaluations) == (30, None)
-        evaluations = study.replace(evaluations=300).budget
-        assert (evaluations.trials, evaluations.evaluations) == (300, 300)

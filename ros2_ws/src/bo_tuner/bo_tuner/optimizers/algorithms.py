@@ -178,7 +178,7 @@ class Algorithm:
 
 
 BOUNDARY = "boundary"
-DEFAULT_ALGORITHM = BOUNDARY
+DEFAULT_ALGORITHM = "IV"
 
 ALGORITHMS = {
     "I": Algorithm("Bayesian optimization on the nominal model", nominal=True, most_checked=0),

@@ -1,4 +1,4 @@
-"""The default algorithm: search, then settle which side of the limits the best points are on.
+"""The algorithm `boundary`: search, then settle which side of the limits the best points are on.
 
 Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
 is not finding it but knowing on which side of it a parameter set is. The first part of the budget
@@ -58,7 +58,7 @@ WORTH_REPEATING = 0.02
 
 
 class BoundaryOptimization(BayesianOptimization):
-    """Optimizer of the default algorithm.
+    """Optimizer of the algorithm `boundary`.
 
     Parameters
     ----------

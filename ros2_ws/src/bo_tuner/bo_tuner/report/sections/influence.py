@@ -12,7 +12,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table
-from bo_tuner.trials import Trial
+from bo_tuner.trials import Trial, pooled
 
 FEWEST_FOR_EACH = 5
 """Trials for each parameter, below which a model over all of them says nothing."""
@@ -25,7 +25,8 @@ def influence(analysis: Analysis) -> Section | None:
     space = analysis.study.search_space()
     chosen = [
         trial
-        for trial in analysis.trials
+        # A repetition in the worst context alone has no mean of its own.
+        for trial in pooled(analysis.trials)
         if analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
     ]
     if space.dimension < 2 or len(chosen) < FEWEST_FOR_EACH * space.dimension:
