@@ -171,7 +171,7 @@ class TestVerdict:
         assert objective["validated"] == found["tuned"]["objective"]["value"]
         assert objective["gap"] == pytest.approx(objective["validated"] - objective["observed"])
         assert worst["unit"] == ""
-        assert found["context_tolerance"]["variables"][0]["name"] == "load"
+        assert found["context_tolerances"][0]["variables"][0]["name"] == "load"
         assert found["parameter_sensitivity"]["optimum"]["parameters"]["gain"] == gain
 
     def test_each_attempt_has_own_draws_and_a_smaller_share(self, here, folder):

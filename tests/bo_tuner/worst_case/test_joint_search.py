@@ -50,7 +50,7 @@ class TestCandidateContexts:
 class TestJointConstraint:
     def test_is_the_worst_case_of_every_parametrization(self, plane):
         model = GaussianProcess.fit(*observed(150), rng=np.random.default_rng(0))
-        constraint = JointConstraint(model, 2.0, plane.candidates())
+        constraint = JointConstraint(model, 2.0, contexts=plane.candidates())
         x = np.linspace(0.0, 1.0, 9)[:, None]
         mean, variance = constraint.predict(x)
         truth = x[:, 0] + 1.5

@@ -79,7 +79,7 @@ def test_a_judge_that_refuses_a_study_is_one_line(make_study):
 
 
 def test_a_study_without_a_worst_case_cannot_be_judged(study):
-    with pytest.raises(StudyError, match="expected a worst_case constraint"):
+    with pytest.raises(StudyError, match="expected one worst_case constraint"):
         Truth(dataclasses.replace(study, constraints={}), JUDGE)
 
 
