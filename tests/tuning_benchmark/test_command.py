@@ -192,7 +192,7 @@ def test_records_of_another_version_are_not_mixed(refused, tmp_path):
         (["--page-only"], "error: no run of closed is on record"),
         (
             ["--experiment", "none"],
-            "error: unknown experiment 'none'; shipped are choices, paper, peers, ",
+            "error: unknown experiment 'none'; shipped are boundary, choices, closed_form, ",
         ),
         (["--records", "/proc/none"], "error: .*/proc/none/closed.jsonl: cannot be written"),
     ],
