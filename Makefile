@@ -28,7 +28,7 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 
 # Processes of the benchmark and of the tests.
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
-EXPERIMENTS ?= paper peers choices closed_form
+EXPERIMENTS ?= paper peers choices boundary closed_form
 
 .PHONY: help setup tune quadrotor cessna benchmark test lint types format check colcon clean
 .NOTPARALLEL:
