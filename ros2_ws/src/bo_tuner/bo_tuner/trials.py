@@ -188,6 +188,11 @@ class Trial:
         return any(evaluation.outcome.spoilt for evaluation in self.evaluations)
 
 
+def count_evaluations(trials: Iterable[Trial]) -> int:
+    """Return how many evaluations the trials have together; those that check them do not count."""
+    return sum(len(trial.evaluations) for trial in trials)
+
+
 def pooled(trials: Iterable[Trial]) -> list[Trial]:
     """Join the trials of each parameter set, such as its repetitions, into its first one.
 

@@ -33,7 +33,7 @@ from bo_tuner.study.changes import comparable, summarized
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import Describe, load_study, shipped_studies
-from bo_tuner.trials import Trial
+from bo_tuner.trials import Trial, count_evaluations
 from bo_tuner.web.address import listen
 
 DESCRIPTION = """\
@@ -316,7 +316,7 @@ def _port(text: str) -> int:
 def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser) -> None:
     """Refuse to continue a run to what it has already, or to what it was to have anyway."""
     trials, evaluations = record.study.budget.trials, record.study.budget.evaluations
-    done = sum(len(trial.evaluations) for trial in record.trials)
+    done = count_evaluations(record.trials)
     if evaluations is not None:
         # The run may have ended before its last trial.
         trials = len(record.trials)
@@ -363,7 +363,7 @@ def _check_comparable(
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
     if not record.trials:
         raise RunRecordError(f"{record.path}: has no whole trial to begin with")
-    evaluations = sum(len(trial.evaluations) for trial in record.trials)
+    evaluations = count_evaluations(record.trials)
     if study.budget.is_spent(len(record.trials), evaluations):
         if study.budget.evaluations is not None and evaluations >= study.budget.evaluations:
             parser.error(

@@ -25,7 +25,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, pooled
+from bo_tuner.trials import EvaluationState, Trial, TrialState, pooled
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
@@ -280,7 +280,7 @@ class _Fitting:
         ]
         return CrashModel.fit(
             np.array([point for point, _ in runs]).reshape(-1, self._space.dimension),
-            cube_of([evaluation for _, evaluation in runs], contexts),
+            contexts.cube_of([evaluation.context for _, evaluation in runs]),
             np.array([e.outcome.state is not EvaluationState.COMPLETE for _, e in runs], bool),
             coding=self._coding,
             contexts=contexts.candidates(),
@@ -354,16 +354,10 @@ def joint_observations(
     for trial in trials:
         for evaluation in trial.evaluations:
             if evaluation.outcome.state is EvaluationState.COMPLETE:
-                context = cube_of([evaluation], contexts)[0]
+                context = contexts.cube_of([evaluation.context])[0]
                 rows.append(np.append(cube[trial.number], context))
                 values.append(evaluation.outcome.metrics[metric])
     return np.array(rows), np.array(values)
-
-
-def cube_of(evaluations: Sequence[Evaluation], contexts: ContextSpace) -> Array:
-    """Return the contexts (n, e) of evaluations in the unit cube."""
-    rows = [[evaluation.context[name] for name in contexts.names] for evaluation in evaluations]
-    return contexts.to_cube(np.array(rows).reshape(len(rows), contexts.dimension))
 
 
 def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:

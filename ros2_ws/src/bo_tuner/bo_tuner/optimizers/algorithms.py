@@ -7,7 +7,7 @@ import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, cube_of, joint_observations
+from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, joint_observations
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.boundary import BoundaryOptimization
@@ -138,7 +138,7 @@ class Algorithm:
                 np.array([space.to_cube(t.parameters) for t, _ in evaluations]).reshape(
                     -1, space.dimension
                 ),
-                cube_of([e for _, e in evaluations], contexts),
+                contexts.cube_of([e.context for _, e in evaluations]),
                 sign * np.array([e.outcome.metrics[constraint.metric] for _, e in evaluations]),
                 coding,
                 proposal.hyperparameters.get(constraint.name) or None,

@@ -31,7 +31,7 @@ from bo_tuner.optimizers.bayesian import (
 )
 from bo_tuner.optimizers.ranking import Candidate, ranked_by
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Stage, Trial
+from bo_tuner.trials import Stage, Trial, count_evaluations
 
 REPETITION = "repetition"
 
@@ -183,6 +183,5 @@ def spent(study: Study, trials: Sequence[Trial]) -> float:
     """Return the part of the budget that trials have used."""
     parts = [len(trials) / study.budget.trials]
     if study.budget.evaluations is not None:
-        used = sum(len(trial.evaluations) for trial in trials)
-        parts.append(used / study.budget.evaluations)
+        parts.append(count_evaluations(trials) / study.budget.evaluations)
     return max(parts)

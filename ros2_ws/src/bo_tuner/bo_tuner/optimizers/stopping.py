@@ -33,7 +33,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial
+from bo_tuner.trials import Trial, count_evaluations
 
 PERIOD = 5
 """Number of trials between two computations, each of which costs about as much as a proposal."""
@@ -118,7 +118,7 @@ class StopAdvisor:
         """
         budget = self._study.budget
         done = len(trials)
-        remaining = budget.remaining(done, sum(len(trial.evaluations) for trial in trials))
+        remaining = budget.remaining(done, count_evaluations(trials))
         if self.advice is not None or self._algorithm.random or remaining <= 0:
             return None
         if done < budget.initial_trials or done % PERIOD:

@@ -283,7 +283,7 @@ def _keep_damaged(path: Path) -> Path:
             if file.exists():
                 write_atomically(kept.with_name(kept.name + suffix), file.read_bytes())
     except OSError as error:
-        raise JournalError(f"{path}: cannot be copied: {error.strerror}") from error
+        raise JournalError(f"{path}: cannot be copied: {error.strerror or error}") from error
     return kept
 
 

@@ -1,6 +1,6 @@
 """The context space: a box for the worst-case search, a distribution for random draws."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +116,17 @@ class ContextSpace:
         rows = self._rows(contexts, "contexts")
         cube: Array = (rows - self.lower) / (self.upper - self.lower)
         return np.clip(cube, 0.0, 1.0)
+
+    def cube_of(self, contexts: Sequence[Mapping[str, float]]) -> Array:
+        """Map n contexts, by the names of their variables, to points (n, d) of the unit cube.
+
+        Raises
+        ------
+        ParameterError
+            If a value is not finite.
+        """
+        rows = [[context[name] for name in self.names] for context in contexts]
+        return self.to_cube(np.array(rows).reshape(len(rows), self.dimension))
 
     def clip(self, contexts: ArrayLike) -> Array:
         """Return the nearest possible contexts, shape (n, d), for `contexts`, shape (n, d).

@@ -18,6 +18,7 @@ from bo_tuner.trials import (
     Trial,
     TrialState,
     WorstCase,
+    count_evaluations,
 )
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -73,9 +74,7 @@ class Tuning:
         RunError
             If three trials in a row were lost with their nodes or disturbed.
         """
-        while not self._study.budget.is_spent(
-            len(self.trials), sum(len(trial.evaluations) for trial in self.trials)
-        ):
+        while not self._study.budget.is_spent(len(self.trials), count_evaluations(self.trials)):
             begin = time.monotonic()
             proposal = self._optimizer.ask()
             trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)

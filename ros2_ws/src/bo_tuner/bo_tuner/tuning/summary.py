@@ -17,7 +17,7 @@ from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY, without_nan
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Trial
+from bo_tuner.trials import TUNING, Evaluation, Trial, count_evaluations
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
 from bo_tuner.tuning.validation import Validation, validate
@@ -165,8 +165,7 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
     study, algorithm = record.study, ALGORITHMS[record.algorithm]
-    evaluations = sum(len(trial.evaluations) for trial in record.trials)
-    spent = study.budget.is_spent(len(record.trials), evaluations)
+    spent = study.budget.is_spent(len(record.trials), count_evaluations(record.trials))
     if not spent and not record.stop_early:
         return None
     advisor = StopAdvisor(study, algorithm)

@@ -4,7 +4,15 @@ from collections.abc import Mapping, Sequence
 
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Stage,
+    Trial,
+    TrialState,
+    Value,
+    count_evaluations,
+)
 from bo_tuner.tuning.limits import Sample
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed
@@ -18,7 +26,7 @@ DEFAULT, TUNED = 0, 1
 def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
     """Return the verdict of a run that has no result, or none yet."""
     done, planned = len(trials), study.budget.trials
-    spent = study.budget.is_spent(done, sum(len(trial.evaluations) for trial in trials))
+    spent = study.budget.is_spent(done, count_evaluations(trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)
     if spent and failed == done:
         reasons = (f"All {failed} trials failed",)

@@ -77,7 +77,7 @@ class JointSearch:
 
     def tell(self, context: Mapping[str, float], value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
-        self._x = np.vstack([self._x, self._joint(self._to_cube(context))])
+        self._x = np.vstack([self._x, self._joint(self._space.cube_of([context]))])
         self._y = np.append(self._y, value)
         self._observed.append(value)
         self._model = None
@@ -89,7 +89,7 @@ class JointSearch:
         model = self._fit(rng)
         margin = float(ndtri(self._probability)) * sqrt(model.noise_variance)
         context, _ = self._maximise(lambda c: self._upper(model, c), rng)
-        mean, variance = model.predict(self._joint(self._to_cube(context)))
+        mean, variance = model.predict(self._joint(self._space.cube_of([context])))
         distance = self._limit - margin - float(mean[0])
         error = DECIDED * sqrt(float(variance[0]))
         # A model with few data can be overconfident: the limit counts as kept only after an
@@ -110,14 +110,12 @@ class JointSearch:
         return WorstCase(value, context, observed, sqrt(model.noise_variance))
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
-        if self._model is None and self._hyperparameters is None:
-            self._model = GaussianProcess.fit(self._x, self._y, rng=rng, priors=PRIORS)
-        elif self._model is None and self._hyperparameters is not None:
-            self._model = GaussianProcess.condition(
-                Hyperparameters.from_log(np.array(self._hyperparameters)), self._x, self._y
-            )
         if self._model is None:
-            raise RuntimeError("unreachable: the model was just made")
+            if self._hyperparameters is None:
+                self._model = GaussianProcess.fit(self._x, self._y, rng=rng, priors=PRIORS)
+            else:
+                hyperparameters = Hyperparameters.from_log(np.array(self._hyperparameters))
+                self._model = GaussianProcess.condition(hyperparameters, self._x, self._y)
         return self._model
 
     def _joint(self, c: Array) -> Array:
@@ -126,9 +124,6 @@ class JointSearch:
     def _upper(self, model: GaussianProcess, c: Array) -> Array:
         mean, variance = model.predict(self._joint(c))
         return mean + np.sqrt(variance)
-
-    def _to_cube(self, context: Mapping[str, float]) -> Array:
-        return self._space.to_cube([[context[name] for name in self._space.names]])
 
     def _maximise(
         self, function: Callable[[Array], Array], rng: np.random.Generator

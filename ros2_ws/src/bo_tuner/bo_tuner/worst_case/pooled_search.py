@@ -78,7 +78,7 @@ class PooledSearch:
     def tell(self, context: Mapping[str, float], value: float) -> None:
         """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._point])
-        self._c = np.vstack([self._c, self._to_cube(context)])
+        self._c = np.vstack([self._c, self._space.cube_of([context])])
         self._y = np.append(self._y, value)
         self._observed.append(value)
         self._process = None
@@ -91,7 +91,7 @@ class PooledSearch:
             return False
         process = self._fit(rng)
         context, _ = self._maximise(self._upper(process), rng)
-        mean, variance = self._quantile(process, self._to_cube(context))
+        mean, variance = self._quantile(process, self._space.cube_of([context]))
         distance = self._limit - float(mean[0])
         error = DECIDED * sqrt(float(variance[0]))
         # A process with few data can be overconfident: the limit counts as kept only after an
@@ -108,20 +108,19 @@ class PooledSearch:
         process = self._fit(rng)
         point = self._point[None]
         context, value = self._maximise(lambda c: process.means(point, c)[0], rng)
-        noise, _ = process.noise(point, self._to_cube(context), np.zeros(1, dtype=np.intp))
+        noise, _ = process.noise(point, self._space.cube_of([context]), np.zeros(1, dtype=np.intp))
         return WorstCase(value, context, max(self._observed), sqrt(float(noise[0])))
 
     def _fit(self, rng: np.random.Generator) -> JointProcess:
-        if self._process is None and self._hyperparameters is None:
-            self._process = JointProcess.fit(
-                self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
-            )
-        elif self._process is None and self._hyperparameters is not None:
-            self._process = JointProcess.condition(
-                self._hyperparameters, self._x, self._c, self._y, coding=self._coding
-            )
         if self._process is None:
-            raise RuntimeError("unreachable: the process was just made")
+            if self._hyperparameters is None:
+                self._process = JointProcess.fit(
+                    self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
+                )
+            else:
+                self._process = JointProcess.condition(
+                    self._hyperparameters, self._x, self._c, self._y, coding=self._coding
+                )
         return self._process
 
     def _quantile(self, process: JointProcess, c: Array) -> tuple[Array, Array]:
@@ -134,9 +133,6 @@ class PooledSearch:
             return mean + np.sqrt(variance)
 
         return upper
-
-    def _to_cube(self, context: Mapping[str, float]) -> Array:
-        return self._space.to_cube([[context[name] for name in self._space.names]])
 
     def _maximise(
         self, function: Callable[[Array], Array], rng: np.random.Generator

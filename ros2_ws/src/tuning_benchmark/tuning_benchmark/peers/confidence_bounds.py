@@ -105,7 +105,7 @@ class ConfidenceBounds(ABC):
         )
         parameters = tuned(self._space, self._space.to_parameters(found.position))
         context = self._context(self._space.to_cube(parameters), rng)
-        self._found.append(self._to_cube(context))
+        self._found.append(self._contexts.cube_of([context])[0])
         return parameters, context
 
     def recommend(self) -> Mapping[str, Value] | None:
@@ -153,16 +153,11 @@ class ConfidenceBounds(ABC):
     def _evaluated(self) -> Array:
         return np.array([self._space.to_cube(r.parameters) for r in self._results])
 
-    def _to_cube(self, context: Mapping[str, float]) -> Array:
-        row = np.array([[context[name] for name in self._study.contexts]])
-        point: Array = self._contexts.to_cube(row)[0]
-        return point
-
     def _condition(self, rng: np.random.Generator) -> None:
         """Bring the models up to date."""
         if self._models:
             return
-        w = np.array([self._to_cube(r.context) for r in self._results])
+        w = self._contexts.cube_of([r.context for r in self._results])
         joint = np.hstack([self._evaluated(), w])
         again = self._fitted == 0 or len(self._results) >= self._fitted + REFIT
         for index, response in enumerate(self._responses()):
@@ -218,7 +213,7 @@ class Carbo(ConfidenceBounds):
 
     def _context(self, x: Array, rng: np.random.Generator) -> dict[str, float]:
         worst = self._largest_bound(1, x, rng)
-        upper = self._bound(1, x[None], self._to_cube(worst)[None], DEVIATIONS)
+        upper = self._bound(1, x[None], self._contexts.cube_of([worst]), DEVIATIONS)
         if float(upper[0, 0]) + self._margin > 0.0:
             return worst
         spread = self._bound(0, x[None], self._drawn, 1.0) - self._bound(0, x[None], self._drawn, 0)

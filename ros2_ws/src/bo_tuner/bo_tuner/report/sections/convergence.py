@@ -25,7 +25,7 @@ from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, numbered, quantity, values
 from bo_tuner.study.parts import LOG, Constraint
-from bo_tuner.trials import EvaluationState, Trial, TrialState
+from bo_tuner.trials import EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import worst_case_holds
 
 MOST_INCUMBENTS = 40
@@ -52,7 +52,7 @@ def convergence(analysis: Analysis) -> Section:
         ]
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
-    evaluations = sum(len(trial.evaluations) for trial in trials)
+    evaluations = count_evaluations(trials)
     lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
     if study.budget.evaluations is not None:
         lead += f" of {study.budget.evaluations}"
