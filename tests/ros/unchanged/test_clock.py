@@ -1,6 +1,7 @@
 """Runs by the clock of a simulation, and clocks that are not to be trusted."""
 
 import threading
+import time
 import types
 
 import pytest
@@ -64,6 +65,20 @@ def test_times_of_a_run_are_those_of_the_simulation(backend, simulation):
         # The servo publishes 100 times in a second of the machine.
         messages = int(outcome.details["signals.angle"].split()[0])
         assert 5 < messages < 70
+
+
+def test_waiting_counts_from_the_step_not_from_the_last_look(backend, simulation):
+    """What is heard of a simulation before its reset must not be where a run begins."""
+    reset = {"call": {"service": "simulation/reset"}}
+    made = backend(
+        signals={"angle": ANGLE},
+        run={**SIM, "before": [reset, {"wait": 1.0}]},
+        metrics={"time": {"of": "angle", "measure": "duration"}},
+    )
+    time.sleep(0.5)  # 2.5 s of simulated time in which nobody looks
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert simulation.now >= 2_000_000_000  # one second to wait, one of the run
 
 
 def test_a_simulation_that_stands_still(backend, simulation, monkeypatch):

@@ -44,8 +44,11 @@ class RunClock(Protocol):
     def end(self) -> None:
         """End the run: the clock may be set."""
 
+    def update(self) -> None:
+        """Bring `now` up to date, for whoever has not looked for a while."""
+
     def look(self) -> None:
-        """Look at the clock.
+        """Look at the clock: `update`, and refuse what a run cannot go by.
 
         Raises
         ------
@@ -82,6 +85,9 @@ class WallClock:
     def end(self) -> None:
         """End the run."""
         self._is_running = False
+
+    def update(self) -> None:
+        """Do nothing: `now` is."""
 
     def look(self) -> None:
         """Refuse a clock that was set in a run."""
@@ -139,13 +145,22 @@ class SimClock:
 
     def begin(self) -> None:
         """Start a run."""
-        self._take()
+        self.update()
         del self._received[:-1], self._times[:-1]
         self._is_running = True
 
     def end(self) -> None:
         """End the run."""
         self._is_running = False
+
+    def update(self) -> None:
+        """Take what came."""
+        handle = self._subscription.handle
+        with handle:
+            while (item := handle.take_message(ClockMessage, False)) is not None:
+                message, info = item
+                stamp = message.clock.sec * 1_000_000_000 + message.clock.nanosec
+                self._add(stamp, info["received_timestamp"])
 
     def look(self) -> None:
         """Take what came, and refuse a clock that stands still, or was set back in a run."""
@@ -154,7 +169,7 @@ class SimClock:
             # Between two runs a simulation may be paused.
             self._advanced = now
         self._looked = now
-        self._take()
+        self.update()
         if now - self._advanced > LONGEST_STANDSTILL:
             raise LostError(
                 f"{TOPIC} stands still at {self.now * 1e-9:.3f} s for {LONGEST_STANDSTILL:g} s"
@@ -165,16 +180,8 @@ class SimClock:
         return self._times[max(bisect_right(self._received, received) - 1, 0)]
 
     def _has_time(self) -> bool:
-        self._take()
+        self.update()
         return bool(self._times)
-
-    def _take(self) -> None:
-        handle = self._subscription.handle
-        with handle:
-            while (item := handle.take_message(ClockMessage, False)) is not None:
-                message, info = item
-                stamp = message.clock.sec * 1_000_000_000 + message.clock.nanosec
-                self._add(stamp, info["received_timestamp"])
 
     def _add(self, stamp: int, received: int) -> None:
         before = self._times[-1] if self._times else -1

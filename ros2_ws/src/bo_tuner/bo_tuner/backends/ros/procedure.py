@@ -239,6 +239,9 @@ class Procedure:
             self._perform_step(("run", phase, index), step)
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:
+        # A service may have taken its time, and the search between two runs: waiting counts from
+        # now, and what is published has the time of now.
+        self._clock.update()
         if step.wait is not None:
             self._wait(step.wait)
         elif step.wait_until is not None:
