@@ -7,6 +7,7 @@ nothing of, such as the corners of the two lags, keeps the value of the package.
 """
 
 import math
+from collections.abc import Sequence
 
 import control
 import numpy as np
@@ -16,6 +17,7 @@ STATES = {
     "DeCmd": ("Vt", "Alpha", "Theta", "Q", "Rpm0"),
     "DaCmd": ("Beta", "Phi", "P", "R"),
 }
+LOOPS = ("bank", "climb")
 ACTUATOR = 60.0  # corner of the elevator's [rad/s]; the aileron's is fast, but limited in its rate
 
 
@@ -49,7 +51,7 @@ def ziegler_nichols() -> dict[str, dict[str, float]]:
     bank, bank_period = ultimate(airframe(Conditions(), "DaCmd", "Phi"))
     climb, climb_period = ultimate(airframe(Conditions(), "DeCmd", "Alt"))
     return {
-        "Ziegler-Nichols, P": {"bank_p": 0.5 * bank, "climb_p": 0.5 * climb},
+        "Ziegler-Nichols, P": detuned([1.0] * len(LOOPS)),
         "Ziegler-Nichols, PID and PI": {
             "bank_p": 0.6 * bank,
             "bank_i": 0.6 * bank / (bank_period / 2.0),
@@ -58,3 +60,11 @@ def ziegler_nichols() -> dict[str, dict[str, float]]:
             "climb_i": 0.45 * climb / (climb_period / 1.2),
         },
     }
+
+
+def detuned(factors: Sequence[float]) -> dict[str, float]:
+    """Return the gains of the rule for P controllers times factors, one for each of `LOOPS`."""
+    bank, _ = ultimate(airframe(Conditions(), "DaCmd", "Phi"))
+    climb, _ = ultimate(airframe(Conditions(), "DeCmd", "Alt"))
+    of_bank, of_climb = factors
+    return {"bank_p": of_bank * 0.5 * bank, "climb_p": of_climb * 0.5 * climb}

@@ -103,9 +103,9 @@ def grid(sparse: bool = False) -> list[Conditions]:
     ]
 
 
-def draws(number: int) -> list[Conditions]:
+def draws(number: int, seed: int = 2016) -> list[Conditions]:
     """Return conditions drawn as the study says, each with a turbulence of its own."""
-    rng = np.random.default_rng(2016)
+    rng = np.random.default_rng(seed)
     return [
         Conditions(*(float(rng.uniform(*limits)) for limits in RANGES.values()), seed=30_000 + i)
         for i in range(number)

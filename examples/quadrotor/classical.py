@@ -9,12 +9,16 @@ The model: the rotors as a first-order lag, the zero-order hold as half a period
 body, small angles, no drag, no wind.
 """
 
+from collections.abc import Sequence
+
 import control
 from flight import PERIOD
 from rotorpy.vehicles import crazyflie_params
 
 SHARE = 0.5
 """Of the ultimate gain, for a proportional controller."""
+LOOPS = ("attitude", "horizontal", "vertical")
+"""Pairs of a speed loop and the loop around it."""
 
 
 def ultimate_gain(loop: control.TransferFunction) -> float:
@@ -22,38 +26,41 @@ def ultimate_gain(loop: control.TransferFunction) -> float:
     return float(control.margin(loop)[0])
 
 
-def ziegler_nichols(
-    motor_time_constant: float = crazyflie_params.quad_params["tau_m"],
-) -> dict[str, dict[str, float]]:
-    """Return the gains of the controller node, by the name of the rule.
+def ziegler_nichols() -> dict[str, dict[str, float]]:
+    """Return the gains of the controller node, by the name of the rule."""
+    return {"Ziegler-Nichols": detuned([1.0] * len(LOOPS))}
+
+
+def detuned(factors: Sequence[float]) -> dict[str, float]:
+    """Return the gains of the rule with less than `SHARE` of the ultimate gains.
 
     Parameters
     ----------
-    motor_time_constant
-        Of the rotor speeds [s].
+    factors
+        Of `SHARE`, one for each of `LOOPS`.
     """
     s = control.tf("s")
     delay = control.tf(*control.pade(PERIOD / 2, 3))
-    rotors = delay / (motor_time_constant * s + 1)
-    kd_att, kp_att, attitude = _cascade(rotors)
-    kd_xy, kp_xy, _ = _cascade(attitude)
-    kd_z, kp_z, _ = _cascade(rotors)
-    gains = {
+    rotors = delay / (crazyflie_params.quad_params["tau_m"] * s + 1)
+    of_attitude, of_horizontal, of_vertical = (SHARE * factor for factor in factors)
+    kd_att, kp_att, attitude = _cascade(rotors, of_attitude)
+    kd_xy, kp_xy, _ = _cascade(attitude, of_horizontal)
+    kd_z, kp_z, _ = _cascade(rotors, of_vertical)
+    return {
         "kp_xy": kp_xy, "kd_xy": kd_xy, "kp_z": kp_z, "kd_z": kd_z, "kp_att": kp_att,
         "kd_att": kd_att,
     }  # fmt: skip
-    return {"Ziegler-Nichols": gains}
 
 
 def _cascade(
-    acceleration: control.TransferFunction,
+    acceleration: control.TransferFunction, share: float
 ) -> tuple[float, float, control.TransferFunction]:
     """Close a speed loop and a position loop around it; return kd, kp and position to set-point.
 
     The wanted acceleration is kp (set-point - position) - kd speed.
     """
     s = control.tf("s")
-    kd = SHARE * ultimate_gain(acceleration / s)
+    kd = share * ultimate_gain(acceleration / s)
     speed = control.feedback(kd * acceleration / s, 1)
-    kp = kd * SHARE * ultimate_gain(speed / s)
+    kp = kd * share * ultimate_gain(speed / s)
     return kd, kp, control.minreal(control.feedback(kp / kd * speed / s, 1), verbose=False)

@@ -112,9 +112,9 @@ def grid(sparse: bool = False) -> list[Conditions]:
     ]
 
 
-def draws(number: int) -> list[Conditions]:
+def draws(number: int, seed: int = 2016) -> list[Conditions]:
     """Return conditions drawn as the study says, each with gusts and noise of its own."""
-    rng = np.random.default_rng(2016)
+    rng = np.random.default_rng(seed)
     return [
         Conditions(
             wind_speed=float(rng.uniform(0.0, WIND_SPEEDS[-1])),

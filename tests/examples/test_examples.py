@@ -1,7 +1,7 @@
 """What all examples promise, and how a campaign judges."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -49,7 +49,7 @@ def fly(gains, place):
 @pytest.fixture
 def compare(module_of):
     """Judge of gains in four drawn conditions and a grid of three."""
-    campaign = module_of(".", "campaign")
+    comparison = module_of(".", "comparison")
     study = {
         "objective": {"metric": "error"},
         "constraints": {
@@ -59,7 +59,7 @@ def compare(module_of):
     }
     with ThreadPoolExecutor(1) as executor:
         grid, draws = map(Place, (0.0, 2.0, 1.0)), map(Place, (0.0, 1.0, 2.0, 3.0))
-        yield campaign.Comparison(fly, list(grid), list(draws), study, executor)
+        yield comparison.Comparison(fly, list(grid), list(draws), study, executor)
 
 
 def test_a_campaign_averages_counts_and_looks_for_the_worst(compare):
@@ -81,10 +81,53 @@ def test_a_crash_is_worse_than_any_number_and_is_in_no_mean(compare):
     assert compare({"k": 5.0})["effort_within"] == 0.25
 
 
-def test_the_table_names_limits_and_changes(compare, module_of):
-    judged = {"default": compare({"k": 2.0}), "tuned": compare({"k": 5.0})}
-    header, _, default, tuned = module_of(".", "campaign").table(judged, compare.study).splitlines()
+def test_the_tables_name_limits_and_changes(compare, module_of):
+    comparison = module_of(".", "comparison")
+    judged = {
+        "default": compare({"k": 2.0}),
+        "tuned, seed 1": compare({"k": 2.5}),
+        "tuned, seed 2": compare({"k": 5.0}),
+    }
+    header, _, default, tuned = comparison.table(judged, compare.study).splitlines()
     assert "worst overshoot (limit 2.5)" in header
     assert "effort within 3 (at least 50%)" in header
-    assert default == "| default | 0.500 | +0.0% | 2.0 | 50% | 0 of 7 |"
-    assert tuned == "| tuned | 0.200 | -60.0% | crash | 25% | 3 of 7 |"
+    assert default == "| default | 0.500 | +0.0% | 2.0 | 50% | 0 of 7 | yes |"
+    assert tuned == (
+        "| tuned, 2 seeds | 0.300 (0.200 to 0.400) | -40.0% (-60.0% to -20.0%) | crash | 25% "
+        "| 3 of 14 | 1 of 2 |"
+    )
+    runs = [
+        {"seed": 1, "evaluations": 200, "certificate": "PASS"},
+        {"seed": 2, "evaluations": 210, "certificate": "FAIL"},
+    ]
+    _, _, first, second = comparison.seeds_table(runs, judged, compare.study).splitlines()
+    assert first == "| 1 | 200 | PASS | 0.400 | -20.0% | 2.0 | 50% | 0 of 7 | yes |"
+    assert second == "| 2 | 210 | FAIL | 0.200 | -60.0% | crash | 25% | 3 of 7 | no |"
+
+
+def test_a_rule_is_detuned_with_the_flights_that_it_has(compare, module_of):
+    """The error is 1/k, the effort 2k in two of three flights, 3 at most: so k is 1.5 at best."""
+    detuning, flown = module_of(".", "detuning"), []
+    judge = compare.judge
+
+    def counted(gains, place):
+        flown.append(gains["k"])
+        return judge(gains, place)
+
+    tested = replace(compare, judge=counted)
+    drawn = [Place(2.0), Place(2.0), Place(1.0)]
+    limits = (2.0, 20.0)  # k of the rule; one is too much, the other far too much
+    for highest in limits:
+        flown.clear()
+        found = detuning.detune(
+            lambda factors, highest=highest: {"k": highest * factors[0]},
+            1, tested, {"k": 1.0}, drawn, 240, seed=1,
+        )  # fmt: skip
+        assert len(flown) <= 240 + len(compare.grid)
+        assert 1.45 <= found["k"] <= 1.5
+
+
+def test_a_rule_that_never_keeps_the_limits(compare, module_of):
+    detune = module_of(".", "detuning").detune
+    never = [Place(3.0)] * 3  # an overshoot of 3 whatever the gain
+    assert detune(lambda _: {"k": 1.0}, 1, compare, {"k": 1.0}, never, 60, seed=1) is None
