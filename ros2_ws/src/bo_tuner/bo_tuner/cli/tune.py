@@ -22,7 +22,12 @@ from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.optimizers.algorithms import (
+    ALGORITHMS,
+    DEFAULT_ALGORITHM,
+    default_algorithm,
+    several_objectives_problem,
+)
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord, read_run
@@ -283,10 +288,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         # Where that cannot be noted down, the commands on this run will ask for --trust.
         with contextlib.suppress(OutputError):
             trust(study)
-        algorithm, backend = (
-            arguments.algorithm or DEFAULT_ALGORITHM,
-            arguments.backend or BACKENDS[0],
-        )
+        algorithm = arguments.algorithm or default_algorithm(study)
+        backend = arguments.backend or BACKENDS[0]
+        if problem := several_objectives_problem(algorithm, study):
+            parser.error(f"--algorithm: {problem}")
+    if stop_early and len(study.objectives) > 1:
+        parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
     if arguments.web_control and arguments.web is None:

@@ -26,6 +26,7 @@ from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
 from bo_tuner.report.sections.draws import draws
 from bo_tuner.report.sections.failures import failures
+from bo_tuner.report.sections.front import front
 from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.sections.parallel import parallel
 from bo_tuner.report.sections.sensitivity import sensitivity
@@ -52,6 +53,7 @@ SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (
     certificate,
     draws,
     convergence,
+    front,
     trade_off,
     parallel,
     contexts,
