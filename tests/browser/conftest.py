@@ -1,5 +1,7 @@
 """A browser, and reports to look at."""
 
+import importlib.util
+import json
 import sys
 from pathlib import Path
 
@@ -17,6 +19,25 @@ def chromium(tmp_path_factory):
         pytest.skip("no Chromium is installed")
     with Chromium(tmp_path_factory.mktemp("profile")) as browser:
         yield browser
+
+
+@pytest.fixture(scope="session")
+def axe():
+    """Function that lists the rules of axe-core that an open page breaks, each with its impact."""
+    spec = importlib.util.find_spec("axe_core_python")
+    if spec is None or spec.origin is None:
+        pytest.skip("axe-core-python is not installed")
+    script = Path(spec.origin).with_name("axe.min.js").read_text(encoding="utf-8")
+
+    def findings(browser, *, contrast=True):
+        browser.evaluate(f"{script}; 0")
+        options = json.dumps({"rules": {"color-contrast": {"enabled": contrast}}})
+        found = browser.evaluate(
+            f"axe.run({options}).then(r => r.violations.map(v => [v.id, v.impact]))"
+        )
+        return [tuple(item) for item in found]
+
+    return findings
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,7 @@ def run(tmp_path):
     counter, said = tmp_path / "cuts", tmp_path / "said.txt"
     with said.open("w") as file:
         process = start(
-            *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web"),
+            *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web", "--web-control"),
             folder=tmp_path,
             env={"CUTS": str(counter), "HOLD": "21"},
             stderr=file,
@@ -71,3 +71,61 @@ def test_a_trial_has_a_page(chromium, run):
     assert chromium.evaluate("document.querySelectorAll('#evaluations tbody tr').length") > 1
     assert chromium.evaluate("'harmed' in window") is False
     assert chromium.errors == []
+
+
+@pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
+def test_axe_finds_nothing(chromium, run, axe, theme, width):
+    chromium.open(run.address + run.query, theme=theme, width=width)
+    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
+    assert axe(chromium) == []
+    assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+    for page in ("trials/0", "runs"):
+        chromium.open(run.address + page, theme=theme, width=width)
+        chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
+        assert axe(chromium) == []
+        assert chromium.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_it_pauses_continues_and_ends_the_run(chromium, run):
+    def press(request):
+        chromium.evaluate(f"document.querySelector('[data-request={request}]').click()")
+
+    def shown(request):
+        return f"document.querySelector('[data-request={request}]').checkVisibility()"
+
+    chromium.open(run.address + run.query)
+    chromium.wait_for("document.querySelector('#provenance') !== null")
+    assert chromium.evaluate(f"{shown('pause')} && !{shown('continue')} && !{shown('abort')}")
+    press("pause")
+    chromium.wait_for(shown("continue"))
+    chromium.wait_for("document.querySelector('#now dl').textContent.includes('pauses after')")
+    run.go.touch()
+    chromium.wait_for("document.querySelector('#now h2').textContent.includes('PAUSED')")
+    press("continue")
+    chromium.wait_for(
+        f"{shown('pause')} || document.querySelector('#now h2').textContent.startsWith('Ended')"
+    )
+    assert run.wait(60) == 0
+
+
+def test_it_ends_the_run(chromium, run):
+    chromium.open(run.address + run.query)
+    chromium.wait_for("document.querySelector('#provenance') !== null")
+    chromium.evaluate("document.querySelector('.control summary').click()")
+    chromium.evaluate("document.querySelector('[data-request=abort]').click()")
+    chromium.wait_for("document.querySelector('#now dl').textContent.includes('the run ends')")
+    run.go.touch()
+    assert run.wait(60) == 143
+
+
+def test_runs_are_chosen_and_compared(chromium, run):
+    chromium.open(run.address + run.query)
+    chromium.open(run.address + "runs")
+    rows = "document.querySelectorAll('#runs tbody tr').length"
+    assert chromium.evaluate(rows) == 1
+    # One run alone cannot be compared, and the page says so.
+    chromium.evaluate("document.querySelector('#runs input[type=checkbox]').click()")
+    chromium.evaluate("document.querySelector('#runs button.action').click()")
+    chromium.wait_for("location.pathname === '/compare'")
+    chromium.wait_for("document.body.textContent.includes('choose 2 to')")

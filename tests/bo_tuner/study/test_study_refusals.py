@@ -282,3 +282,37 @@ class TestRefusedValues:
     def test_key_that_is_no_text(self, key):
         assert "expected text as a key" in refusal(put(1, key))
         assert "expected a name" in refusal(put({}, "metrics", key))
+
+
+class TestObjectives:
+    @pytest.mark.parametrize(
+        ("further", "expected"),
+        [
+            ({"metric": "far"}, "further_objectives: expected a list of objectives, found"),
+            ([3], "further_objectives[0]: expected a mapping, found 3"),
+            ([{"scale": "log"}], "further_objectives[0].metric: missing"),
+            ([{"metric": "nowhere"}], "further_objectives[0].metric: there is no metric 'nowhere'"),
+            ([{"metric": "error", "weight": 2}], "further_objectives[0].weight: unknown key"),
+            (
+                ["objective"],
+                "further_objectives[0].metric: expected another metric, found '{0}' again",
+            ),
+            (
+                ["other", "other"],
+                "further_objectives[1].metric: expected another metric, found '{1}' again",
+            ),
+            (
+                ["other"] * 3,
+                "further_objectives: expected at most 3 objectives in all, found 4",
+            ),
+        ],
+    )
+    def test_further_ones(self, further, expected):
+        study = mapping()
+        first = study["objective"]["metric"]
+        other = next(name for name in study["metrics"] if name != first)
+        names = {"objective": first, "other": other}
+        if isinstance(further, list):
+            further = [{"metric": names[i]} if isinstance(i, str) else i for i in further]
+        message = refusal(put(further, "further_objectives"))
+        assert message.startswith(expected.format(first, other))

@@ -49,6 +49,7 @@ class Run:
         port, self.token = ADDRESS.search(self.said.read_text()).groups()
         self.port = int(port)
         self.folder = folder / "runs" / "latest"
+        self.origin = {"Origin": f"http://127.0.0.1:{self.port}"}
 
     def ask(self, path, *, method="GET", token=True, **headers):
         """Status, headers and text of an answer."""
@@ -59,6 +60,17 @@ class Run:
         text = answer.read().decode()
         connection.close()
         return answer.status, answer.headers, text
+
+    def control_token(self):
+        return re.search(r'data-token="([\w-]+)"', self.ask("/")[2]).group(1)
+
+    def request(self, name, **headers):
+        """Status and text of the answer to a request of the page, with some headers changed."""
+        headers = self.origin | {"X-Control-Token": self.control_token()} | headers
+        status, _, text = self.ask(
+            f"/requests/{name}", method="POST", **{k: v for k, v in headers.items() if v}
+        )
+        return status, text
 
     def state_when(self, holds):
         """The parts of the page once a condition holds for what the server tells."""
@@ -128,6 +140,29 @@ def run(tmp_path_factory, make_study):
     run.end()
 
 
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory, make_study):
+    """A run in progress in a folder with a finished one and a broken one."""
+    folder = tmp_path_factory.mktemp("beside")
+    write_axis(folder)
+    (folder / "axis.yaml").write_text(study_to_yaml(make_study()))
+    arguments = ("tune", "--backend", "inprocess", "--study", "axis.yaml", "--quiet")
+    code, _, err = finish(start(*arguments, folder=folder))
+    assert code == 0, err
+    (folder / "runs" / "broken").mkdir()
+    (folder / "runs" / "broken" / "journal.sqlite").write_text("no journal")
+    run = Run(folder, make_study(), 9)
+    run.state_when(lambda state, made: "trials" in made)
+    (run.finished_one,) = (
+        path.name
+        for path in (folder / "runs").iterdir()
+        if (path / "best.yaml").exists() and not path.is_symlink()
+    )
+    run.name = run.folder.resolve().name
+    yield run
+    run.end()
+
+
 class TestWhoMayRead:
     def test_the_token_becomes_a_cookie(self, run):
         status, headers, _ = run.ask(f"/?token={run.token}", token=False)
@@ -143,7 +178,9 @@ class TestWhoMayRead:
         assert run.token not in text
         assert run.token not in (run.folder / "log" / "web.log").read_text()
 
-    @pytest.mark.parametrize("path", ["/", "/state?after=-1", "/trials/0", "/study.yaml"])
+    @pytest.mark.parametrize(
+        "path", ["/", "/state?after=-1", "/trials/0", "/study.yaml", "/runs", "/compare"]
+    )
     @pytest.mark.parametrize("query", ["", "token=", "token=wrong"])
     def test_others_are_refused(self, run, path, query):
         address = f"{path}{'&' if '?' in path else '?'}{query}"
@@ -162,6 +199,16 @@ class TestWhoMayRead:
 
     def test_localhost_is_not_another(self, run):
         assert run.ask("/", Host=f"localhost:{run.port}")[0] == 200
+
+    @pytest.mark.parametrize("name", ["pause", "continue", "abort"])
+    def test_it_takes_no_requests_unless_allowed(self, run, name):
+        assert "data-token" not in run.ask("/")[2]
+        headers = run.origin | {"X-Control-Token": run.token}
+        status, _, text = run.ask(f"/requests/{name}", method="POST", **headers)
+        assert (status, text) == (
+            403,
+            "403: the page is read-only; tune --web-control allows requests\n",
+        )
 
     @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS"])
     def test_nothing_can_be_changed(self, run, method):
@@ -235,6 +282,112 @@ class TestWhatItShows:
     def test_json_lines_and_quiet_name_the_address_too(self, held):
         run = held(3, "--quiet")
         assert run.said.read_text().startswith("live page: http://127.0.0.1:")
+
+
+class TestRequests:
+    def test_only_the_page_itself_may_ask(self, held):
+        run = held(6, "--web-control")
+        refused = [
+            {"Origin": ""},
+            {"Origin": "null"},
+            {"Origin": "http://evil.example"},
+            {"Origin": f"https://127.0.0.1:{run.port}"},
+            {"Origin": f"http://127.0.0.1:{run.port + 1}"},
+            # The host is right, but the page was read under another name.
+            {"Origin": f"http://localhost:{run.port}"},
+            {"X-Control-Token": ""},
+            {"X-Control-Token": "wrong"},
+            {"X-Control-Token": run.token},
+        ]
+        for headers in refused:
+            assert run.request("abort", **headers)[0] == 403, headers
+        control = run.origin | {"X-Control-Token": run.control_token()}
+        # Not even with the right token in the header, without the one in the cookie.
+        assert run.ask("/requests/abort", method="POST", token=False, **control)[0] == 403
+        assert run.ask("/requests/abort", **control)[0] == 405
+        assert run.request("start")[0] == 405
+        # Nothing of it has reached the run.
+        run.go_on()
+        assert run.finished() == 0
+
+    def test_pause_and_continue(self, held):
+        run = held(6, "--web-control")
+        assert run.request("pause")[0] == 202
+        asked = "the run pauses after the present evaluation"
+        run.state_when(lambda state, _: state["now"]["texts"].get("asked") == asked)
+        run.go_on()
+        run.state_when(lambda state, _: state["now"]["paused"] and state["now"]["pausing"])
+        done = count_in(run.counter)
+        assert done == 6
+        assert run.process.poll() is None
+        assert run.request("continue")[0] == 202
+        run.state_when(lambda state, _: state["complete"])
+        assert run.finished() == 0
+
+    def test_the_end_during_a_pause(self, held):
+        run = held(6, "--web-control")
+        run.request("pause")
+        run.go_on()
+        run.state_when(lambda state, _: state["now"]["paused"])
+        assert run.request("abort")[0] == 202
+        assert run.finished() == 143
+        assert "interrupted by the live page; " in run.said.read_text().splitlines()[-1]
+        assert run.page_processes() == []
+
+    def test_they_need_a_page(self, tmp_path):
+        code, out, err = finish(start("tune", "--web-control", folder=tmp_path))
+        assert (code, out) == (2, "")
+        assert "--web-control needs --web" in err
+
+
+class TestOtherRuns:
+    def test_they_are_listed_with_their_verdicts(self, beside):
+        status, _, page = beside.ask("/runs")
+        assert status == 200
+        rows = re.findall(r'<input type="checkbox" name="run" value="([^"]+)"', page)
+        assert rows == [beside.name, beside.finished_one]
+        assert "kept all limits" in page
+        assert re.search(r"No result yet: \d of 5 trials", page)
+        assert "broken: " in page
+
+    def test_the_report_of_one(self, beside):
+        status, _, page = beside.ask(f"/runs/{beside.finished_one}")
+        assert status == 200
+        assert "kept all limits" in page
+        # The server gives no files.
+        assert "journal.sqlite" not in page
+
+    def test_side_by_side(self, beside):
+        status, _, page = beside.ask(f"/compare?run={beside.name}&run={beside.finished_one}")
+        assert status == 200
+        assert "2 runs side by side" in page
+        assert "kept all limits" in page
+
+    @pytest.mark.parametrize(
+        ("query", "status"),
+        [("", 400), ("run={0}", 400), ("run={0}&run={0}", 400), ("run={0}&run=none", 404),
+         ("run={0}&run=..", 404), ("run={0}&run=broken", 409),
+         ("&".join(f"run={k}" for k in range(9)), 400)],
+    )  # fmt: skip
+    def test_what_cannot_be_compared(self, beside, query, status):
+        found, _, text = beside.ask(f"/compare?{query.format(beside.name)}")
+        assert found == status
+        assert len(text.splitlines()) == 1
+
+    @pytest.mark.parametrize("name", ["none", "..", "%2e%2e", "..%2f..%2fetc", "latest"])
+    def test_only_runs_in_the_folder_are_shown(self, beside, name):
+        assert beside.ask(f"/runs/{name}")[0] == 404
+
+    def test_a_run_is_read_again_once_it_has_changed(self, beside):
+        before = beside.ask("/runs")[2]
+        assert beside.ask("/runs")[2] == before
+        path = beside.folder.parent / beside.finished_one / "summary.json"
+        content = path.read_text()
+        path.unlink()
+        try:
+            assert "kept all limits" not in beside.ask("/runs")[2]
+        finally:
+            path.write_text(content)
 
 
 class TestEnd:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bo_tuner.figures.elements import Band, Contour, Heatmap, Line, Points, Scale
+from bo_tuner.figures.elements import Band, Contour, Heatmap, Line, Points
 from bo_tuner.study.study_file import load_study
 from tuning_benchmark.campaign.fields import surrogate_fields, true_fields
 from tuning_benchmark.campaign.runs import RunSize
@@ -23,7 +23,7 @@ def drawn(panel, kind):
     return [element for element in panel.elements if isinstance(element, kind)]
 
 
-def test_convergence_shows_means_of_the_feasible(make_case, record, answer):
+def test_convergence_shows_medians_of_the_feasible(make_case, record, answer):
     case = make_case(rows={"A": Row(name="A", algorithm="IV")}, runs=2)
     incumbents = {
         "1": {"objective": 3.0, "feasible": True}, "2": {"objective": 1.0, "feasible": False}
@@ -35,7 +35,7 @@ def test_convergence_shows_means_of_the_feasible(make_case, record, answer):
         "1": {"objective": 4.0, "feasible": True}, "2": incumbents["2"]
     }  # fmt: skip
     figure = figures.convergence(case, [summarise(case, case.rows["A"], done, None)], None)
-    quality, _, share = (drawn(panel, Line)[0] for panel in figure.panels)
+    quality, share = (drawn(panel, Line)[0] for panel in figure.panels)
 
     def at(line, evaluations):
         return line.y[np.searchsorted(line.x, evaluations)]
@@ -57,32 +57,38 @@ def incumbent_figure(make_case, record, answer, objectives, optimum=None):
     return figures.convergence(case, [summarise(case, case.rows["A"], done, None)], optimum)
 
 
-def test_an_outlier_moves_the_mean_and_not_the_median(make_case, record, answer):
+def test_quality_is_above_the_optimum_on_an_axis_from_zero(make_case, record, answer):
     objectives = [1.0, 1.1, 1.2, 1.3, 10.0]
-    figure = incumbent_figure(make_case, record, answer, objectives, optimum=1.0)
-    (mean,), (median,) = (drawn(panel, Line) for panel in figure.panels[:2])
-    assert (mean.y[-1], median.y[-1]) == pytest.approx((2.92, 1.2))
-    (spread,), (quartiles,) = (drawn(panel, Band) for panel in figure.panels[:2])
-    assert (quartiles.lower[-1], quartiles.upper[-1]) == pytest.approx((1.1, 1.3))
-    # Mean less deviation is below zero, where a logarithmic axis has no place.
-    assert spread.lower[-1] == 1.0
-    assert spread.upper[-1] == pytest.approx(2.92 + np.std(objectives))
-    scales = [(panel.y.scale, panel.y.limits) for panel in figure.panels]
-    assert scales[:2] == [(Scale.LOG, None), (Scale.LINEAR, (0.97, 1.6))]
+    quality, _ = incumbent_figure(make_case, record, answer, objectives, optimum=1.0).panels
+    (median,), (quartiles,) = (drawn(quality, kind) for kind in (Line, Band))
+    assert median.y[-1] == pytest.approx(20.0)
+    assert (quartiles.lower[-1], quartiles.upper[-1]) == pytest.approx((10.0, 30.0))
+    low, high = quality.y.limits
+    # An outlier does not stretch it.
+    assert low == 0.0
+    assert 20.0 < high < 30.0
+    assert quality.y.unit == "%"
 
 
-def test_a_figure_of_many_rows_has_no_bands(make_case, record, answer):
-    rows = {name: Row(name=name, algorithm="IV") for name in "ABCDEFG"}
+def test_without_an_optimum_the_axis_is_that_of_the_metric(make_case, record, answer):
+    quality, _ = incumbent_figure(make_case, record, answer, [3.0, 4.0, 5.0]).panels
+    assert drawn(quality, Line)[0].y[-1] == 4.0
+    assert quality.y.limits[0] == 0.0
+
+
+def test_of_many_rows_each_has_a_panel(make_case, record, answer):
+    rows = {name: Row(name=name, algorithm="IV") for name in "ABCDEFGHIJKLMN"}
     case = make_case(rows=rows, runs=1)
     incumbents = {"1": {"objective": 1.0, "feasible": True}}
     done = {f"run/c/{name}/1": record(answer(), [(20, 1)], incumbents) for name in rows}
     found = [summarise(case, row, done, None) for row in rows.values()]
-    many, few = (figures.convergence(case, some, 1.0) for some in (found, found[:6]))
-    assert [len(drawn(panel, Band)) for panel in many.panels] == [0, 0, 0]
-    assert [len(drawn(panel, Band)) for panel in few.panels] == [6, 6, 0]
-    assert (many.columns, few.columns) == (2, 1)
-    assert "quartiles" not in many.caption
-    assert "quartiles" in few.caption
+    many, few = (figures.convergence(case, some, 1.0) for some in (found, found[:5]))
+    assert [panel.title for panel in many.panels] == [f"{name}: 1 of 1" for name in rows]
+    # One row and the one to compare with; colours that no other row has.
+    assert [len(drawn(panel, Line)) for panel in many.panels] == [1] + [2] * 13
+    assert many.columns == 3
+    assert len(few.panels) == few.columns == 2
+    assert len({line.color for line in drawn(few.panels[0], Line)}) == 5
 
 
 @pytest.fixture(scope="module")

@@ -433,6 +433,27 @@ def test_points_are_compared_with_the_papers(make_case, answer):
     ]
 
 
+def test_the_page_begins_with_what_was_found(make_case, record, answer):
+    rows = {name: Row(name=name, algorithm="IV") for name in "ABC"}
+    case = make_case(rows=rows, runs=2)
+    kept, broken = answer(), answer()
+    broken["truth"] = broken["truth"] | {"feasible": False}
+    better = answer()
+    better["truth"] = better["truth"] | {"objective": 0.5 * kept["truth"]["objective"]}
+    answers = {"A": [kept, kept], "B": [better, better], "C": [kept, broken]}
+    done = {
+        f"run/c/{name}/{seed}": record(answers[name][seed - 1]) for name in rows for seed in (1, 2)
+    }
+    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
+    text = page.markdown(page.sections(experiment, done), "Results", "Introduction.")
+    best, common = better["truth"]["objective"], kept["truth"]["objective"]
+    assert text.splitlines()[4] == (
+        f"- {case.title}: B, 2 of 2 answers truly feasible, mean objective {best:.4g}; next "
+        f"A, 2 of 2 answers truly feasible, mean objective {common:.4g}; fewest feasible: C, "
+        "1 of 2."
+    )
+
+
 def test_a_page_tells_protocols_and_marks_remarks(make_case, record, answer):
     rows = {
         "A": Row(name="A", algorithm="IV"),

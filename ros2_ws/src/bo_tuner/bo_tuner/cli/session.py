@@ -13,6 +13,7 @@ from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.display import Output, Result
 from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
 from bo_tuner.monitoring.node import LiveNode
@@ -69,6 +70,8 @@ class RunOptions:
         The folder of that run.
     web
         Where to serve the live page; None for no page.
+    web_control
+        Whether the page may pause and end the run.
     """
 
     algorithm: str = DEFAULT_ALGORITHM
@@ -81,6 +84,7 @@ class RunOptions:
     carried: Sequence[Trial] = ()
     carried_from: str = ""
     web: Address | None = None
+    web_control: bool = False
 
 
 class Session:
@@ -112,6 +116,7 @@ class Session:
         self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._algorithm, self._observers)
         self._gate = Gate(interruption, self._observers)
+        self._control = RunControl(self._gate.requests, interruption, folder.path)
         self._backend = make_backend(
             options.backend,
             study,
@@ -142,7 +147,9 @@ class Session:
             yield
             return
         status, display = self._status, self._display
-        with LivePage(self._study, self._folder.path, status, address, display.warn) as page:
+        control = self._control if self._options.web_control else None
+        folder = self._folder.path
+        with LivePage(self._study, folder, status, address, display.warn, control) as page:
             self._live_page = page
             show = display.warn if self._options.output is Output.QUIET else display.tell
             show(f"live page: {address.url}")
@@ -283,8 +290,7 @@ class Session:
             self._study,
             self._folder.path,
             self._status,
-            self._gate.requests,
-            self._interruption,
+            self._control,
         )
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:

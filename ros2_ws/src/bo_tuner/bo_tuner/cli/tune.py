@@ -22,7 +22,12 @@ from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.optimizers.algorithms import (
+    ALGORITHMS,
+    DEFAULT_ALGORITHM,
+    default_algorithm,
+    several_objectives_problem,
+)
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord, read_run
@@ -48,9 +53,10 @@ exit codes:
        full); its record is kept
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found
-  130  interrupted by Ctrl-C (143: by SIGTERM or the service ~/abort, 129: the
-       terminal was closed, 141: nobody reads the output any more); the nodes
-       are stopped, the record is kept, and --resume continues the run
+  130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
+       page, 129: the terminal was closed, 141: nobody reads the output any
+       more); the nodes are stopped, the record is kept, and --resume continues
+       the run
 
 examples:
   tune                                 the benchmark study on nodes of its own
@@ -65,6 +71,7 @@ examples:
   tune --from latest --trials 60       begin with the trials of an earlier run
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
+  tune --web --web-control             the same, with buttons to pause and end
   tune --json-lines | jq .event        events for another program
   tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
 """
@@ -205,7 +212,13 @@ def make_parser() -> Parser:
         const=0,
         metavar="PORT",
         help="serve the report of the run in progress, read-only, on this machine only, at an "
-        "address with a token that is printed (default port: any that is free)",
+        "address with a token that is printed (default port: any that is free); it lists and "
+        "compares the other runs in the same folder, too",
+    )
+    parser.add_argument(
+        "--web-control",
+        action="store_true",
+        help="with --web: the page may pause, continue and end the run",
     )
     parser.add_trust_argument("with --resume or --from: ")
     return parser
@@ -275,12 +288,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         # Where that cannot be noted down, the commands on this run will ask for --trust.
         with contextlib.suppress(OutputError):
             trust(study)
-        algorithm, backend = (
-            arguments.algorithm or DEFAULT_ALGORITHM,
-            arguments.backend or BACKENDS[0],
-        )
+        algorithm = arguments.algorithm or default_algorithm(study)
+        backend = arguments.backend or BACKENDS[0]
+        if problem := several_objectives_problem(algorithm, study):
+            parser.error(f"--algorithm: {problem}")
+    if stop_early and len(study.objectives) > 1:
+        parser.error("--stop-early: expected a study with one objective; leave it out")
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
+    if arguments.web_control and arguments.web is None:
+        parser.error("--web-control needs --web")
     if arguments.record not in (None, Policy.NONE) and backend != ROS:
         parser.error("--record needs --backend ros: without nodes there are no messages")
     options = RunOptions(
@@ -294,6 +311,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         carried=carried,
         carried_from=str(record.path.resolve()) if carried else "",
         web=None if arguments.web is None else listen(arguments.web),
+        web_control=arguments.web_control,
     )
     if arguments.resume is not None:
         folder = RunFolder(record.path.resolve())

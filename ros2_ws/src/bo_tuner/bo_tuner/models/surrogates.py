@@ -5,7 +5,7 @@ nearest-neighbour classifiers. A failed trial has no values; only the classifier
 it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -20,10 +20,11 @@ from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.protocol import FitModel, Fitted, Model
+from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.parts import Constraint, Objective
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Trial, TrialState, pooled
 
@@ -117,6 +118,7 @@ class Surrogates:
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]] | None = None,
         options: ModelOptions = DEFAULT_MODELS,
+        weights: Array | None = None,
     ) -> Self:
         """Fit all models.
 
@@ -132,6 +134,9 @@ class Surrogates:
             `warm_starts` of an earlier fit.
         options
             Which models to fit.
+        weights : ndarray, shape (k,), optional
+            The cost is the scalarization of the study's k objectives with these weights, without a
+            unit. Without them it is that of the first objective alone.
         """
         if options.pooled:
             trials = pooled(trials)
@@ -148,8 +153,12 @@ class Surrogates:
             if options.pooled:
                 # A failed trial's complete evaluations tell of the contexts that they were in.
                 kept = [t for t in trials if t.number not in outliers]
-            objective = fitting.objective(kept)
-            constraints = fitting.constraints(kept)
+            if weights is None:
+                objective = fitting.objective(kept)
+                constraints = fitting.constraints(kept)
+            else:
+                constraints = fitting.constraints(kept)
+                objective = fitting.scalarized(kept, constraints.values(), weights)
         classifiers: list[Classifier] = []
         if options.pooled:
             classifiers.append(fitting.crashes(trials))
@@ -167,10 +176,7 @@ class Surrogates:
 
     def log_feasibility(self, x: Array) -> Array:
         """Return the log probability (m,) that all constraints hold at x (m, d)."""
-        total = np.zeros(len(x))
-        for constraint in self.constraints.values():
-            total += constraint.log_probability(x)
-        return total
+        return _log_feasibility(self.constraints.values(), x)
 
     def log_confidence(self, x: Array) -> Array:
         """Return `log_feasibility` with each limit in its most doubtful context."""
@@ -178,6 +184,14 @@ class Surrogates:
         for constraint in self.constraints.values():
             total += constraint.least_log_probability(x)
         return total
+
+
+def _log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
+    """Return the log probability (m,) that all constraints hold at x (m, d)."""
+    total = np.zeros(len(x))
+    for constraint in constraints:
+        total += constraint.log_probability(x)
+    return total
 
 
 class _Fitting:
@@ -200,7 +214,14 @@ class _Fitting:
         self.models: dict[str, Fitted] = {}
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
-        objective = self._study.objective
+        found = self._outliers(complete, self._study.objective, OUTLIERS)
+        for further in self._study.further_objectives:
+            found |= self._outliers(complete, further, f"{OUTLIERS}_{further.metric}")
+        return found
+
+    def _outliers(
+        self, complete: Sequence[Trial], objective: Objective, name: str
+    ) -> frozenset[int]:
         x, y, number = self._observations(complete, objective.metric)
         # On the metric's own scale, where off-the-charts values stand out the most.
         mask, bulk = find_outliers(
@@ -208,9 +229,9 @@ class _Fitting:
             objective.sign * y,
             rng=self._rng,
             minimum_length_scales=self._coding.spread(self._minimum),
-            start=self._start.get(OUTLIERS),
+            start=self._start.get(name),
         )
-        self.models[OUTLIERS] = coded(bulk, self._coding)
+        self.models[name] = coded(bulk, self._coding)
         return frozenset(number[mask].tolist())
 
     def objective(self, trials: Sequence[Trial]) -> Model:
@@ -221,6 +242,21 @@ class _Fitting:
             return ExpectedObjective(process, contexts.to_cube(drawn), self._study.objective)
         x, y, _ = self._observations(trials, self._study.objective.metric)
         return self._fit(OBJECTIVE, x, self._study.objective.to_cost(y), self._minimum)
+
+    def scalarized(
+        self, trials: Sequence[Trial], constraints: Iterable[LimitedResponse], weights: Array
+    ) -> Model:
+        costs = [
+            np.column_stack([o.to_cost(t.observations(o.metric)) for o in self._study.objectives])
+            for t in trials
+        ]
+        points = self._points(trials)
+        feasible = _log_feasibility(constraints, points) >= np.log(BELIEVED_FEASIBLE)
+        means = np.array([values.mean(axis=0) for values in costs])
+        chebyshev = Chebyshev.between(means, feasible, weights)
+        x = np.repeat(points, [len(values) for values in costs], axis=0)
+        y = np.concatenate([chebyshev.linearized(values) for values in costs])
+        return self._fit(OBJECTIVE, x, y, self._minimum)
 
     def constraints(self, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
         found: dict[str, LimitedResponse] = {}

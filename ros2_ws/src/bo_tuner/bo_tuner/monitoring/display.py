@@ -10,6 +10,7 @@ from typing import Any, Self
 from rich.console import Console
 from rich.text import Text
 
+from bo_tuner.monitoring.front import print_front
 from bo_tuner.study.study import Study
 from bo_tuner.text import printable
 from bo_tuner.trials import Value
@@ -83,6 +84,9 @@ class Display(RunObserver):
         """Show the result on standard output."""
         out = plain_console()
         print_verdict(out, result.study, result.verdict, result.tuned)
+        front = result.summary.get("front")
+        if isinstance(front, list):
+            print_front(out, result.study, front, result.verdict.trial)
         out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
         out.print("next:")
         print_next_steps(out, result.verdict, result.parameters_file.parent)

@@ -17,11 +17,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from bo_tuner.interruption import Interruption, Pause
 from bo_tuner.monitoring import diagnostics
+from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.storage.run_folder import how_to_resume
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.limits import tightest
@@ -49,10 +48,8 @@ class LiveNode(RunObserver):
         The run folder.
     status
         Status of the run; must receive each step before this node.
-    pause
-        Takes the requests to pause.
-    interruption
-        Takes the request to end the run.
+    control
+        Takes the requests to pause and to end the run.
     """
 
     def __init__(
@@ -61,14 +58,12 @@ class LiveNode(RunObserver):
         study: Study,
         folder: Path,
         status: RunStatus,
-        pause: Pause,
-        interruption: Interruption,
+        control: RunControl,
     ) -> None:
         self._study = study
         self._folder = folder
         self._status = status
-        self._pause = pause
-        self._interruption = interruption
+        self._control = control
         self._node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
         )
@@ -151,17 +146,13 @@ class LiveNode(RunObserver):
         return message
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._pause.request(request.data)
         response.success = True
-        response.message = (
-            "the run pauses after the present evaluation" if request.data else "the run continues"
-        )
+        response.message = self._control.pause(request.data)
         return response
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._interruption.request("the service ~/abort")
         response.success = True
-        response.message = f"the run ends; {how_to_resume(self._folder)}"
+        response.message = self._control.abort("the service ~/abort")
         return response
 
     def _spin(self) -> None:

@@ -216,6 +216,9 @@ def describe(trial: Trial, study: Study) -> str:
         return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
     mean = trial.mean(study.objective.metric)
     text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
+    for objective in study.further_objectives:
+        found = trial.mean(objective.metric)
+        text += "" if found is None else f"  {_pair(objective.metric, found)}"
     for worst in study.worst_case_constraints:
         name = f"worst {worst.limited}".replace(" ", JOIN)
         value = _pair(name, trial.worst_cases[worst.name].value)

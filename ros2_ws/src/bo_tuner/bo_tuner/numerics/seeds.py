@@ -24,6 +24,7 @@ class Stream(IntEnum):
     CERTIFICATE_NOISE = 10
     CERTIFICATE_SEARCH = 11
     ROBUSTNESS = 12
+    WEIGHTS = 13
 
 
 def generator(study_seed: int, stream: Stream, *key: int) -> np.random.Generator:

@@ -62,6 +62,11 @@ class Algorithm:
     neighbour_starts: int = 2
     most_checked: int = 6
 
+    @property
+    def one_objective(self) -> bool:
+        """Whether it cannot optimize several objectives."""
+        return self.models.pooled
+
     def optimizer(self, study: Study) -> Optimizer:
         """Make the optimizer of stage one."""
         if self.random:
@@ -179,6 +184,8 @@ class Algorithm:
 
 BOUNDARY = "boundary"
 DEFAULT_ALGORITHM = "IV"
+SEVERAL_OBJECTIVES = "IV"
+"""The default for a study with several objectives."""
 
 ALGORITHMS = {
     "I": Algorithm("Bayesian optimization on the nominal model", nominal=True, most_checked=0),
@@ -200,3 +207,19 @@ ALGORITHMS = {
         most_checked=0,
     ),
 }
+
+
+def default_algorithm(study: Study) -> str:
+    """Return the algorithm for a study of which nobody says by which it is to be run."""
+    return SEVERAL_OBJECTIVES if len(study.objectives) > 1 else DEFAULT_ALGORITHM
+
+
+def several_objectives_problem(algorithm: str, study: Study) -> str:
+    """Return in one line why an algorithm cannot run a study; empty if it can."""
+    if len(study.objectives) == 1 or not ALGORITHMS[algorithm].one_objective:
+        return ""
+    others = ", ".join(name for name, item in ALGORITHMS.items() if not item.one_objective)
+    return (
+        f"{algorithm} optimizes one objective, and the study has {len(study.objectives)}; expected "
+        f"one of {others}"
+    )

@@ -14,6 +14,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
+from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
     ACQUISITION,
     REFINEMENT,
@@ -153,7 +154,12 @@ class BayesianOptimization(DesignedOptimizer):
         cube = None
         try:
             surrogates = Surrogates.fit(
-                self.study, self.trials, rng=rng, start=warm, options=self._options
+                self.study,
+                self.trials,
+                rng=rng,
+                start=warm,
+                options=self._options,
+                weights=self._weights(),
             )
             warnings = surrogates.warnings
             warm |= surrogates.warm_starts
@@ -166,6 +172,14 @@ class BayesianOptimization(DesignedOptimizer):
                 return Proposal(parameters, origin, warnings, warm)
         cube = space_filling(self.space, self._tried(), rng)
         return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings, warm)
+
+    def _weights(self) -> Array | None:
+        """Draw the weights (k,) of k objectives, uniformly; None for a single one."""
+        count = len(self.study.objectives)
+        if count == 1:
+            return None
+        rng = generator(self.study.seed, Stream.WEIGHTS, len(self.trials))
+        return rng.dirichlet(np.ones(count))
 
     def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> tuple[Array | None, str]:
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)

@@ -3,7 +3,7 @@
 Parameter sets that are believed feasible are ranked by the posterior mean of the cost plus a
 penalty for a narrow optimum, the mean loss at the neighbours. The posterior mean limits the
 influence of a single noisy evaluation; the penalty prefers a wide optimum to a narrow one with a
-slightly lower cost.
+slightly lower cost. With several objectives, the cost is that of the compromise between them.
 """
 
 from collections.abc import Sequence
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bo_tuner.models.scalarization import equal_weights
 from bo_tuner.models.surrogates import (
     BELIEVED_FEASIBLE,
     CONFIDENT,
@@ -43,7 +44,8 @@ class Candidate:
     trial
         The trial.
     objective
-        Posterior mean of the objective, in the metric's unit.
+        Posterior mean of the objective, in the metric's unit; of several the mean of the first one
+        over the trial's evaluations.
     feasibility
         Probability that all constraints hold.
     violation
@@ -94,7 +96,9 @@ def rank(
         Empty if no trial is complete.
     """
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    models = Surrogates.fit(study, trials, rng=rng, options=options)
+    count = len(study.objectives)
+    weights = equal_weights(count) if count > 1 else None
+    models = Surrogates.fit(study, trials, rng=rng, options=options, weights=weights)
     return ranked_by(models, study, trials, options)
 
 
@@ -112,7 +116,9 @@ def ranked_by(
     ]
     if models.objective is None:
         return []
-    scale = 1.0 if study.objective.scale == "log" else models.objective.scale
+    several = len(study.objectives) > 1
+    logarithmic = study.objective.scale == "log" and not several
+    scale = 1.0 if logarithmic else models.objective.scale
     candidates = []
     for trial in complete:
         x = space.to_cube(trial.parameters)[None]
@@ -121,10 +127,14 @@ def ranked_by(
         around = neighbourhood(space, trial, models)
         loss = (models.objective.predict(around)[0] - cost) / scale
         penalty = float(np.mean(intolerable(loss) + intolerable(relative_excess(models, around))))
+        objective = float(study.objective.from_cost(cost))
+        if several:
+            # The cost is that of the compromise, which has no unit.
+            objective = float(np.mean(trial.observations(study.objective.metric)))
         candidates.append(
             Candidate(
                 trial=trial,
-                objective=float(study.objective.from_cost(cost)),
+                objective=objective,
                 feasibility=float(np.exp(log_feasibility(x)[0])),
                 violation=float(excess),
                 penalty=penalty,

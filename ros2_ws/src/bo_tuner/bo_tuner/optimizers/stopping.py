@@ -94,7 +94,7 @@ class StopAdvisor:
     study
         The study.
     algorithm
-        The algorithm of the run; there is no advice for random search.
+        The algorithm of the run; there is no advice for random search, or for several objectives.
 
     Attributes
     ----------
@@ -120,6 +120,9 @@ class StopAdvisor:
         done = len(trials)
         remaining = budget.remaining(done, count_evaluations(trials))
         if self.advice is not None or self._algorithm.random or remaining <= 0:
+            return None
+        # The gain in one scalarization of several objectives says nothing of the others.
+        if len(self._study.objectives) > 1:
             return None
         if done < budget.initial_trials or done % PERIOD:
             return None

@@ -52,7 +52,8 @@ def names(analyses: Sequence[Analysis]) -> list[str]:
     return [path.name if unique else str(path) for path in paths]
 
 
-def _verdicts(runs: Mapping[str, Analysis]) -> Section:
+def verdicts_table(runs: Mapping[str, Analysis], caption: str) -> Table:
+    """Return a table of runs, each with its verdict, in a row."""
     rows = []
     for name, analysis in runs.items():
         record, verdict = analysis.record, analysis.verdict
@@ -67,19 +68,21 @@ def _verdicts(runs: Mapping[str, Analysis]) -> Section:
                 f"{len(record.trials)} of {analysis.study.budget.trials}",
             ]
         )
+    return Table(
+        caption=caption,
+        header=["run", "verdict", "trial", "evidence", "study", "how", "trials"],
+        rows=rows,
+        numeric=[2, 6],
+    )
+
+
+def _verdicts(runs: Mapping[str, Analysis]) -> Section:
     damaged = [f"{name}: {a.record.damage}" for name, a in runs.items() if a.record.damage]
     return Section(
         name="verdicts",
         title="Verdicts",
         lead="Each verdict is that of the run's own report, and rests on the draws of that run.",
-        tables=[
-            Table(
-                caption="The results",
-                header=["run", "verdict", "trial", "evidence", "study", "how", "trials"],
-                rows=rows,
-                numeric=[2, 6],
-            )
-        ],
+        tables=[verdicts_table(runs, "The results")],
         notes=[f"The record is damaged: {damage}." for damage in damaged],
     )
 

@@ -26,6 +26,7 @@ from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.convergence import convergence
 from bo_tuner.report.sections.draws import draws
 from bo_tuner.report.sections.failures import failures
+from bo_tuner.report.sections.front import front
 from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.sections.parallel import parallel
 from bo_tuner.report.sections.sensitivity import sensitivity
@@ -52,6 +53,7 @@ SECTIONS: tuple[Callable[[Analysis], Section | None], ...] = (
     certificate,
     draws,
     convergence,
+    front,
     trade_off,
     parallel,
     contexts,
@@ -135,7 +137,7 @@ def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     OutputError
         If the file cannot be written.
     """
-    return _write(path, fill("comparison.html", sections=parts, title=title))
+    return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
 
 
 def _write(path: Path, text: str) -> Path:
@@ -163,14 +165,15 @@ def answer_html(analysis: Analysis) -> str:
     return str(_macros().show_answer(found, ""))
 
 
-def render(analysis: Analysis, parts: Sequence[Section], run: str = os.curdir) -> str:
-    """Return the HTML of the page, with links into the run folder by its relative path."""
+def render(analysis: Analysis, parts: Sequence[Section], run: str | None = os.curdir) -> str:
+    """Return the HTML of the page, with links into the run folder by its relative path, if any."""
+    found = answer(analysis)
     return fill(
         "report.html",
         sections=parts,
         study=analysis.study,
         record=analysis.record,
-        answer=answer(analysis),
+        answer=replace(found, files=()) if run is None else found,
         base=quote(f"{run}/"),
     )
 

@@ -131,10 +131,9 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             check_context(evaluation.context)
             _same_names(outcome.metrics, study.metrics if complete else (), "metrics")
             _check_size(outcome.metrics.values(), "metrics")
-            if complete and not math.isfinite(
-                float(study.objective.to_cost(outcome.metrics[study.objective.metric]))
-            ):
-                raise ValueError(f"{study.objective.metric} has no {study.objective.scale} scale")
+            for objective in study.objectives if complete else ():
+                if not math.isfinite(float(objective.to_cost(outcome.metrics[objective.metric]))):
+                    raise ValueError(f"{objective.metric} has no {objective.scale} scale")
         except ValueError as error:
             where = f"evaluation {evaluation.index} of trial {evaluation.trial}"
             raise ValueError(f"{where}: {error}") from error

@@ -21,6 +21,8 @@ STEPS = 100
 """In each part of a run: before, start, after and recover."""
 METRICS = 200
 CONSTRAINTS = 50
+OBJECTIVES = 3
+"""The first and the further ones; with more, a front cannot be looked at."""
 CONSTANTS = 1_000
 """Constant parameters of a node, and values in a list."""
 TIMEOUT = 86_400.0

@@ -90,6 +90,9 @@ class Study:
         What is recorded of such a run.
     park : Park
         What the nodes are set to while no run is performed.
+    further_objectives : tuple of Objective
+        One or two more objectives. The run then searches the Pareto front of all, and its result is
+        the compromise between them, while the limits hold as with one.
     contexts : mapping from str to ContextVariable
         What varies from evaluation to evaluation; may be empty.
     constraints : mapping from str to Constraint
@@ -124,6 +127,7 @@ class Study:
     run: Run | None = None
     signals: Mapping[str, Signal] = field(default_factory=dict)
     park: Park = field(default_factory=Park)
+    further_objectives: tuple[Objective, ...] = ()
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     certificate: CertificateRequirement = field(default_factory=CertificateRequirement)
@@ -158,7 +162,7 @@ class Study:
         for path, node in self._node_references():
             checks.reference(node, "node", self.nodes, *path, "node")
         self._check_run()
-        checks.reference(self.objective.metric, "metric", self.metrics, "objective", "metric")
+        self._check_objectives()
         for name, constraint in self.constraints.items():
             checks.reference(
                 constraint.metric, "metric", self.metrics, "constraints", name, "metric"
@@ -166,6 +170,11 @@ class Study:
         self._check_targets()
         self._check_park()
         self.starting_sets()
+
+    @property
+    def objectives(self) -> tuple[Objective, ...]:
+        """The objective, and the further ones if there are any."""
+        return (self.objective, *self.further_objectives)
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
@@ -334,6 +343,27 @@ class Study:
             yield ("trigger",), self.trigger.node
         if self.seed_parameter is not None:
             yield ("seed_parameter",), self.seed_parameter.node
+
+    def _check_objectives(self) -> None:
+        """Refuse objectives without a metric, too many, or two of one metric."""
+        checks.reference(self.objective.metric, "metric", self.metrics, "objective", "metric")
+        if len(self.objectives) > maxima.OBJECTIVES:
+            raise StudyError(
+                f"expected at most {maxima.OBJECTIVES} objectives in all, found "
+                f"{len(self.objectives)}",
+                ("further_objectives",),
+            )
+        metrics = [self.objective.metric]
+        for index, item in enumerate(self.further_objectives):
+            path = ("further_objectives", index, "metric")
+            checks.reference(item.metric, "metric", self.metrics, *path)
+            if item.metric in metrics:
+                raise StudyError(
+                    f"expected another metric, found '{item.metric}' again; each objective has a "
+                    "metric of its own",
+                    path,
+                )
+            metrics.append(item.metric)
 
     def _check_run(self) -> None:
         """Refuse a run that does not give the metrics, or that is described twice."""

@@ -148,11 +148,23 @@ def study_from_mapping(mapping: object) -> Study:
         if key in values:
             with under(key):
                 values[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
+    if "further_objectives" in values:
+        values["further_objectives"] = _build_objectives(values["further_objectives"])
     for key, cls in _NAMED.items():
         if key in values:
             with under(key):
                 values[key] = _build_named(cls, values[key])
     return Study(**values)
+
+
+def _build_objectives(value: object) -> tuple[Objective, ...]:
+    found = []
+    for index, item in enumerate(
+        checks.sequence(value, "a list of objectives", "further_objectives")
+    ):
+        with under("further_objectives", index):
+            found.append(build(Objective, item))
+    return tuple(found)
 
 
 def study_to_mapping(study: Study) -> dict[str, object]:

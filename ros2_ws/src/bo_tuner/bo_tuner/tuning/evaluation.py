@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import RunError
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
@@ -17,7 +18,7 @@ def evaluate(
 ) -> Evaluation:
     """Run a planned evaluation and pass the result to the observer.
 
-    On a logarithmic scale, an evaluation whose objective is not positive counts as failed.
+    An evaluation counts as failed if an objective with a logarithmic scale is not positive.
 
     Parameters
     ----------
@@ -36,13 +37,14 @@ def evaluate(
         The planned one with its outcome and wall time.
     """
     (evaluation,) = backend.run([planned])
-    objective, outcome = study.objective, evaluation.outcome
-    if outcome.state is EvaluationState.COMPLETE and objective.scale == "log":
-        value = outcome.metrics[objective.metric]
-        if value <= 0.0:
-            reason = f"metric {objective.metric} is {value}; its log scale needs a positive value"
-            failed = Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
-            evaluation = replace(evaluation, outcome=failed)
+    outcome = evaluation.outcome
+    if outcome.state is EvaluationState.COMPLETE:
+        values = {o.metric: outcome.metrics[o.metric] for o in study.objectives if o.scale == LOG}
+        for metric, value in values.items():
+            if value <= 0.0:
+                reason = f"metric {metric} is {value}; its log scale needs a positive value"
+                failed = Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
+                evaluation = replace(evaluation, outcome=failed)
     observer.evaluation(evaluation)
     return evaluation
 

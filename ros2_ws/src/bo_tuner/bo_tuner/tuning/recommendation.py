@@ -7,7 +7,7 @@ the candidates that passed the check.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,11 +44,14 @@ class Recommendation:
         Whether it passed its check; with no checks allowed, whether it is believed feasible.
     checked
         Numbers of the checked trials, in the order of the checks.
+    ranked
+        All candidates, with the evaluations of the checks.
     """
 
     candidate: Candidate
     feasible: bool
     checked: tuple[int, ...]
+    ranked: tuple[Candidate, ...] = field(repr=False)
 
 
 def recommend(
@@ -97,7 +100,7 @@ def recommend(
             break
         best = open_ones[0]
         if best.trial.number in held or most_checked == 0:
-            return Recommendation(best, True, tuple(checked))
+            return Recommendation(best, True, tuple(checked), tuple(ranked))
         if len(checked) == most_checked:
             break
         trial, holds = _check(study, backend, best.trial, observer)
@@ -108,13 +111,15 @@ def recommend(
         observer.advance()
     for candidate in ranked:
         if candidate.trial.number in held:
-            return Recommendation(candidate, candidate.believed_feasible, tuple(checked))
+            return Recommendation(
+                candidate, candidate.believed_feasible, tuple(checked), tuple(ranked)
+            )
     if open_ones:
-        return Recommendation(open_ones[0], False, tuple(checked))
+        return Recommendation(open_ones[0], False, tuple(checked), tuple(ranked))
     # Among several within the limits the first in rank, not the one with the largest margin: a
     # machine that hardly moves keeps every limit.
     least = min(ranked, key=lambda c: max(c.violation, 0.0))
-    return Recommendation(least, False, tuple(checked))
+    return Recommendation(least, False, tuple(checked), tuple(ranked))
 
 
 def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple[Trial, bool]:

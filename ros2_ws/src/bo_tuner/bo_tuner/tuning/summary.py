@@ -18,6 +18,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY, without_nan
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial, count_evaluations
+from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
 from bo_tuner.tuning.validation import Validation, validate
@@ -136,6 +137,8 @@ def summarize(
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
     }
+    if len(study.objectives) > 1:
+        content["front"] = [asdict(point) for point in pareto_front(study, best.ranked)]
     # As it will be read from the file.
     found: dict[str, object] = json.loads(json.dumps(without_nan(content), allow_nan=False))
     return found

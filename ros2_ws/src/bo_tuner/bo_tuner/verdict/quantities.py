@@ -46,8 +46,9 @@ def quantities(
             continue
         # Between two limits neither direction is the better one.
         sign = 0.0 if name in both else signs.get(name, 0.0)
-        if name == study.objective.metric:
-            sign = study.objective.sign
+        for objective in study.objectives:
+            if name == objective.metric:
+                sign = objective.sign
         difference = _paired(default, tuned, name)
         found.append(
             Quantity(

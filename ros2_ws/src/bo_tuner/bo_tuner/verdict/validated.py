@@ -13,6 +13,7 @@ from bo_tuner.trials import (
     Value,
     count_evaluations,
 )
+from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.limits import Sample
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed
@@ -83,7 +84,7 @@ def validated(
                 for name, sample in tuned.constraints.items()
             },
         ),
-        remarks=_load(study, tuned),
+        remarks=(*_choice(study), *_load(study, tuned)),
         observed=observed_sides,
     )
 
@@ -146,6 +147,17 @@ def _broken(study: Study, sample: Sample) -> str:
         return f"{sample.name}: the mean over the draws is {beyond}"
     limit = f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
     return f"{sample.name}: {sample.violations} of {sample.count} draws {constraint.beyond} {limit}"
+
+
+def _choice(study: Study) -> tuple[str, ...]:
+    """Return a remark on how the result was chosen among those of several objectives."""
+    if len(study.objectives) == 1:
+        return ()
+    names = [objective.metric for objective in study.objectives]
+    return (
+        f"Of {', '.join(names[:-1])} and {names[-1]} it is {RULE}. Choose another point for "
+        "validate, and then for apply, with --trial N.",
+    )
 
 
 def _load(study: Study, tuned: Validation) -> tuple[str, ...]:

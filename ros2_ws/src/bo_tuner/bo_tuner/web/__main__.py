@@ -18,4 +18,4 @@ if __name__ == "__main__":
     listening = socket.socket(fileno=int(sys.argv[1]))
     settings = json.loads(sys.stdin.buffer.readline())
     with threadpool_limits(1):
-        asyncio.run(serve(listening, settings["folder"], settings["token"], sys.stdin.buffer))
+        asyncio.run(serve(listening, settings, sys.stdin.buffer))

@@ -6,12 +6,14 @@ import os
 import select
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
     JOIN,
     advice_in_words,
@@ -27,6 +29,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.web.address import Address
+from bo_tuner.web.request import Request
 
 PERIOD = 0.2
 """Shortest time [s] between two messages on evaluations."""
@@ -52,6 +55,8 @@ class LivePage(RunObserver):
         Where to serve the page; this process closes the socket.
     warn
         Called with a line if the page is gone.
+    control
+        Takes the requests of the page; None for a page that is read-only.
     """
 
     def __init__(
@@ -61,23 +66,30 @@ class LivePage(RunObserver):
         status: RunStatus,
         address: Address,
         warn: Callable[[str], None],
+        control: RunControl | None = None,
     ) -> None:
         self._study = study
         self._folder = folder
         self._status = status
         self._address = address
         self._warn = warn
+        self._control = control
+        self._asked = ""
+        # The thread that takes requests tells of them, too.
+        self._lock = threading.Lock()
         self._pipe = -1
         self._process: subprocess.Popen[bytes] | None = None
         self._told = 0.0
         self._trial = ""
         self._running = 0
+        self._ended = False
 
     def __enter__(self) -> Self:
         """Start the process."""
         socket = self._address.socket
         reads, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
+        requests, asks = (-1, -1) if self._control is None else os.pipe()
         # A signal of the terminal goes to the run alone, which then ends the page.
         self._log.parent.mkdir(exist_ok=True)
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT
@@ -87,13 +99,22 @@ class LivePage(RunObserver):
                 stdin=reads,
                 stdout=log,
                 stderr=log,
-                pass_fds=[socket.fileno()],
+                pass_fds=[socket.fileno(), *([] if asks < 0 else [asks])],
                 start_new_session=True,
                 env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             )
         os.close(reads)
         socket.close()
-        self._send({"folder": str(self._folder.resolve()), "token": self._address.token})
+        folder = str(self._folder.resolve())
+        settings: dict[str, object] = {"folder": folder, "token": self._address.token}
+        if self._control is None:
+            self._send(settings)
+        else:
+            os.close(asks)
+            self._send(settings | {"control": asks})
+            threading.Thread(
+                target=self._take, args=[requests, self._control], name="live page", daemon=True
+            ).start()
         return self
 
     def __exit__(
@@ -104,10 +125,10 @@ class LivePage(RunObserver):
     ) -> None:
         """Show the result to whoever looks, and end the process."""
         self._running = 0
-        self._tell(ended=True)
-        if self._pipe >= 0:
-            os.close(self._pipe)
-            self._pipe = -1
+        self._ended = True
+        self._tell()
+        with self._lock:
+            self._hang_up()
         if self._process is not None:
             try:
                 self._process.wait(PATIENCE)
@@ -147,18 +168,31 @@ class LivePage(RunObserver):
 
     def pause(self, paused: bool) -> None:
         """Tell of a pause."""
+        self._asked = ""
         self._tell()
 
     @property
     def _log(self) -> Path:
         return self._folder / LOGS / "web.log"
 
-    def _tell(self, *, ended: bool = False) -> None:
-        now = self._status.now
+    def _take(self, requests: int, control: RunControl) -> None:
+        """Take the requests of the page until its process ends."""
+        with os.fdopen(requests, encoding="ascii") as lines:
+            for line in lines:
+                request = Request(line.strip())
+                if request is Request.ABORT:
+                    self._asked = control.abort("the live page")
+                else:
+                    self._asked = control.pause(request is Request.PAUSE)
+                self._tell()
+
+    def _tell(self) -> None:
+        now, ended = self._status.now, self._ended
         texts = {
             "latest trial": f"trial {now.last.number}: {self._trial}" if now.last else "",
             "so far": "" if ended else incumbent_in_words(now.incumbent, self._study),
             "running": "" if ended else self._present(),
+            "asked": "" if ended else self._asked,
             "advice": advice_in_words(now.advice, self._study) if now.advice else "",
         }
         self._told = time.monotonic()
@@ -170,6 +204,7 @@ class LivePage(RunObserver):
                 "trials": now.trials,
                 "time_left": "" if ended or now.time_left is None else duration(now.time_left),
                 "paused": now.paused,
+                "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
                 "verdict": "" if now.verdict is None else now.verdict.headline,
                 "texts": {
@@ -189,16 +224,20 @@ class LivePage(RunObserver):
         return f"{what}, {self._running} evaluations of it are finished"
 
     def _send(self, message: dict[str, object]) -> None:
-        if self._pipe < 0:
-            return
         line = json.dumps(message, ensure_ascii=False).encode() + b"\n"
         # A pipe takes a short line whole or not at all (POSIX, write).
         if len(line) > select.PIPE_BUF:
             line = json.dumps(message | {"texts": {}}).encode() + b"\n"
-        with contextlib.suppress(BlockingIOError):
+        with self._lock, contextlib.suppress(BlockingIOError):
+            if self._pipe < 0:
+                return
             try:
                 os.write(self._pipe, line)
             except BrokenPipeError:
-                os.close(self._pipe)
-                self._pipe = -1
+                self._hang_up()
                 self._warn(f"the live page has ended, see {self._log}; the run continues")
+
+    def _hang_up(self) -> None:
+        if self._pipe >= 0:
+            os.close(self._pipe)
+            self._pipe = -1

@@ -67,10 +67,16 @@ class LiveSections:
         yield Part(ANSWER, 0, answer_html(analysis))
         yield from _made(analysis, later)
 
-    def shell(self) -> str:
-        """Return the page without sections, which the browser asks for."""
+    def shell(self, control: str) -> str:
+        """Return the page without sections, which the browser asks for.
+
+        Parameters
+        ----------
+        control
+            The token of requests to the run; without it, the page has no buttons for them.
+        """
         study = read_run(self._folder).study
-        return fill("live.html", scripts=["live.js"], study=study, sections=[])
+        return fill("live.html", scripts=["live.js"], study=study, sections=[], control=control)
 
     def trial(self, number: int) -> str | None:
         """Return the page of a trial; None if there is no such trial."""

@@ -1,9 +1,10 @@
-"""Serves the page to whoever has the token, read-only.
+"""Serves the page to whoever has the token.
 
 The token comes once in the address and then in a cookie, so that it stays out of the history and
 of the Referer header. Requests for another host name are refused, since a page of a stranger could
-send them by a name that it has resolve to this machine (DNS rebinding). Nothing can be changed: the
-only method is GET.
+send them by a name that it has resolve to this machine (DNS rebinding). Nothing can be changed,
+unless the run takes requests: each of these must come from the page itself, by its Origin, and with
+a token of its own in a header, which only who can read the page has.
 
 Wherever the browser can wait, it does: ``/state`` answers once there is something new.
 """
@@ -17,7 +18,6 @@ import os
 import socket
 import threading
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,12 +26,11 @@ from tornado.web import Application, HTTPError, RequestHandler
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.web.address import HOST
-from bo_tuner.web.sections import LiveSections, Part
+from bo_tuner.web.request import Request
+from bo_tuner.web.runs import MOST_COMPARED, Runs
+from bo_tuner.web.sections import LiveSections
+from bo_tuner.web.state import LiveState
 
-LONGEST_WAIT = 20.0
-"""Time [s] after which a request for news is answered without any."""
-WATCHED = 30.0
-"""Time [s] for which the sections are kept up to date after a request."""
 LAST_LOOK = 20.0
 """Longest time [s] after the end of the run in which the page shows the result."""
 LARGEST_REQUEST = 16_384
@@ -44,101 +43,6 @@ HEADERS = {
     "Server": "bo_tuner",
     "X-Content-Type-Options": "nosniff",
 }
-
-
-class LiveState:
-    """What the page shows, with the version of each part; changed in the server's thread only.
-
-    Parameters
-    ----------
-    sections
-        Makes the sections.
-    """
-
-    def __init__(self, sections: LiveSections) -> None:
-        self.sections = sections
-        self.version = 0
-        self.now: Mapping[str, Any] = {}
-        self.parts: dict[str, tuple[int, Part]] = {}
-        self.problem = ""
-        self.complete = False
-        self.shown = False
-        self._watched_until = 0.0
-        self._changed = asyncio.Event()
-        self._due = asyncio.Event()
-        # One thread: the sections share what they know.
-        self._executor = ThreadPoolExecutor(1)
-
-    async def call(self, function: Any, *arguments: Any) -> Any:
-        """Call a function of `sections` in their thread."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._executor, function, *arguments)
-
-    def take(self, now: Mapping[str, Any]) -> None:
-        """Take what the run tells."""
-        self.now = now
-        self._due.set()
-        self._publish()
-
-    def watch(self) -> None:
-        """Keep the sections up to date for a while."""
-        self._watched_until = asyncio.get_running_loop().time() + WATCHED
-        self._due.set()
-
-    @property
-    def watched(self) -> bool:
-        """Whether somebody has looked of late."""
-        return asyncio.get_running_loop().time() <= self._watched_until
-
-    async def news(self, version: int) -> None:
-        """Wait until there is something newer than a version, but not for long."""
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(LONGEST_WAIT):
-                while self.version <= version:
-                    await self._changed.wait()
-
-    async def keep_up(self) -> None:
-        """Make the sections anew whenever the run has come further and somebody looks."""
-        made: object = None
-        while True:
-            await self._due.wait()
-            self._due.clear()
-            if not self.watched:
-                continue
-            reached = (self.now.get("trials"), self.now.get("phase"), self.now.get("ended"))
-            if reached == made:
-                continue
-            made = reached
-            ended = bool(self.now.get("ended"))
-            # A run that was interrupted has no result to show.
-            if not ended or self.now.get("verdict"):
-                await self._make(ended=ended)
-            if ended:
-                self.complete = True
-                self._publish()
-
-    async def _make(self, *, ended: bool) -> None:
-        names = []
-        try:
-            parts = self.sections.parts(ended=ended)
-            while (part := await self.call(next, parts, None)) is not None:
-                names.append(part.name)
-                if part.name not in self.parts or self.parts[part.name][1] != part:
-                    self.parts[part.name] = self.version + 1, part
-                    self._publish()
-            # Without those that no longer apply.
-            self.parts = {name: self.parts[name] for name in names}
-            problem = ""
-        except BoTunerError as error:
-            problem = f"The page cannot be brought up to date: {error}"
-        if problem != self.problem:
-            self.problem = problem
-            self._publish()
-
-    def _publish(self) -> None:
-        self.version += 1
-        self._changed.set()
-        self._changed = asyncio.Event()
 
 
 class Page(RequestHandler):
@@ -173,10 +77,22 @@ class Page(RequestHandler):
         if not isinstance(error[1], HTTPError):
             logging.getLogger(__name__).error("%s", self.request.path, exc_info=error)
 
+    async def finish_aside(self, make: Any, *arguments: Any) -> None:
+        """Answer with a page about other runs."""
+        try:
+            page = await self.state.call_aside(make, *arguments)
+        except BoTunerError as error:
+            raise HTTPError(409, str(error)) from None
+        if page is None:
+            raise HTTPError(404, "there is no such run here")
+        self.finish(page)
+
     def write_error(self, status_code: int, **kwargs: Any) -> None:
         """Answer in a line of text."""
         _, error, _ = kwargs.get("exc_info", (None, None, None))
-        said = error.log_message if isinstance(error, HTTPError) else ""
+        said = ""
+        if isinstance(error, HTTPError) and error.log_message:
+            said = error.log_message % error.args
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code}: {said or self._reason}\n")
 
@@ -191,7 +107,7 @@ class Home(Page):
             self.redirect("/")
             return
         self.state.watch()
-        self.finish(await self.state.call(self.state.sections.shell))
+        self.finish(await self.state.call(self.state.sections.shell, self.state.control))
 
 
 class State(Page):
@@ -238,6 +154,56 @@ class TrialPage(Page):
         self.finish(page)
 
 
+class RunsPage(Page):
+    """The list of runs."""
+
+    async def get(self) -> None:
+        """Answer with the list."""
+        self.finish(await self.state.call_aside(self.state.runs.listing))
+
+
+class RunPage(Page):
+    """The report of another run."""
+
+    async def get(self, name: str) -> None:
+        """Answer with the report, if there is such a run."""
+        await self.finish_aside(self.state.runs.report, name)
+
+
+class ComparisonPage(Page):
+    """Runs side by side."""
+
+    async def get(self) -> None:
+        """Answer with the comparison."""
+        names = list(dict.fromkeys(self.get_query_arguments("run")))
+        if not 2 <= len(names) <= MOST_COMPARED:
+            raise HTTPError(
+                400, f"choose 2 to {MOST_COMPARED} runs to compare, found {len(names)}; go back"
+            )
+        await self.finish_aside(self.state.runs.compared, names)
+
+
+class RequestToRun(Page):
+    """A request to pause, continue or end the run."""
+
+    def post(self, name: str) -> None:
+        """Pass the request on, if it is the page that asks."""
+        state = self.state
+        if state.requests is None:
+            raise HTTPError(403, "the page is read-only; tune --web-control allows requests")
+        if self.request.headers.get("Origin", "") != f"http://{self.request.host}":
+            raise HTTPError(403, "the request is not from this page")
+        given = self.request.headers.get("X-Control-Token", "")
+        if not hmac.compare_digest(given.encode(), state.control.encode()):
+            raise HTTPError(403, "the request is not from this page, or from one of an earlier run")
+        try:
+            # A pipe takes a short line whole (POSIX, write).
+            os.write(state.requests, f"{Request(name)}\n".encode())
+        except BrokenPipeError:
+            raise HTTPError(409, "the run has ended") from None
+        self.set_status(202)
+
+
 class Missing(Page):
     """Any other address."""
 
@@ -246,27 +212,32 @@ class Missing(Page):
         raise HTTPError(404, "there is no such page")
 
 
-async def serve(listening: socket.socket, folder: str, token: str, told: BinaryIO) -> None:
+async def serve(listening: socket.socket, settings: Mapping[str, Any], told: BinaryIO) -> None:
     """Serve the page of a run until its end.
 
     Parameters
     ----------
     listening
         A socket that listens.
-    folder
-        The run folder.
-    token
-        What a reader must know.
+    settings
+        The run `folder`, the `token` that a reader must know, and, if the run takes requests, the
+        pipe for them as `control`.
     told
         Gives a line of JSON whenever the run has something to say, and ends with it.
     """
-    state = LiveState(LiveSections(Path(folder)))
-    shared = {"state": state, "token": token, "port": listening.getsockname()[1]}
+    folder = Path(settings["folder"])
+    runs = Runs(folder.parent, folder.name)
+    state = LiveState(LiveSections(folder), runs, settings.get("control"))
+    shared = {"state": state, "token": settings["token"], "port": listening.getsockname()[1]}
     application = Application(
         [
             (r"/", Home, shared),
             (r"/state", State, shared),
             (r"/trials/([0-9]{1,9})", TrialPage, shared),
+            (r"/runs", RunsPage, shared),
+            (r"/runs/([^/]+)", RunPage, shared),
+            (r"/compare", ComparisonPage, shared),
+            (rf"/requests/({'|'.join(Request)})", RequestToRun, shared),
         ],
         default_handler_class=Missing,
         default_handler_args=shared,

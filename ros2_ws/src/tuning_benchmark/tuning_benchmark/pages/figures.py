@@ -12,27 +12,34 @@ from bo_tuner.figures.figure import (
     Dash,
     Element,
     Figure,
-    Limit,
     Line,
     Panel,
     Points,
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.parts import LOG, ReportedMetric
 from tuning_benchmark.experiments.experiment import Calibration, Case, Cost
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Effort
 from tuning_benchmark.pages.statistics import Mean, Power, mean, power
 from tuning_benchmark.pages.summary import Record, RowSummary, feasible_at
 from tuning_benchmark.pages.tables import costs
 
-COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION, Color.SKY)
-DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
+COLORS = (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.VERMILION)
+"""Of the rows in one panel; with more rows than these, each has a panel of its own."""
+DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT, Dash.DASHED)
 
 STEPS = 120
 """Points of a line over the evaluations."""
 
 QUARTILES = (25, 50, 75)
+
+HEADROOM = 1.15
+SETTLED = 0.25
+"""Part of the budget after which a line must fit into its panel; before, incumbents are poor."""
+
+COLUMNS = (3, 4)
+"""Of panels of single rows; that which leaves the fewest places empty is taken."""
 
 
 def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | None) -> Figure:
@@ -40,75 +47,121 @@ def convergence(case: Case, summaries: Sequence[RowSummary], optimum: float | No
     evaluations = np.linspace(
         0.0, max([case.evaluations, *(s.most_evaluations for s in summaries)]), STEPS
     )
-    means: list[Element] = []
-    medians: list[Element] = []
-    shares: list[Element] = []
-    many = len(summaries) > len(COLORS)
-    for index, s in enumerate(summaries):
-        # No two lines are alike, and a few differ in both.
-        color = COLORS[index % len(COLORS)]
-        dash = DASHES[(index // len(COLORS) if many else index) % len(DASHES)]
-        found = [feasible_at(s.results.values(), int(c)) for c in evaluations]
-        mean_lines = _means(found)
-        median_lines = _medians(found)
-        share = np.array([len(f) / case.runs for f in found])
-        for elements, (low, middle, high) in ((means, mean_lines), (medians, median_lines)):
-            # Many bands hide one another.
-            if not many:
-                elements.append(Band(x=evaluations, lower=low, upper=high, color=color))
-            elements.append(Line(x=evaluations, y=middle, name=s.row.name, color=color, dash=dash))
-        shares.append(Line(x=evaluations, y=share, name=s.row.name, color=color, dash=dash))
-    limits = None
-    if optimum is not None:
-        limit = Limit(value=optimum, name="optimum of the grid", color=Color.INK)
-        means.append(limit)
-        medians.append(limit)
-        limits = (0.97 * optimum, 1.6 * optimum)
+    found = [
+        [feasible_at(s.results.values(), int(count)) for count in evaluations] for s in summaries
+    ]
     metric = case.study.metrics[case.study.objective.metric]
-    unit = metric.unit or ""
-    # An objective that is modelled by its logarithm is positive.
-    scale = Scale.LOG if case.study.objective.scale == "log" else Scale.LINEAR
-    x = Axis(label="evaluations")
-    bands = ("", "") if many else (" and standard deviation", " and quartiles")
+    label, unit = f"median {metric.name}", metric.unit or ""
+    sign = case.study.objective.sign
+    if optimum is not None:
+        # From zero on, no difference looks larger than it is.
+        label, unit = "median above the optimum", "%"
+        found = [
+            [[100.0 * sign * (value / optimum - 1.0) for value in values] for values in row]
+            for row in found
+        ]
+    medians = [_medians(row) for row in found]
+    y = Axis(label=label, unit=unit, limits=_limits(medians, case.study.objective.scale == LOG))
+    x = Axis(label="evaluations", limits=(0.0, float(evaluations[-1])))
+    many = len(summaries) > len(COLORS)
+    reading = (
+        "median and quartiles of the true objective of the incumbent, the solution that a run "
+        "predicts to be its best feasible one, over the runs where it is truly feasible"
+    )
+    if many:
+        # With the fewest gaps in its line.
+        compared = max(range(len(found)), key=lambda k: sum(map(len, found[k])))
+        panels = _panels_of_rows(summaries, evaluations, medians, compared, x, y)
+        columns = min(COLUMNS, key=lambda count: (-len(panels) % count, -count))
+        caption = (
+            f"Each row by itself: {reading}; dashed, the median of "
+            f"{summaries[compared].row.name} for comparison. The title counts the runs whose "
+            "incumbent is truly feasible in the end."
+        )
+    else:
+        shares = [np.array([len(values) / case.runs for values in row]) for row in found]
+        panels = _panels_of_all(summaries, evaluations, medians, shares, x, y)
+        columns = 2
+        caption = f"Left: {reading}. Right: share of the runs whose incumbent is truly feasible."
     return Figure(
         name=f"convergence-{case.name}",
         title=f"Incumbents, {case.title}",
         caption=(
-            f"First: mean{bands[0]} of the true objective of the incumbent, the solution that a "
-            "run predicts to be its best feasible one, over the runs where it is truly feasible. "
-            f"Second, enlarged: median{bands[1]} of the same, which a single outlier does not "
-            "move. Third: share of the runs whose incumbent is truly feasible. The truth is over "
+            f"{caption} What lies beyond the axis is poorer. The truth is over "
             f"{Effort().drawn} drawn contexts, not over 25 draws as in the paper; the chance "
             f"constraints of incumbents are judged by {FEW_REAL_EVALUATIONS} evaluations on the "
             f"real objects, those of answers by {Effort().real_evaluations}."
         ),
         alternative="Lines that fall towards the optimum; the table below has the numbers.",
-        panels=[
-            Panel(x=x, y=Axis(label=f"mean {metric.name}", unit=unit, scale=scale), elements=means),
-            Panel(
-                x=x,
-                y=Axis(label=f"median {metric.name}", unit=unit, limits=limits),
-                elements=medians,
-            ),
-            Panel(x=x, y=Axis(label="runs truly feasible", limits=(0.0, 1.05)), elements=shares),
-        ],
-        # Side by side there is room for a long legend.
-        columns=2 if many else 1,
+        panels=panels,
+        columns=columns,
+        panel_height=220 if many else 320,
     )
 
 
-def _means(found: Sequence[Sequence[float]]) -> Array:
-    """Mean with a standard deviation below and above (3, moments); NaN without values.
+def _panels_of_all(
+    summaries: Sequence[RowSummary],
+    evaluations: Array,
+    medians: Sequence[Array],
+    shares: Sequence[Array],
+    x: Axis,
+    y: Axis,
+) -> list[Panel]:
+    """Draw the rows in one panel, and the shares of feasible incumbents in another."""
+    quality: list[Element] = []
+    feasible: list[Element] = []
+    for s, (low, middle, high), share, color, dash in zip(
+        summaries, medians, shares, COLORS, DASHES, strict=False
+    ):
+        quality.append(Band(x=evaluations, lower=low, upper=high, color=color))
+        quality.append(Line(x=evaluations, y=middle, name=s.row.name, color=color, dash=dash))
+        feasible.append(Line(x=evaluations, y=share, name=s.row.name, color=color, dash=dash))
+    return [
+        Panel(x=x, y=y, elements=quality),
+        Panel(x=x, y=Axis(label="runs truly feasible", limits=(0.0, 1.05)), elements=feasible),
+    ]
 
-    The band ends at the lowest value there is: a logarithmic axis has no place for what lies below
-    zero.
+
+def _panels_of_rows(
+    summaries: Sequence[RowSummary],
+    evaluations: Array,
+    medians: Sequence[Array],
+    compared: int,
+    x: Axis,
+    y: Axis,
+) -> list[Panel]:
+    """Draw each row in a panel of its own, beside the one with index `compared`."""
+    reference = Line(
+        x=evaluations,
+        y=medians[compared][1],
+        name=summaries[compared].row.name,
+        color=Color.INK,
+        dash=Dash.DASHED,
+    )
+    panels = []
+    for s, (low, middle, high) in zip(summaries, medians, strict=True):
+        elements: list[Element] = [
+            Band(x=evaluations, lower=low, upper=high, color=Color.BLUE),
+            Line(x=evaluations, y=middle, name="the row of the title", color=Color.BLUE),
+        ]
+        if s is not summaries[compared]:
+            elements.append(reference)
+        ends = feasible_at(s.results.values(), int(evaluations[-1]))
+        title = f"{s.row.name}: {len(ends)} of {len(s.results)}"
+        panels.append(Panel(x=x, y=y, elements=elements, title=title))
+    return panels
+
+
+def _limits(medians: Sequence[Array], logarithmic: bool) -> tuple[float, float] | None:
+    """Return an axis from zero to the largest median once runs have settled; None without any.
+
+    Values of either sign, such as those of an objective to maximize, have an axis of their own.
     """
-    lines = []
-    for values in found:
-        middle, spread = (np.mean(values), np.std(values)) if values else (np.nan, np.nan)
-        low = max(middle - spread, min(values)) if values else np.nan
-        lines.append([low, middle, middle + spread])
-    return np.array(lines).T
+    settled = np.concatenate([middle[int(SETTLED * STEPS) :] for _, middle, _ in medians])
+    settled = settled[np.isfinite(settled)]
+    if len(settled) == 0 or (settled.min() < 0.0 and not logarithmic):
+        return None
+    return min(0.0, HEADROOM * float(settled.min())), HEADROOM * max(float(settled.max()), 1e-9)
 
 
 def _medians(found: Sequence[Sequence[float]]) -> Array:

@@ -41,6 +41,38 @@ def beside_the_paper(case: Case, summaries: Sequence[RowSummary]) -> list[str]:
     return said + [_unordered(case, s, ordered) for s in quoted if s.feasible.count == 0]
 
 
+def in_brief(case: Case, summaries: Sequence[RowSummary]) -> str:
+    """Say in a line which row found most truly feasible answers, and how good they are.
+
+    Among rows with as many, that with the best mean objective is the first.
+    """
+    sign = case.study.objective.sign
+    order = sorted(
+        summaries,
+        key=lambda s: (-s.feasible.value, sign * s.objective.value if s.objective.count else 0.0),
+    )
+    best, *others = order
+    said = f"{case.title}: {_answers(best)}"
+    if others:
+        said += f"; next {_answers(others[0])}"
+    last = order[-1]
+    if len(others) > 1 and last.feasible.value < others[0].feasible.value:
+        said += f"; fewest feasible: {last.row.name}, {_count(last)}"
+    return f"{said}."
+
+
+def _count(s: RowSummary) -> str:
+    return f"{s.feasible.count} of {s.feasible.runs}"
+
+
+def _answers(s: RowSummary) -> str:
+    text = f"{s.row.name}, {_count(s)} answers truly feasible"
+    if s.distance is not None and s.distance.count:
+        where = "above" if s.distance.value >= 0.0 else "below"
+        return f"{text}, on average {abs(s.distance.value):.1f} % {where} the optimum"
+    return f"{text}, mean objective {s.objective.value:.4g}" if s.objective.count else text
+
+
 def _clear(published: float) -> bool:
     # Without the digits that a difference of two printed numbers does not have.
     return round(abs(published), 6) >= CLEAR

@@ -16,6 +16,8 @@ from tuning_benchmark.pages.field_figure import field_figure
 from tuning_benchmark.pages.summary import Record, RowSummary, summarise
 
 FOLDER = "figures"
+MOST_BRIEF = 10
+"""Lines at the head of the page."""
 
 LEGEND = """\
 How to read the tables. *Held in validation*: the run called its answer feasible, and 25 fresh
@@ -68,11 +70,14 @@ class Section:
         What stands below, in Markdown; the figures are linked in it.
     figures
         Files beside the page.
+    brief
+        What was found, in a line for the head of the page; empty if nothing was.
     """
 
     title: str
     text: str
     figures: tuple[Figure, ...] = ()
+    brief: str = ""
 
 
 def sections(
@@ -110,7 +115,11 @@ def summaries_of(
 
 def markdown(parts: Sequence[Section], title: str, introduction: str) -> str:
     """Text of the page."""
-    text = [f"# {title}", introduction.strip(), LEGEND.strip()]
+    brief = [f"- {part.brief}" for part in parts if part.brief]
+    text = [f"# {title}"]
+    if brief:
+        text += ["What was found, case by case:", "\n".join(brief[:MOST_BRIEF])]
+    text += [introduction.strip(), LEGEND.strip()]
     for part in parts:
         text += [f"## {part.title}", part.text.strip()]
     return "\n\n".join(text) + "\n"
@@ -162,13 +171,14 @@ def _case(
         text += [REMARKS, case.remarks.strip()]
     figure = figures.convergence(case, summaries, None if optimum is None else optimum.objective)
     text += [
-        _with("Truly feasible incumbents during the runs, and their mean objective:", figure),
+        _with("Truly feasible incumbents during the runs, and their objective:", figure),
         tables.convergence_table(case, summaries),
     ]
     failures = [f"- {s.row.name}: {reason}" for s in summaries for reason in s.failures]
     if failures:
         text += ["Runs that failed, counted as infeasible:", "\n".join(failures)]
-    return Section(case.title, "\n\n".join(text), (figure,))
+    brief = findings.in_brief(case, summaries)
+    return Section(case.title, "\n\n".join(text), (figure,), brief)
 
 
 def _protocols(case: Case) -> list[str]:

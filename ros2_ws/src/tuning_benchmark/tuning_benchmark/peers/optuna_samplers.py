@@ -44,7 +44,7 @@ class _Optuna:
         self._study = study
         self._space = study.search_space()
         self._distributions = {
-            name: _distribution(study.parameters[name]) for name in self._space.names
+            name: distribution(study.parameters[name]) for name in self._space.names
         }
         self._optuna = optuna.create_study(sampler=sampler)
         self._pending: Trial | None = None
@@ -115,7 +115,8 @@ class OptunaTPE(_Optuna):
         super().__init__(study, TPESampler(seed=seed))
 
 
-def _distribution(parameter: Parameter) -> BaseDistribution:
+def distribution(parameter: Parameter) -> BaseDistribution:
+    """Return the distribution of a tuned parameter."""
     if parameter.bounds is None:
         raise ValueError(f"parameter {parameter.name}: expected a tuned one")
     low, high = parameter.bounds

@@ -15,17 +15,17 @@ def all_trials(analysis: Analysis) -> Section:
     """List all trials, with marks on the result and on the trials next to it."""
     study = analysis.study
     names = study.search_space().names
-    metric = study.metrics[study.objective.metric]
+    metrics = [study.metrics[objective.metric] for objective in study.objectives]
     worst = study.worst_case_constraints
     header = ["trial", "origin", *(_with_unit(n, study.parameters[n].unit) for n in names)]
-    header.append(_with_unit(f"mean {metric.name}", metric.unit))
+    header += [_with_unit(f"mean {metric.name}", metric.unit) for metric in metrics]
     header += [_with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
     header += ["evaluations", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []
     for trial in analysis.trials:
         row = [str(trial.number), trial.origin, *(number(trial.parameters[n]) for n in names)]
-        row.append(number(analysis.mean_objective(trial)))
+        row += [number(trial.mean(metric.name)) for metric in metrics]
         found = [trial.worst_cases.get(constraint.name) for constraint in worst]
         row += [number(None if item is None else item.value) for item in found]
         row += [str(len(trial.evaluations)), analysis.outcome(trial), marks.get(trial.number, "")]

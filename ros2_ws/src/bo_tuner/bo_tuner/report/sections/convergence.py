@@ -91,6 +91,9 @@ def _objective(analysis: Analysis) -> Figure:
     y = Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale)
     means = np.array([analysis.mean_objective(trial) for trial in trials])
     found = incumbents(analysis)
+    line = "the posterior mean of the surrogate, which a single lucky sample hardly changes"
+    if len(study.objectives) > 1:
+        line = "the mean of its evaluations; it may rise where another objective gains more"
     shown = _within_sight(analysis, means, scale)
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
     panels = [
@@ -113,9 +116,8 @@ def _objective(analysis: Analysis) -> Figure:
         name="convergence",
         title=f"Mean {metric.name} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
-        "there; its line is the posterior mean of the surrogate, which a single lucky sample "
-        "hardly changes. Failed trials, which have no value, and values far above the others are "
-        "at the top.",
+        f"there; its line is {line}. Failed trials, which have no value, and values far above the "
+        "others are at the top.",
         alternative=_summary(analysis, found),
         panels=panels,
         columns=2,

@@ -1,7 +1,5 @@
 """The trade-off between the objective and the worst case, over all trials."""
 
-import math
-
 import numpy as np
 
 from bo_tuner.figures.figure import (
@@ -18,6 +16,7 @@ from bo_tuner.figures.figure import (
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import trial_points
@@ -29,8 +28,13 @@ LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 
 
 def trade_off(analysis: Analysis) -> Section | None:
-    """Show what a lower worst case costs; None without a worst case or complete trials."""
+    """Show what a lower worst case costs; None without a worst case or complete trials.
+
+    With several objectives the front of these takes its place.
+    """
     study = analysis.study
+    if len(study.objectives) > 1:
+        return None
     trials = [
         trial
         for trial in analysis.trials
@@ -128,13 +132,8 @@ def pareto_front(cost: Array, worst: Array) -> list[int]:
     cost, worst
         Both (n,); smaller is better.
     """
-    front: list[int] = []
-    best = math.inf
-    for k in np.lexsort((cost, worst)):
-        if cost[k] < best:
-            front.append(int(k))
-            best = float(cost[k])
-    return front
+    front = np.flatnonzero(nondominated(np.column_stack([worst, cost])))
+    return sorted(front.tolist(), key=lambda k: float(worst[k]))
 
 
 def _other_limits(

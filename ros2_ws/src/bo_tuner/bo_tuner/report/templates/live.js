@@ -9,6 +9,8 @@
   const links = document.querySelector("nav ul");
   const waiting = new Map(); // sections that the reader is busy with, by name
 
+  const control = now.querySelector(".control");
+
   const of = (name) => document.getElementById(name);
 
   function showNow(state, problem) {
@@ -25,6 +27,7 @@
     const trouble = now.querySelector(".damage");
     trouble.textContent = problem;
     trouble.hidden = !problem;
+    if (control) showControl(state);
     now.querySelector("dl").replaceChildren(
       ...Object.entries(state.texts || {}).map(([name, text]) => {
         const row = document.createElement("div");
@@ -35,6 +38,36 @@
         return row;
       })
     );
+  }
+
+  const button = (request) => control.querySelector(`[data-request=${request}]`);
+
+  // The button with the focus stays where it is, although it becomes the other one.
+  function showControl(state) {
+    control.hidden = Boolean(state.ended);
+    const focused = control.querySelector("[data-request]:focus");
+    button("pause").hidden = state.pausing;
+    button("continue").hidden = !state.pausing;
+    if (focused && focused.hidden) button(state.pausing ? "continue" : "pause").focus();
+  }
+
+  async function ask(request) {
+    const trouble = control.querySelector(".damage");
+    try {
+      const answer = await fetch(`requests/${request}`, {
+        method: "POST",
+        headers: { "X-Control-Token": control.dataset.token },
+      });
+      trouble.textContent = answer.ok ? "" : await answer.text();
+    } catch {
+      trouble.textContent = "The run cannot be reached";
+    }
+    trouble.hidden = !trouble.textContent;
+  }
+  if (control) {
+    for (const item of control.querySelectorAll("[data-request]")) {
+      item.addEventListener("click", () => ask(item.dataset.request));
+    }
   }
 
   // Keeps what is unfolded and typed; a section with the focus in it waits.

@@ -1,0 +1,99 @@
+"""Several objectives as one cost: the augmented Chebyshev scalarization of ParEGO.
+
+With the costs scaled to f_1 ... f_k, 0 at the ideal point and 1 at the nadir point of the front
+seen, Knowles (2006, Eq. 2) minimizes
+
+    f_w(x) = max_j w_j f_j(x) + ρ Σ_j w_j f_j(x)
+
+with weights w, drawn anew for each proposal. Each point of the Pareto front, also where that is not
+convex, is the minimum for some weights (Miettinen 1999, Sec. 3.4.5); the sum excludes points that
+are only weakly optimal. With equal weights the minimum is the compromise: the point of the front
+nearest to the ideal one in this metric (Zeleny 1973). Limits stay apart: they are the constraints
+of the acquisition function.
+
+The objectives are means over contexts and noise, so the cost is that of the means, not the mean of
+the costs of single evaluations, which would be too large: a maximum of noise is on average above
+zero. Each evaluation enters by the linearization of f_w about the mean of its trial. The mean of
+these values is f_w of the mean, and their scatter is the noise that the process estimates.
+
+Notation: n trials, k objectives, m evaluations of a trial.
+
+References
+----------
+Knowles (2006). ParEGO: a hybrid algorithm with on-line landscape approximation for expensive
+multiobjective optimization problems. IEEE Transactions on Evolutionary Computation 10(1).
+Miettinen (1999). Nonlinear multiobjective optimization. Kluwer.
+Zeleny (1973). Compromise programming. In Cochrane and Zeleny (eds.), Multiple criteria decision
+making. University of South Carolina Press.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.pareto import nondominated
+
+AUGMENTATION = 0.05
+"""ρ, as in Knowles (2006)."""
+
+
+def equal_weights(count: int) -> Array:
+    """Return the weights (k,) of the compromise between `count` objectives."""
+    return np.full(count, 1.0 / count)
+
+
+@dataclass(frozen=True, eq=False)
+class Chebyshev:
+    """The scalarization f_w.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (k,)
+        w, not negative, of sum 1.
+    ideal, nadir : ndarray, shape (k,)
+        Costs that are scaled to 0 and 1; nadir > ideal.
+    """
+
+    weights: Array
+    ideal: Array
+    nadir: Array
+
+    @classmethod
+    def between(cls, means: Array, feasible: NDArray[np.bool_], weights: Array) -> Self:
+        """Scale by the front of the feasible points; where that is one point, by all points.
+
+        Parameters
+        ----------
+        means : ndarray, shape (n, k)
+            Mean costs of the trials.
+        feasible : ndarray of bool, shape (n,)
+            Which of them are believed feasible; without any, all count.
+        weights : ndarray, shape (k,)
+            As in the attributes.
+        """
+        known = means[feasible] if feasible.any() else means
+        front = known[nondominated(known)]
+        ideal, nadir = front.min(axis=0), front.max(axis=0)
+        for further in (known, means):
+            nadir = np.where(nadir > ideal, nadir, further.max(axis=0))
+        return cls(weights, ideal, np.where(nadir > ideal, nadir, ideal + 1.0))
+
+    def __call__(self, costs: Array) -> Array:
+        """Return f_w (n,) of mean costs (n, k)."""
+        weighted = self._weighted(costs)
+        total: Array = weighted.max(axis=1) + AUGMENTATION * weighted.sum(axis=1)
+        return total
+
+    def linearized(self, costs: Array) -> Array:
+        """Return values (m,) for the costs (m, k) of a trial's evaluations; their mean is f_w."""
+        weighted = self._weighted(costs)
+        largest = int(weighted.mean(axis=0).argmax())
+        values: Array = weighted[:, largest] + AUGMENTATION * weighted.sum(axis=1)
+        return values
+
+    def _weighted(self, costs: Array) -> Array:
+        scaled: Array = self.weights * (costs - self.ideal) / (self.nadir - self.ideal)
+        return scaled

@@ -1,0 +1,58 @@
+"""The Pareto front in the terminal."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from bo_tuner.study.study import Study
+from bo_tuner.tuning.front import CONFIDENCE
+
+
+def print_front(
+    console: Console, study: Study, front: Sequence[Mapping[str, Any]], result: int | None
+) -> None:
+    """Print the front with a mark on the result.
+
+    Parameters
+    ----------
+    console
+        Where to print.
+    study
+        The study.
+    front
+        The points as a summary has them, see `bo_tuner.tuning.front`.
+    result
+        Number of the trial of the result.
+    """
+    if not front:
+        console.print("no parameter set is believed feasible, so there is no Pareto front")
+        return
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("trial", justify="right")
+    for objective in study.objectives:
+        unit = study.metrics[objective.metric].unit
+        heading = f"mean {objective.metric}" + (f" [{unit}]" if unit else "")
+        table.add_column(heading, justify="right")
+    table.add_column("P(feasible)", justify="right")
+    table.add_column("")
+    for point in front:
+        table.add_row(
+            str(point["trial"]),
+            *(_in_words(point["means"][item.metric]) for item in study.objectives),
+            f"{point['feasibility']:.2f}",
+            "result" if point["trial"] == result else "",
+        )
+    console.print(
+        "Pareto front of the trials, ± half the width of a "
+        f"{100 * CONFIDENCE:g} % interval; for another point: validate RUN --trial N",
+        soft_wrap=True,
+    )
+    console.print(table)
+
+
+def _in_words(mean: Mapping[str, Any]) -> str:
+    error = "" if mean["error"] is None else f" ± {mean['error']:.2g}"
+    return f"{mean['value']:.4g}{error}"

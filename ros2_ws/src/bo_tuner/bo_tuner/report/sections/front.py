@@ -1,0 +1,166 @@
+"""The Pareto front of a study with several objectives."""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from bo_tuner.figures.figure import (
+    Axis,
+    Color,
+    Dash,
+    Element,
+    Figure,
+    Line,
+    Marker,
+    Panel,
+    Points,
+    Scale,
+)
+from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.content import Section, Table, number
+from bo_tuner.report.sections.convergence import trial_points
+from bo_tuner.study.parts import LOG, Objective
+from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
+
+
+def front(analysis: Analysis) -> Section | None:
+    """Show the front; None with one objective, or without a point on it."""
+    objectives = analysis.study.objectives
+    if len(objectives) == 1:
+        return None
+    points = pareto_front(analysis.study, analysis.ranked)
+    if not points:
+        return None
+    answer = analysis.answer
+    result = None if answer is None else answer.number
+    return Section(
+        name="front",
+        title="Pareto front",
+        lead=f"{len(points)} parameter sets that are believed to keep all limits are on the front: "
+        "no other such trial has better means of all objectives. The result is "
+        f"{RULE}.",
+        figures=[_figure(analysis, points)],
+        tables=[_table(analysis, points, result)],
+        notes=[
+            "Only the result was validated on fresh draws; the means of the others are those of "
+            "their own evaluations, of which the best were also lucky. For one of them: "
+            "validate RUN --trial N, then apply RUN --trial N."
+        ],
+    )
+
+
+def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
+    objectives = analysis.study.objectives
+    names = " against ".join(objective.metric for objective in objectives)
+    return Figure(
+        name="front",
+        title=f"Means of {names}, all trials",
+        caption="Means over the evaluations of each trial in drawn contexts; the bars are "
+        f"{100 * CONFIDENCE:g} % intervals of those on the front. The other trials within limits "
+        "are dominated by these, up to the noise.",
+        alternative="; ".join(
+            f"trial {point.trial}: "
+            + ", ".join(f"{name} {number(mean.value)}" for name, mean in point.means.items())
+            for point in points
+        ),
+        panels=[_panel(analysis, points, pair) for pair in combinations(objectives, 2)],
+        columns=1 if len(objectives) == 2 else 2,
+    )
+
+
+def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, Objective]) -> Panel:
+    first, second = (item.metric for item in pair)
+    trials = [t for t in analysis.trials if analysis.outcome(t) is not Outcome.FAILED]
+    # Off the charts are outliers: they would leave no room for the others.
+    trials = [t for t in trials if analysis.outcome(t) is not Outcome.OUTLIER]
+    x, y = (np.array([_or_nan(t.mean(name)) for t in trials]) for name in (first, second))
+    elements: list[Element] = []
+    if len(analysis.study.objectives) == 2:
+        elements.append(
+            Line(
+                x=[p.means[first].value for p in points],
+                y=[p.means[second].value for p in points],
+                name="Pareto front",
+                color=Color.INK,
+                dash=Dash.DOTTED,
+            )
+        )
+    elements += [
+        Line(
+            x=[v for p in points for v in _across(p.means[first], p.means[second])[0]],
+            y=[v for p in points for v in _across(p.means[first], p.means[second])[1]],
+            name=f"{100 * CONFIDENCE:g} % interval",
+            color=Color.GRAY,
+        ),
+        *trial_points(analysis, trials, x, y),
+        Points(
+            x=[p.means[first].value for p in points],
+            y=[p.means[second].value for p in points],
+            name="on the front",
+            color=Color.INK,
+            marker=Marker.CIRCLE,
+            filled=False,
+            size=12,
+            hover=[
+                f"trial {p.trial}\n{first} {_in_words(p.means[first])}\n"
+                f"{second} {_in_words(p.means[second])}"
+                for p in points
+            ],
+        ),
+    ]
+    return Panel(x=_axis(analysis, pair[0]), y=_axis(analysis, pair[1]), elements=elements)
+
+
+def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
+    """Return the two bars of a point, with a gap after each."""
+    gap = math.nan
+    return (
+        [x.value - x.error, x.value + x.error, gap, x.value, x.value, gap],
+        [y.value, y.value, gap, y.value - y.error, y.value + y.error, gap],
+    )
+
+
+def _axis(analysis: Analysis, objective: Objective) -> Axis:
+    return Axis(
+        label=f"mean {objective.metric}",
+        unit=analysis.study.metrics[objective.metric].unit,
+        scale=Scale.LOG if objective.scale == LOG else Scale.LINEAR,
+    )
+
+
+def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> Table:
+    study = analysis.study
+    names = list(study.search_space().names)
+    units = {item.metric: study.metrics[item.metric].unit for item in study.objectives}
+    by_number = {trial.number: trial for trial in analysis.trials}
+    header = ["trial", *(f"mean {n} [{u}]" if u else f"mean {n}" for n, u in units.items())]
+    header += ["evaluations", "P(feasible)", *names]
+    return Table(
+        caption="The front, by the first objective",
+        header=header,
+        rows=[
+            [
+                str(point.trial),
+                *(_in_words(mean) for mean in point.means.values()),
+                str(next(iter(point.means.values())).count),
+                f"{point.feasibility:.2f}",
+                *(number(by_number[point.trial].parameters[name]) for name in names),
+            ]
+            for point in points
+        ],
+        numeric=list(range(len(header))),
+        sortable=True,
+        marked=[k for k, point in enumerate(points) if point.trial == result],
+    )
+
+
+def _in_words(mean: Mean) -> str:
+    if math.isnan(mean.error):
+        return number(mean.value)
+    return f"{number(mean.value)} ± {mean.error:.2g}"
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

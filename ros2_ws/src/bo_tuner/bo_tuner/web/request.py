@@ -1,0 +1,11 @@
+"""What the page may ask of the run."""
+
+from enum import StrEnum
+
+
+class Request(StrEnum):
+    """A request, as it stands in its address and in the pipe to the run."""
+
+    PAUSE = "pause"
+    CONTINUE = "continue"
+    ABORT = "abort"

@@ -1,0 +1,117 @@
+"""A study with two objectives by the commands: the front is found, shown, and chosen from."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from axis import node, write_axis
+from commands import Fork, finish
+
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import sections
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.summary import with_summary
+
+CHANCE = {"peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}}
+AXIS = {"node": "axis"}
+
+
+class Runs:
+    """A folder with a study of two objectives, which conflict."""
+
+    def __init__(self, folder, make_study):
+        self.folder = folder
+        # Both errors are smallest at different gains.
+        write_axis(
+            folder,
+            "front_axis",
+            error="(self.gain - 0.3) ** 2 + 0.01 * self.load",
+            peak="(self.gain - 0.8) ** 2 + 0.001 * self.load",
+        )
+        study = make_study(
+            nodes=node("front_axis"),
+            constraints=CHANCE,
+            further_objectives=[{"metric": "peak"}],
+        ).replace(trials=10, initial_trials=5)
+        (folder / "axis.yaml").write_text(study_to_yaml(study))
+
+    def run(self, *arguments):
+        return finish(Fork(*arguments, folder=self.folder))
+
+    def tune(self, *arguments):
+        return self.run("tune", "--backend", "inprocess", "--study", "axis.yaml", *arguments)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, make_study):
+    found = Runs(tmp_path_factory.mktemp("runs"), make_study)
+    code, found.out, err = found.tune()
+    assert code == 0, err
+    found.latest = (found.folder / "runs" / "latest").resolve()
+    found.front = json.loads((found.latest / "summary.json").read_text())["front"]
+    return found
+
+
+def test_the_front_is_printed_with_a_mark_on_the_result(runs):
+    assert len(runs.front) > 2
+    result = json.loads((runs.latest / "summary.json").read_text())["trial"]
+    lines = runs.out.splitlines()
+    (head,) = [k for k, line in enumerate(lines) if line.startswith("Pareto front")]
+    shown = [line.split() for line in lines[head:] if re.match(r" *\d+ .*±", line)]
+    assert [int(words[0]) for words in shown] == [point["trial"] for point in runs.front]
+    assert [int(words[0]) for words in shown if words[-1] == "result"] == [result]
+    assert "it is the compromise" in runs.out
+
+
+def test_the_front_goes_from_one_optimum_to_the_other(runs):
+    trials = read_run(runs.latest).trials
+    gains = [trials[point["trial"]].parameters["gain"] for point in runs.front]
+    assert gains == sorted(gains)
+    assert gains[0] < 0.4
+    assert gains[-1] > 0.7
+
+
+def test_the_record_alone_gives_the_same_front(runs, tmp_path):
+    copy = Path(shutil.copytree(runs.latest, tmp_path / "run"))
+    (copy / "summary.json").unlink()
+    assert with_summary(read_run(copy), str).summary["front"] == runs.front
+
+
+def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
+    record = with_summary(read_run(runs.latest), str)
+    found = {section.name: section for section in sections(Analysis(record))}
+    assert "trade-off" not in found
+    (table,) = found["front"].tables
+    assert [int(row[0]) for row in table.rows] == [point["trial"] for point in runs.front]
+    assert [table.rows[k][0] for k in table.marked] == [str(record.summary["trial"])]
+    (figure,) = found["front"].figures
+    assert len(figure.panels) == 1
+    assert all(name in found["trials"].tables[0].header for name in ("mean error", "mean peak"))
+
+
+def test_any_point_can_be_certified(runs):
+    other = runs.front[0]["trial"]
+    code, _, err = runs.run("validate", "runs/latest", "--trial", other, "--draws", "60")
+    assert code == 0, err
+    code, _, err = runs.run("apply", "runs/latest", "--trial", "99", "--yes")
+    assert (code, "no trial 99" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (
+            ["--algorithm", "boundary"],
+            "--algorithm: boundary optimizes one objective, and the study has 2; expected one of "
+            "I, II, III, IV, V",
+        ),
+        (["--stop-early"], "--stop-early: expected a study with one objective; leave it out"),
+    ],
+)
+def test_what_needs_one_objective_is_refused(runs, arguments, problem):
+    code, out, err = runs.tune(*arguments)
+    assert (code, out) == (2, "")
+    assert problem in " ".join(err.split())

@@ -1,0 +1,53 @@
+"""The comparison of Pareto fronts: equal budgets, the same initial design, a page of its record."""
+
+import json
+
+import pytest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.numerics.pareto import nondominated
+from bo_tuner.tuning.loop import Tuning
+from tuning_benchmark import fronts
+from tuning_benchmark.peers.adapter import PeerAlgorithm
+from tuning_benchmark.problems.two_objectives import TwoObjectives
+
+pytest.importorskip("optuna")
+
+
+@pytest.mark.parametrize("name", ["NSGA-II", "TPE"])
+def test_a_sampler_takes_part_with_the_same_initial_design(name):
+    study = TwoObjectives(2).study().replace(trials=12)
+    peer = fronts.PEERS[name](study, 1)
+    backend = InProcessBackend(study)
+    backend.open()
+    trials = list(Tuning(study, backend, PeerAlgorithm("peer", peer=peer)))
+    ours = list(Tuning(study.replace(trials=6), backend, fronts.ALGORITHMS["II"]))
+    backend.close()
+    assert [t.parameters for t in trials[:6]] == [t.parameters for t in ours]
+    assert [t.origin for t in trials[6:]] == ["asked"] * 6
+    # As observed: feasible, and none dominates another.
+    front = peer.recommend()
+    means = [[t.mean("first"), t.mean("second")] for t in (trials[k] for k in front)]
+    assert nondominated(fronts.np.array(means)).all()
+    assert all(trials[k].worst_cases["share"].value <= 0.8 for k in front)
+
+
+def test_a_run_repeats_itself():
+    first, second = (fronts.run(TwoObjectives(2), "II", 3) for _ in range(2))
+    assert first == second
+    assert first.trials == 40
+    assert 0.0 < first.volume <= first.seen <= 1.0
+
+
+def test_record_and_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(fronts, "PARAMETERS", (2,))
+    monkeypatch.setattr(fronts, "OURS", ("II",))
+    fronts.main(["--runs", "2", "--output", str(tmp_path)])
+    record = json.loads((tmp_path / "fronts.json").read_text())
+    assert set(record["problems"]["2"]) == {"II", "NSGA-II", "TPE"}
+    assert all(len(runs) == 2 for runs in record["problems"]["2"].values())
+    page = (tmp_path / "fronts.md").read_text()
+    assert page.count("| Optuna ") == 2
+    (tmp_path / "fronts.md").unlink()
+    fronts.main(["--page-only", "--output", str(tmp_path)])
+    assert (tmp_path / "fronts.md").read_text() == page
