@@ -127,8 +127,11 @@ def check(words):
         check_make(arguments)
     elif program in ("python", "python3"):
         if arguments[0] == "-m":
-            assert arguments[1] == "bo_tuner", arguments
-            check(arguments[2:])
+            if arguments[1] == "bo_tuner":
+                check(arguments[2:])
+            else:
+                parser = importlib.import_module(arguments[1]).make_parser()
+                assert takes(parser, arguments[2:]), arguments
         else:
             assert (ROOT / arguments[0]).is_file(), arguments
     elif program in COMMANDS:

@@ -163,16 +163,25 @@ def page(record: dict[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Run all, and write record and page."""
+def make_parser() -> argparse.ArgumentParser:
+    """Make the parser of the command line."""
     parser = argparse.ArgumentParser(prog="python -m tuning_benchmark.fronts", description=__doc__)
     parser.add_argument("--runs", type=int, default=10, metavar="N")
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help=f"of {PAGE}")
+    parser.add_argument(
+        "--records", type=Path, metavar="DIR", help=f"of {RECORD} (default: the output folder)"
+    )
     parser.add_argument("--page-only", action="store_true", help="write the page from the record")
+    return parser
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run all, and write record and page."""
+    parser = make_parser()
     options = parser.parse_args(arguments)
     if options.runs < 2:
         parser.error(f"--runs: expected at least 2, found {options.runs}")
-    path = options.output / RECORD
+    path = (options.records or options.output) / RECORD
     if options.page_only:
         record = json.loads(path.read_text(encoding="utf-8"))
     else:
@@ -182,7 +191,8 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _measure(runs: int) -> dict[str, Any]:
-    root = [__name__]
+    # The command itself is called __main__.
+    root = ["tuning_benchmark.fronts"]
     record: dict[str, Any] = {
         "runs": runs,
         "provenance": {
