@@ -87,6 +87,12 @@ def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
     (table,) = found["front"].tables
     assert [int(row[0]) for row in table.rows] == [point["trial"] for point in runs.front]
     assert [table.rows[k][0] for k in table.marked] == [str(record.summary["trial"])]
+    # A number alone in each cell, so that the table can be sorted by it.
+    for row, point in zip(table.rows, runs.front, strict=True):
+        mean = point["means"]["peak"]
+        assert [float(cell) for cell in row[3:5]] == pytest.approx(
+            [mean["value"], mean["error"]], rel=1e-3
+        )
     (figure,) = found["front"].figures
     assert len(figure.panels) == 1
     assert all(name in found["trials"].tables[0].header for name in ("mean error", "mean peak"))

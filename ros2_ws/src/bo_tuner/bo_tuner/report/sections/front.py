@@ -135,7 +135,9 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     names = list(study.search_space().names)
     units = {item.metric: study.metrics[item.metric].unit for item in study.objectives}
     by_number = {trial.number: trial for trial in analysis.trials}
-    header = ["trial", *(f"mean {n} [{u}]" if u else f"mean {n}" for n, u in units.items())]
+    header = ["trial"]
+    for name, unit in units.items():
+        header += [f"mean {name} [{unit}]" if unit else f"mean {name}", f"± of {name}"]
     header += ["evaluations", "P(feasible)", *names]
     return Table(
         caption="The front, by the first objective",
@@ -143,7 +145,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
         rows=[
             [
                 str(point.trial),
-                *(_in_words(mean) for mean in point.means.values()),
+                *(number(v) for mean in point.means.values() for v in (mean.value, mean.error)),
                 str(next(iter(point.means.values())).count),
                 f"{point.feasibility:.2f}",
                 *(number(by_number[point.trial].parameters[name]) for name in names),
