@@ -11,6 +11,7 @@ from commands import Fork, finish
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
+from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.summary import with_summary
@@ -96,6 +97,15 @@ def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
     (figure,) = found["front"].figures
     assert len(figure.panels) == 1
     assert all(name in found["trials"].tables[0].header for name in ("mean error", "mean peak"))
+
+
+def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):
+    analysis = Analysis(with_summary(read_run(runs.latest), str))
+    point = runs.front[0]
+    (trial,) = [trial for trial in analysis.trials if trial.number == point["trial"]]
+    summary, *_ = trial_sections(analysis, trial)
+    for name, mean in point["means"].items():
+        assert f"Mean {name} {mean['value']:.4g}" in summary.lead
 
 
 def test_any_point_can_be_certified(runs):

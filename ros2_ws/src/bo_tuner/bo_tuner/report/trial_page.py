@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from math import isnan
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
@@ -39,13 +38,13 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 
 def _summary(analysis: Analysis, trial: Trial) -> Section:
     study = analysis.study
-    metric = study.metrics[study.objective.metric]
     sentences = [f"{len(trial.evaluations)} evaluations; proposed as: {trial.origin or 'unknown'}."]
     if trial.reason:
         sentences.append(f"{trial.reason}.")
-    mean = analysis.mean_objective(trial)
-    if not isnan(mean):
-        sentences.append(f"Mean {metric.name} {quantity(mean, metric.unit)}.")
+    for objective in study.objectives:
+        if (mean := trial.mean(objective.metric)) is not None:
+            unit = study.metrics[objective.metric].unit
+            sentences.append(f"Mean {objective.metric} {quantity(mean, unit)}.")
     for constraint in study.worst_case_constraints:
         if (worst := trial.worst_cases.get(constraint.name)) is not None:
             unit = study.metrics[constraint.metric].unit
