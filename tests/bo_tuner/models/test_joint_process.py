@@ -9,7 +9,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective
+from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective, OverContexts
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
@@ -237,3 +237,64 @@ class TestCrashModel:
     def test_no_failure_no_doubt(self):
         model = self.fit(lambda x, c: np.zeros(len(x), dtype=bool))
         assert (model.probability(np.array([[0.1], [0.9]])) == 0.0).all()
+
+
+class TestChance:
+    """Quantile of runs over contexts and noise, against a closed form and sampling."""
+
+    def process(self, rng, noise=0.1, slope=1.0):
+        x, c = rng.random((150, 1)), rng.random((150, 1))
+        y = x[:, 0] + slope * c[:, 0] + rng.normal(0.0, noise, 150)
+        return JointProcess.fit(x, c, y, coding=PLAIN, rng=rng)
+
+    def constraint(self, process, probability, **changes):
+        contexts = (np.arange(64)[:, None] + 0.5) / 64
+        return OverContexts(process, 1.5, contexts, probability, **changes)
+
+    @pytest.mark.parametrize("probability", [0.6, 0.9])
+    def test_is_that_of_the_sum_of_context_and_noise(self, probability):
+        """y = x + c + n with c uniform; the quantile of c + n is found by sampling."""
+        rng = np.random.default_rng(0)
+        process = self.process(rng)
+        x = np.array([[0.2], [0.7]])
+        quantile, variance = self.constraint(process, probability).predict(x)
+        runs = rng.random(400_000) + rng.normal(0.0, 0.1, 400_000)
+        expected = x[:, 0] + np.quantile(runs, probability)
+        assert quantile == pytest.approx(expected, abs=0.03)
+        assert np.all((variance > 0.0) & (variance < 0.03**2))
+
+    def test_of_a_lower_limit_is_the_mirror_image(self):
+        process = self.process(np.random.default_rng(1))
+        x = np.array([[0.4]])
+        (upper,), _ = self.constraint(process, 0.9).predict(x)
+        (lower,), _ = self.constraint(process, 0.9, sign=-1.0).predict(x)
+        # Uniform context and normal noise are symmetric about x + 0.5.
+        assert upper - 0.9 == pytest.approx(0.9 - lower, abs=0.03)
+
+    def test_without_influence_of_the_context_is_that_of_a_run(self):
+        process = self.process(np.random.default_rng(2), slope=0.0)
+        x = np.array([[0.5]])
+        (quantile,), _ = self.constraint(process, 0.9).predict(x)
+        assert quantile == pytest.approx(0.5 + 0.1 * norm.ppf(0.9), abs=0.03)
+
+    def test_variance_of_equal_weights_is_that_of_the_mean(self):
+        process = self.process(np.random.default_rng(3))
+        x, contexts = np.array([[0.3], [0.9]]), np.linspace(0.0, 1.0, 7)[:, None]
+        weights = np.full((2, 7), 1.0 / 7.0)
+        assert process.variance_of_weighted(x, contexts, weights) == pytest.approx(
+            process.variance_of_mean(x, contexts)
+        )
+
+    def test_noise_everywhere_is_that_of_each_context(self):
+        process = self.process(np.random.default_rng(4))
+        x, contexts = np.array([[0.3], [0.9]]), np.array([[0.1], [0.8]])
+        variance, degrees = process.noise_everywhere(x, contexts)
+        for column in range(2):
+            expected = process.noise(x, contexts, np.full(2, column))
+            assert variance[:, column] == pytest.approx(expected[0])
+            assert degrees[:, column] == pytest.approx(expected[1])
+
+    def test_without_noise(self):
+        process = self.process(np.random.default_rng(5), noise=0.0)
+        (quantile,), _ = self.constraint(process, 0.9).predict(np.array([[0.5]]))
+        assert quantile == pytest.approx(1.4, abs=0.03)

@@ -1,4 +1,4 @@
-"""The default algorithm, on functions whose feasible optimum is known."""
+"""The algorithm boundary, on functions whose feasible optimum is known."""
 
 import dataclasses
 
@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.boundary import REPETITION, spent
+from bo_tuner.optimizers.boundary import spent
 from bo_tuner.optimizers.ranking import rank
-from bo_tuner.trials import EvaluationState, Stage, TrialState, pooled
+from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import recommend
+from bo_tuner.tuning.settling import most_repetitions, settle
 
 ALGORITHM = ALGORITHMS[BOUNDARY]
 NODE = {"node": "axis"}
@@ -37,7 +37,7 @@ def boundary(x, load, seed):
 
 @pytest.fixture(scope="module")
 def study_of(make_study):
-    def make(parameters=None, evaluations=90, seed=1, initial=5, peak=PEAK, **sections):
+    def make(parameters=None, evaluations=70, seed=1, initial=5, peak=PEAK, **sections):
         budget = {"trials": evaluations, "initial_trials": initial, "evaluations": evaluations}
         return make_study(
             parameters={"x": double()} if parameters is None else parameters,
@@ -59,7 +59,8 @@ def tune(function_backend):
         tuning = Tuning(study, backend, ALGORITHM, trials=trials)
         for _ in tuning:
             pass
-        best = recommend(study, backend, tuning.trials, ALGORITHM.models, most_checked=0)
+        most = most_repetitions(study, count_evaluations(tuning.trials))
+        best = settle(study, backend, tuning.trials, ALGORITHM.models, most=most)
         return tuning.trials, best
 
     return run
@@ -106,25 +107,20 @@ class TestProtocol:
     def test_the_budget_is_in_evaluations(self, run):
         study, trials, _ = run
         counts = np.cumsum([len(trial.evaluations) for trial in trials])
-        assert counts[-2] < 90 <= counts[-1] < 95
+        assert counts[-2] < 70 <= counts[-1] < 75
         assert spent(study, trials) >= 1.0 > spent(study, trials[:-1])
 
-    def test_a_repetition_is_one_run_of_a_known_set_in_its_worst_context(self, run):
+    def test_each_trial_is_a_new_parameter_set(self, run):
         _, trials, _ = run
-        repetitions = [trial for trial in trials if trial.origin == REPETITION]
-        assert len(repetitions) >= 5
-        for trial in repetitions:
-            (evaluation,) = trial.evaluations
-            assert evaluation.stage is Stage.SEARCH
-            assert evaluation.context["load"] == pytest.approx(2.0, abs=0.05)
-            earlier = [t.parameters for t in trials[: trial.number] if t.origin != REPETITION]
-            assert trial.parameters in earlier
+        assert len(pooled(trials)) == len(trials)
 
-    def test_the_answer_has_all_runs_of_its_set(self, run):
-        _, trials, best = run
-        same = [t for t in trials if t.parameters == best.candidate.trial.parameters]
-        assert len(best.candidate.trial.evaluations) == sum(len(t.evaluations) for t in same)
-        assert best.candidate.trial.number == same[0].number
+    def test_the_second_part_runs_new_points_in_their_worst_context(self, run):
+        study, trials, _ = run
+        later = [t for k, t in enumerate(trials) if spent(study, trials[:k]) >= 0.5]
+        assert len(later) >= 5
+        for trial in later:
+            stages = [evaluation.stage for evaluation in trial.evaluations]
+            assert stages == [Stage.DRAWN, Stage.SEARCH, Stage.SEARCH]
 
     def test_evaluations_of_a_search_as_the_study_has_them(self, study_of, tune):
         study = study_of(evaluations=30)
@@ -155,7 +151,7 @@ class TestCrashes:
     def test_few_trials_fail_although_the_optimum_is_at_the_edge(
         self, study_of, tune, failed, seed
     ):
-        study = study_of(seed=seed, evaluations=100)
+        study = study_of(seed=seed, evaluations=70)
         trials, best = tune(study, lambda **given: self.crash(failed, **given))
         later = [trial for trial in trials if trial.number >= 5]
         share = np.mean([trial.state is TrialState.FAILED for trial in later])
@@ -182,14 +178,15 @@ class TestOtherStudies:
             noise = np.random.default_rng(seed).normal(0.0, 0.02)
             return {"error": 1.0 + (x - 0.3) ** 2 + 0.2 * (load - 1.5) + noise, "peak": 0.0}
 
-        trials, best = tune(study_of(peak=None, evaluations=60), bowl)
+        _, best = tune(study_of(peak=None, evaluations=60), bowl)
         assert best.candidate.trial.parameters["x"] == pytest.approx(0.3, abs=0.1)
-        assert REPETITION not in {trial.origin for trial in trials if len(trial.evaluations) != 1}
+        # Without a limit nothing is in doubt.
+        assert best.checked == ()
 
     def test_with_a_chance_constraint(self, study_of, tune):
         """P(peak <= 1) >= 0.8 over load and noise; x = 0.9 keeps it up to a load of 1.81."""
         chance = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.8}
-        study = study_of(peak=chance, evaluations=80)
+        study = study_of(peak=chance, evaluations=50)
         _, best = tune(study, boundary)
         assert best.feasible
         assert 0.4 < best.candidate.trial.parameters["x"] < 0.9
@@ -209,14 +206,14 @@ class TestOtherStudies:
             found["error"] += 0.05 * (n - 4) ** 2 + (0.0 if mode == "b" else 0.5)
             return found
 
-        study = study_of(parameters, order=[["n", "m"]], evaluations=110, initial=10)
-        trials, best = tune(study, mixed)
+        study = study_of(parameters, order=[["n", "m"]], evaluations=90, initial=10)
+        _, best = tune(study, mixed)
         answer = best.candidate.trial.parameters
         assert best.feasible
         assert answer["mode"] == "b"
         assert answer["n"] in (3, 4, 5)
         assert answer["x"] <= 0.62
-        assert any(trial.origin == REPETITION for trial in trials)
+        assert best.checked
 
 
 class TestPooled:

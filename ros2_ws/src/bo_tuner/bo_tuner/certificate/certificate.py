@@ -26,10 +26,8 @@ from bo_tuner.certificate.store import (
 )
 from bo_tuner.certificate.verdict import FAIL, PASS, judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
-from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.optimizers.ranking import rank, ranking_models
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
@@ -189,8 +187,7 @@ def make_certificate(
     tuned = evidence[TUNED]
     level = spent(confidence, attempt)
     findings = judge(study, tuned, level)
-    rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(record.trials))
-    surrogates = Surrogates.fit(study, record.trials, rng=rng, options=models)
+    surrogates = ranking_models(study, record.trials, models)
     in_training = [e for e in record.evaluations if e.parameters == trial.parameters]
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [

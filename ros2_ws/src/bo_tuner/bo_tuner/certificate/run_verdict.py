@@ -17,7 +17,7 @@ from bo_tuner.trials import EvaluationState, Stage, Trial
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.validated import open_verdict, validated
+from bo_tuner.verdict.validated import doubt, open_verdict, validated
 from bo_tuner.verdict.verdict import State, Verdict
 
 
@@ -57,7 +57,11 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             default,
             tuned,
             record.evaluations,
-            passed_check=passed_check,
+            doubt=doubt(
+                record.algorithm,
+                float(str(summary.get("predicted_feasibility") or 0.0)),
+                passed=passed_check,
+            ),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(

@@ -36,7 +36,7 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, summarize
-from bo_tuner.verdict.validated import open_verdict, validated
+from bo_tuner.verdict.validated import doubt, open_verdict, validated
 from bo_tuner.verdict.verdict import Verdict
 from bo_tuner.web.address import Address
 from bo_tuner.web.live_page import LivePage
@@ -315,7 +315,11 @@ class Session:
             found.default,
             found.tuned,
             read_journal(self._folder.journal).evaluations,
-            passed_check=found.recommendation.feasible,
+            doubt=doubt(
+                self._options.algorithm,
+                found.recommendation.candidate.feasibility,
+                passed=found.recommendation.feasible,
+            ),
         )
 
     def _report(self, found: Conclusion, verdict: Verdict, trials: int, evaluations: int) -> None:

@@ -244,6 +244,15 @@ class JointProcess:
         prior = self.hyperparameters.signal**2 * _kernel(contexts, contexts, scales).mean()
         return self._posterior_variance(cross, float(prior) + MEAN_SD**2)
 
+    def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
+        """Return the posterior variance (m,) of sums over contexts (k, e) with weights (m, k)."""
+        across = weights @ self._context_kernel(contexts).T
+        cross = self._parameter_kernel(x) * across + MEAN_SD**2
+        scales = self.hyperparameters.length_scales[self.columns :]
+        within = weights @ _kernel(contexts, contexts, scales)
+        prior = self.hyperparameters.signal**2 * np.einsum("ij,ij->i", within, weights)
+        return self._posterior_variance(cross, prior + MEAN_SD**2)
+
     def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the local noise variance (m,), in the squared unit, and its degrees of freedom.
 
@@ -256,6 +265,18 @@ class JointProcess:
         ratio, degrees = _local_ratio(z, self.data.x, self.columns, self.squares, self.degrees)
         return self.noise_variance * ratio, degrees
 
+    def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
+        """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
+        own, data = self.coding.encode(x), self.data.x
+        wide = np.full(self.columns, WIDTH * self.columns**0.5)
+        near = _kernel(own, data[:, : self.columns], wide)
+        across = _kernel(
+            data[:, self.columns :], contexts, np.full(data.shape[1] - self.columns, WIDTH)
+        )
+        total = near @ (across * self.degrees[:, None]) + PRIOR_DEGREES
+        squares = near @ (across * self.squares[:, None]) + PRIOR_DEGREES
+        return self.noise_variance * squares / total, total
+
     def _parameter_kernel(self, x: Array) -> Array:
         """Return s² k(x, x_i), shape (m, n)."""
         scales = self.hyperparameters.length_scales[: self.columns]
@@ -267,7 +288,7 @@ class JointProcess:
         scales = self.hyperparameters.length_scales[self.columns :]
         return _kernel(self.data.x[:, self.columns :], contexts, scales)
 
-    def _posterior_variance(self, cross: Array, prior: float) -> Array:
+    def _posterior_variance(self, cross: Array, prior: float | Array) -> Array:
         whitened = blas.dtrmm(1.0, self._inverse_factor, cross.T, lower=1)
         variance = prior - np.einsum("ij,ij->j", whitened, whitened)
         found: Array = self.scale**2 * np.maximum(variance, 0.0)

@@ -4,12 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtr, ndtri
 
 from bo_tuner.models.constraints import LimitedResponse, log_probability_below
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
+
+SMOOTHING = 0.05
+"""Part of the spread over the contexts that is added to the noise in each of them."""
+
+HALVINGS = 14
+"""Bisections for a quantile: to 1e-4 of the spread of those of the contexts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +131,16 @@ class EveryContext(LimitedResponse):
         worst = (self.sign * self.process.means(x, self.contexts)).argmax(axis=1)
         return self.quantile(x, worst)
 
+    def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
+        """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
+
+        The mean is that of the metric, also if the limit is one on single runs.
+        """
+        means = self.process.means(x, self.contexts)
+        rows = (self.sign * means).argmax(axis=1)
+        noise, _ = self.process.noise(x, self.contexts, rows)
+        return rows, means[np.arange(len(x)), rows], np.sqrt(noise)
+
     def quantile(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
         mean = self.process.means(x, self.contexts)[np.arange(len(x)), which]
@@ -137,10 +153,67 @@ class EveryContext(LimitedResponse):
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""
-        found = np.full(len(x), np.inf)
+        return self.most_doubtful(x)[1]
+
+    def most_doubtful(self, x: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the row of the most doubtful context, and the log probability there, (m,) each."""
+        found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
         for row in range(len(self.contexts)):
             mean, variance = self.quantile(x, np.full(len(x), row))
-            found = np.minimum(
-                found, log_probability_below(self.sign * self.limit, self.sign * mean, variance)
-            )
-        return found
+            here = log_probability_below(self.sign * self.limit, self.sign * mean, variance)
+            rows[here < found] = row
+            found = np.minimum(found, here)
+        return rows, found
+
+
+@dataclass(frozen=True, eq=False)
+class OverContexts(LimitedResponse):
+    """Limit that a run keeps with a probability over contexts and noise, by the joint process.
+
+    The quantile q of runs solves mean_c Φ((q - f_c) / σ_c) = `probability`, with the process f_c
+    and the local noise σ_c in the context c; it must keep the limit. To first order its error is
+    that of the sum of w_c f_c, where w_c ∝ φ((q - f_c) / σ_c) / σ_c add up to 1 (implicit
+    differentiation).
+
+    Attributes
+    ----------
+    process
+        Of the metric.
+    limit
+        In the metric's unit.
+    contexts : ndarray, shape (k, e)
+        Drawn from their distribution, in the unit cube.
+    probability
+        Of a run within the limit.
+    sign
+        1 for an upper limit, -1 for a lower one.
+    """
+
+    process: JointProcess
+    limit: float
+    contexts: Array
+    probability: float
+    sign: float = 1.0
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the quantile of runs at x (m, d)."""
+        mean = self.sign * self.process.means(x, self.contexts)
+        noise, degrees = self.process.noise_everywhere(x, self.contexts)
+        # A few contexts stand for all: without noise, each also for those next to it.
+        deviation = np.sqrt(noise) + SMOOTHING * mean.std(axis=1, keepdims=True)
+        deviation += np.finfo(np.float64).tiny
+        z = ndtri(self.probability)
+        lower, upper = (mean + z * deviation).min(axis=1), (mean + z * deviation).max(axis=1)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (lower + upper)
+            kept = ndtr((middle[:, None] - mean) / deviation).mean(axis=1)
+            lower = np.where(kept < self.probability, middle, lower)
+            upper = np.where(kept < self.probability, upper, middle)
+        standardised = (upper[:, None] - mean) / deviation
+        # Relative to the largest, so that they do not vanish all at once.
+        logarithm = -0.5 * standardised**2 - np.log(deviation)
+        weights = np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
+        weights /= weights.sum(axis=1, keepdims=True)
+        variance = self.process.variance_of_weighted(x, self.contexts, weights)
+        margin = (weights * standardised * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
+        return self.sign * upper, variance + margin**2

@@ -17,7 +17,7 @@ from bo_tuner.models.constraints import JointConstraint, LimitedResponse, Surrog
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective
+from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective, OverContexts
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.scalarization import Chebyshev
@@ -42,6 +42,9 @@ CLASSIFIER_SCALE = 0.25
 
 EXPECTED_OVER = 256
 """Number of contexts, the same in every fit, that an expectation is taken over."""
+
+CHANCE_OVER = 64
+"""Number of contexts, the same in every fit, that the probability of a chance limit is over."""
 
 Classifier = NeighbourClassifier | CrashModel
 
@@ -179,11 +182,17 @@ class Surrogates:
         return _log_feasibility(self.constraints.values(), x)
 
     def log_confidence(self, x: Array) -> Array:
-        """Return `log_feasibility` with each limit in its most doubtful context."""
+        """Return `log_feasibility` in the most doubtful context of each limit, without failures."""
         total = np.zeros(len(x))
-        for constraint in self.constraints.values():
+        for constraint in self.limits:
             total += constraint.least_log_probability(x)
         return total
+
+    @property
+    def limits(self) -> tuple[LimitedResponse, ...]:
+        """The constraints, and the one on failures where it is modelled as such."""
+        crashes = [c.constraint for c in self.classifiers if isinstance(c, CrashModel)]
+        return (*self.constraints.values(), *(c for c in crashes if c is not None))
 
 
 def _log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
@@ -261,6 +270,9 @@ class _Fitting:
     def constraints(self, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
         found: dict[str, LimitedResponse] = {}
         for chance in self._study.chance_constraints:
+            if self._options.pooled:
+                found[chance.name] = self._over_contexts(trials, chance)
+                continue
             x, y, _ = self._observations(trials, chance.metric)
             model = self._fit(chance.name, x, y, self._minimum)
             found[chance.name] = SurrogateConstraint.on_observation(
@@ -305,6 +317,14 @@ class _Fitting:
         process = self._process(worst.name, trials, worst.metric)
         candidates = self._study.context_space().candidates()
         return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign)
+
+    def _over_contexts(self, trials: Sequence[Trial], chance: Constraint) -> OverContexts:
+        process = self._process(chance.name, trials, chance.metric)
+        contexts = self._study.context_space()
+        drawn = contexts.draw_stratified(CHANCE_OVER, np.random.default_rng(0))
+        return OverContexts(
+            process, chance.limit, contexts.to_cube(drawn), chance.level, chance.sign
+        )
 
     def crashes(self, trials: Sequence[Trial]) -> CrashModel:
         contexts = self._study.context_space()

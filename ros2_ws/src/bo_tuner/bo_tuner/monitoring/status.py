@@ -13,6 +13,7 @@ from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
 from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import Phase, RunObserver
 from bo_tuner.tuning.recommendation import most_check_evaluations
+from bo_tuner.tuning.settling import most_repetitions
 from bo_tuner.verdict.verdict import Verdict
 
 RECENT = 10
@@ -106,8 +107,7 @@ class RunStatus(RunObserver):
         # Of each trial: its evaluations, all else, and whether a model proposed it.
         self._trial_times: list[tuple[float, float, bool]] = []
         self._phase_evaluations = 0
-        # Of one candidate: usually the first one passes.
-        self._check_evaluations = most_check_evaluations(study) if algorithm.most_checked else 0
+        self._algorithm = algorithm
         # Of the default and of the tuned parameter set.
         self._validation_evaluations = 2 * study.budget.validation_draws
         self.now = Snapshot()
@@ -201,12 +201,21 @@ class RunStatus(RunObserver):
                 left = self._study.budget.remaining(now.trials, self._evaluations)
                 remaining = min(remaining, left)
             seconds = self._trials_left(remaining)
-            evaluations += self._check_evaluations
+            whole = self._evaluations * (now.trials + remaining) / now.trials
+            evaluations += self._checks(round(whole))
         elif now.phase == Phase.CHECKING:
-            evaluations += max(0, self._check_evaluations - self._phase_evaluations)
+            before = self._evaluations - self._phase_evaluations
+            evaluations += max(0, self._checks(before) - self._phase_evaluations)
         else:
             evaluations = max(0, evaluations - self._phase_evaluations)
         return seconds + evaluations * self._evaluation_seconds / self._evaluations
+
+    def _checks(self, evaluations: int) -> int:
+        """Return the expected evaluations between trials with so many and the validation."""
+        if self._algorithm.models.pooled:
+            return most_repetitions(self._study, evaluations)
+        # Of one candidate: usually the first one passes.
+        return most_check_evaluations(self._study) if self._algorithm.most_checked else 0
 
     def _trials_left(self, count: int) -> float:
         """Return the estimated time [s] of so many trials to come."""

@@ -107,10 +107,6 @@ class Algorithm:
             )
             for constraint in study.worst_case_constraints
         ]
-        if self.models.pooled and searches:
-            # A repetition is one run: each time it is another constraint's turn.
-            first = len(trials) % len(searches)
-            searches = searches[first:] + searches[:first]
         return WorstCaseSearches(searches, self.protocol(study, proposal)[1])
 
     def worst_case_search(

@@ -120,13 +120,7 @@ class BayesianOptimization(DesignedOptimizer):
     acquisition
         Makes the acquisition function.
 
-    Attributes
-    ----------
-    avoid
-        Largest probability of a failure or an outlier of a proposal, as long as there are others.
     """
-
-    avoid = 0.5
 
     def __init__(
         self,
@@ -197,6 +191,11 @@ class BayesianOptimization(DesignedOptimizer):
                 found = search.maximise(avoid=avoid, reinterpolate=False)
                 origin = REFINEMENT
         return (found.position if np.isfinite(found.value) else None), origin
+
+    @property
+    def avoid(self) -> float:
+        """Largest probability of a failure or an outlier of a proposal, as long as others exist."""
+        return 0.5
 
     def _tried(self) -> Array:
         rows = [self.space.to_cube(t.parameters) for t in self.trials]

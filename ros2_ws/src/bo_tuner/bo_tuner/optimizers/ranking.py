@@ -21,9 +21,10 @@ from bo_tuner.models.surrogates import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.optimizers.bayesian import latest_hyperparameters
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState, pooled
+from bo_tuner.trials import CHECKS, Trial, TrialState, pooled
 
 TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.
@@ -95,11 +96,22 @@ def rank(
     list of Candidate
         Empty if no trial is complete.
     """
+    return ranked_by(ranking_models(study, trials, options), study, trials, options)
+
+
+def ranking_models(
+    study: Study, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
+) -> Surrogates:
+    """Fit the surrogates that `rank` asks; its arguments.
+
+    Those of pooled evaluations start from the hyperparameters of the latest trial, as these are
+    the costliest fits.
+    """
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
+    start = latest_hyperparameters(trials) if options.pooled else None
     count = len(study.objectives)
     weights = equal_weights(count) if count > 1 else None
-    models = Surrogates.fit(study, trials, rng=rng, options=options, weights=weights)
-    return ranked_by(models, study, trials, options)
+    return Surrogates.fit(study, trials, rng=rng, start=start, options=options, weights=weights)
 
 
 def ranked_by(
@@ -107,9 +119,9 @@ def ranked_by(
 ) -> list[Candidate]:
     """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
     space = study.search_space()
-    log_feasibility, required = models.log_feasibility, BELIEVED_FEASIBLE
+    log_feasibility = models.log_feasibility
     if options.pooled:
-        trials, log_feasibility, required = pooled(trials), models.log_confidence, CONFIDENT
+        trials, log_feasibility = pooled(trials), models.log_confidence
     # The data of the objective's model exclude the outliers, so it cannot judge them.
     complete = [
         t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
@@ -139,13 +151,31 @@ def ranked_by(
                 violation=float(excess),
                 penalty=penalty,
                 score=float(cost + scale * penalty),
-                required=required,
+                required=required_of(trial) if options.pooled else BELIEVED_FEASIBLE,
             )
         )
     return sorted(
         candidates,
         key=lambda c: (0, c.score) if c.believed_feasible else (1, c.violation),
     )
+
+
+def looks(trial: Trial) -> int:
+    """Return how often a parameter set was judged anew after it had been run again.
+
+    It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: whoever
+    looks after each run and stops when it looks well finds a limit kept that is not.
+    """
+    repetitions = sum(evaluation.stage in CHECKS for evaluation in trial.evaluations)
+    return max(repetitions.bit_length() - 1, 0)
+
+
+def required_of(trial: Trial) -> float:
+    """Return the probability with which a parameter set counts as feasible if runs are pooled.
+
+    What is lacking to 1 is divided by the number of judgements (Bonferroni, each as the last).
+    """
+    return 1.0 - (1.0 - CONFIDENT) / (1 + looks(trial))
 
 
 def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:

@@ -9,18 +9,17 @@ from typing import Any, TypeVar
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.errors import RunRecordError
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, rank
+from bo_tuner.optimizers.ranking import Candidate, rank, ranking_models
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
+from bo_tuner.trials import CHECKS, Evaluation, EvaluationState, Trial, TrialState, Value
 from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
+from bo_tuner.tuning.settling import estimated, with_repetitions
 from bo_tuner.verdict.verdict import Verdict
 
-CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 T = TypeVar("T")
 
 
@@ -64,22 +63,36 @@ class Analysis:
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
         """The trials, each with the evaluations that checked it as a candidate."""
+        if not self._pooled:
+            return self._checked
+        return tuple(estimated(self.study, self.models, trial) for trial in self._checked)
+
+    @property
+    def _pooled(self) -> bool:
+        return ALGORITHMS[self.record.algorithm].models.pooled
+
+    @cached_property
+    def _checked(self) -> tuple[Trial, ...]:
+        """As `trials`, but all worst cases as they were estimated when the trials were run."""
         checks: dict[int, dict[int, Evaluation]] = {}
         for evaluation in self.record.evaluations:
             if evaluation.stage in CHECKS:
                 # A later one of the same place replaces one that a kill left behind.
                 checks.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
-        return tuple(
-            with_check(self.study, trial, list(checks.get(trial.number, {}).values()))[0]
-            for trial in self.record.trials
-        )
+        trials = []
+        for trial in self.record.trials:
+            check = list(checks.get(trial.number, {}).values())
+            if self._pooled:
+                trials.append(with_repetitions(trial, check))
+            else:
+                trials.append(with_check(self.study, trial, check)[0])
+        return tuple(trials)
 
     @cached_property
     def models(self) -> Surrogates:
         """Surrogates of all trials, the same as in `rank`."""
-        rng = generator(self.study.seed, Stream.ACQUISITION, 2**31, len(self.trials))
         options = ALGORITHMS[self.record.algorithm].models
-        return Surrogates.fit(self.study, self.trials, rng=rng, options=options)
+        return ranking_models(self.study, self._checked, options)
 
     @cached_property
     def ranked(self) -> list[Candidate]:

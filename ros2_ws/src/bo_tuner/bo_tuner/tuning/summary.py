@@ -21,6 +21,7 @@ from bo_tuner.trials import TUNING, Evaluation, Trial, count_evaluations
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
+from bo_tuner.tuning.settling import most_repetitions, settle
 from bo_tuner.tuning.validation import Validation, validate
 
 
@@ -76,15 +77,15 @@ def conclude(
     RunError
         As in `validate`.
     """
-    observer.begin(Phase.CHECKING, algorithm.most_checked)
-    best = recommend(
-        study,
-        backend,
-        trials,
-        algorithm.models,
-        most_checked=algorithm.most_checked,
-        observer=observer,
-    )
+    models = algorithm.models
+    if models.pooled:
+        most = most_repetitions(study, count_evaluations(trials))
+        observer.begin(Phase.CHECKING, most)
+        best = settle(study, backend, trials, models, most=most, observer=observer)
+    else:
+        most = algorithm.most_checked
+        observer.begin(Phase.CHECKING, most)
+        best = recommend(study, backend, trials, models, most_checked=most, observer=observer)
     observer.end(Phase.CHECKING)
     if best is None:
         return None

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from bo_tuner.models.surrogates import CONFIDENT
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -45,7 +47,7 @@ def validated(
     tuned: Validation,
     evaluations: Sequence[Evaluation],
     *,
-    passed_check: bool,
+    doubt: str,
 ) -> Verdict:
     """Return the verdict of a run by its validation.
 
@@ -59,10 +61,10 @@ def validated(
         Validation of the hand-tuned parameter set and of the recommended one.
     evaluations
         All evaluations on record.
-    passed_check
-        Whether the recommended trial passed the check of candidates.
+    doubt
+        Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
     """
-    reasons = [] if passed_check else ["It did not pass the check of the best candidates"]
+    reasons = [doubt] if doubt else []
     reasons += _problems(study, tuned)
     observed_sides = (
         observed(evaluations, DEFAULT, default.parameters, default.draws),
@@ -87,6 +89,29 @@ def validated(
         remarks=(*_choice(study), *_load(study, tuned)),
         observed=observed_sides,
     )
+
+
+def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:
+    """Return why an algorithm does not vouch for the trial that it recommends; empty if it does.
+
+    Parameters
+    ----------
+    algorithm
+        Key of `ALGORITHMS`.
+    feasibility
+        Probability that the trial keeps all limits, by the algorithm's models.
+    passed
+        Whether it passed the check of candidates; if the algorithm has none, whether it is believed
+        feasible.
+    """
+    if passed:
+        return ""
+    if ALGORITHMS[algorithm].models.pooled:
+        return (
+            f"The model of all runs says {feasibility:.2g} for the probability that it keeps its "
+            f"limits, and an answer needs at least {CONFIDENT:g}"
+        )
+    return "It did not pass the check of the best candidates"
 
 
 def observed(

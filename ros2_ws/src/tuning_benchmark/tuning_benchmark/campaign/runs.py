@@ -14,6 +14,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.recommendation import most_check_evaluations, recommend
+from bo_tuner.tuning.settling import before_repetitions, settle
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
@@ -96,7 +97,12 @@ class Run:
         if row.neighbour_starts is not None:
             changes["neighbour_starts"] = row.neighbour_starts
         self.algorithm: Algorithm = dataclasses.replace(algorithm, **changes)
+        self._evaluations = size.evaluations
         self.budget = size.evaluations - (size.reserved if most_checked > 0 else 0)
+        if self.algorithm.models.pooled:
+            self.budget = before_repetitions(self.study, size.evaluations)
+            # It divides the budget of its trials into parts.
+            self.study = self.study.replace(evaluations=self.budget)
         self.backend = TimedBackend(self.study)
         self.backend.open()
         self._tuning = Tuning(self.study, self.backend, self.algorithm)
@@ -137,13 +143,13 @@ class Run:
         if self._peer is not None:
             number = self._peer.recommend()
             return None if number is None else (number, True)
-        found = recommend(
-            self.study,
-            self.backend,
-            self.trials,
-            self.algorithm.models,
-            most_checked=self.algorithm.most_checked,
-        )
+        models = self.algorithm.models
+        if models.pooled:
+            most = max(0, self._evaluations - self.backend.evaluations)
+            found = settle(self.study, self.backend, self.trials, models, most=most)
+        else:
+            most = self.algorithm.most_checked
+            found = recommend(self.study, self.backend, self.trials, models, most_checked=most)
         return None if found is None else (found.candidate.trial.number, found.feasible)
 
 
@@ -224,7 +230,6 @@ def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
         seed=seed,
         trials=max(size.evaluations, initial),
         initial_trials=initial,
-        # An algorithm may divide its budget into parts.
         evaluations=size.evaluations,
     )
     if row.protocol == RANDOM:

@@ -3,9 +3,9 @@
 import numpy as np
 
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
-from bo_tuner.report.analysis import CHECKS, Analysis
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
-from bo_tuner.trials import Stage
+from bo_tuner.trials import CHECKS, Stage
 
 
 def timing(analysis: Analysis) -> Section | None:

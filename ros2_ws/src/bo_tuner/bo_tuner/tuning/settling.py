@@ -1,0 +1,154 @@
+"""The recommended parameter set of an algorithm whose models pool all evaluations.
+
+Parameter sets are run again, a few runs at a time, until it is settled which one is the answer
+(`bo_tuner.optimizers.repetition`) or the repetitions are used up. These runs are added to their
+trials. No further check of the answer follows: the posterior that chooses it has them among its
+data.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.models.surrogates import ModelOptions, Surrogates
+from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
+from bo_tuner.optimizers.repetition import next_repetition
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.tuning.evaluation import Losses, evaluate
+from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
+
+SHARE = 1.0 / 3.0
+"""Repetitions, at most, for each evaluation of the trials."""
+
+
+def most_repetitions(study: Study, evaluations: int) -> int:
+    """Return the largest number of repetitions after trials with so many evaluations.
+
+    They are a third as many, and at least as many as the check of one candidate takes.
+    """
+    return max(most_check_evaluations(study), math.ceil(SHARE * evaluations))
+
+
+def before_repetitions(study: Study, evaluations: int) -> int:
+    """Return how many of so many evaluations in all, at least one, are those of the trials."""
+    left = evaluations - most_check_evaluations(study)
+    return max(1, min(left, math.floor(evaluations / (1.0 + SHARE))))
+
+
+def settle(
+    study: Study,
+    backend: Backend,
+    trials: Sequence[Trial],
+    options: ModelOptions,
+    *,
+    most: int,
+    observer: RunObserver = NOBODY,
+) -> Recommendation | None:
+    """Run parameter sets again until the answer is settled, and recommend it.
+
+    Parameters
+    ----------
+    study, trials, options
+        As in `rank`.
+    backend
+        Runs the evaluations; open.
+    most
+        Largest number of repetitions.
+    observer
+        Is passed each evaluation, which is a step.
+
+    Returns
+    -------
+    Recommendation or None
+        None if no trial is complete. ``checked`` are the trials that were run again.
+
+    Raises
+    ------
+    RunError
+        If three repetitions in a row were lost with their nodes or disturbed.
+    """
+    latest = {trial.number: trial for trial in trials}
+    repeated: list[int] = []
+    candidates: list[Candidate] = []
+    losses = Losses("repetitions")
+    while True:
+        known = list(latest.values())
+        models = ranking_models(study, known, options)
+        before, candidates = candidates, ranked_by(models, study, known, options)
+        if not candidates:
+            # Every candidate has failed when it was run again.
+            return (
+                Recommendation(before[0], False, tuple(repeated), tuple(before)) if before else None
+            )
+        choice = next_repetition(study, models, candidates) if len(repeated) < most else None
+        if choice is None:
+            best = candidates[0]
+            best = replace(best, trial=estimated(study, models, best.trial))
+            return Recommendation(
+                best, best.believed_feasible, tuple(dict.fromkeys(repeated)), tuple(candidates)
+            )
+        number = choice.trial.number
+        for _ in range(min(choice.runs, most - len(repeated))):
+            evaluation = _run(study, backend, latest[number], choice.context, observer)
+            latest[number] = with_repetitions(latest[number], [evaluation])
+            repeated.append(number)
+            losses.note(evaluation.outcome)
+            losses.check()
+            observer.advance()
+            if evaluation.outcome.state is not EvaluationState.COMPLETE:
+                break
+
+
+def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
+    """Add repetitions to a trial, which has failed if one of them did for its parameters."""
+    extended = replace(trial, evaluations=(*trial.evaluations, *repetitions))
+    for outcome in (evaluation.outcome for evaluation in repetitions):
+        if outcome.state is not EvaluationState.COMPLETE and not outcome.spoilt:
+            return replace(extended, state=TrialState.FAILED, reason=outcome.reason)
+    return extended
+
+
+def estimated(study: Study, models: Surrogates, trial: Trial) -> Trial:
+    """Return a trial with its worst cases as the models of all evaluations estimate them.
+
+    Those estimated when it was run know nothing of the repetitions.
+    """
+    contexts = study.context_space()
+    x = study.search_space().to_cube(trial.parameters)[None]
+    worst_cases = dict(trial.worst_cases)
+    for name in trial.worst_cases:
+        constraint, response = study.constraints[name], models.constraints[name]
+        if isinstance(response, EveryContext):
+            row, value, noise = response.worst_case(x)
+            context = contexts.to_dict(contexts.to_contexts(response.contexts[row])[0])
+            values = [
+                evaluation.outcome.metrics[constraint.metric]
+                for evaluation in trial.evaluations
+                if evaluation.outcome.state is EvaluationState.COMPLETE
+            ]
+            worst_cases[name] = WorstCase(
+                float(value[0]), context, constraint.farthest(values), float(noise[0])
+            )
+    return replace(trial, worst_cases=worst_cases)
+
+
+def _run(
+    study: Study,
+    backend: Backend,
+    trial: Trial,
+    context: Mapping[str, float] | None,
+    observer: RunObserver,
+) -> Evaluation:
+    index, stage = len(trial.evaluations), Stage.CHECK_WORST
+    if context is None:
+        contexts, stage = study.context_space(), Stage.CHECK_DRAWN
+        rng = generator(study.seed, Stream.CHECK_CONTEXTS, trial.number, index)
+        context = contexts.to_dict(contexts.draw_stratified(1, rng)[0])
+    seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
+    planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
+    return evaluate(study, backend, planned, observer)

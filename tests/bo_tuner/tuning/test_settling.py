@@ -1,0 +1,236 @@
+"""Repetitions before the answer, on a function whose feasible optimum is known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.errors import RunError
+from bo_tuner.models.surrogates import CONFIDENT
+from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
+from bo_tuner.optimizers.ranking import looks, rank, required_of
+from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, Repetition
+from bo_tuner.trials import EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
+from bo_tuner.tuning.settling import (
+    before_repetitions,
+    most_repetitions,
+    settle,
+    with_repetitions,
+)
+
+ALGORITHM = ALGORITHMS[BOUNDARY]
+PEAK = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+
+
+def axis(x, load, seed):
+    """Cost falls with x, and the peak exceeds 1 for x > 0.6, under the largest load, 2, only."""
+    rng = np.random.default_rng(seed)
+    return {
+        "error": 2.0 - x + 0.2 * (load - 1.5) + rng.normal(0.0, 0.02),
+        "peak": 0.4 + 0.5 * x * load - 0.25 * (2.0 - load) + rng.normal(0.0, 0.05),
+    }
+
+
+class Watcher(RunObserver):
+    def __init__(self):
+        self.evaluations = []
+        self.steps = 0
+
+    def evaluation(self, evaluation):
+        self.evaluations.append(evaluation)
+
+    def advance(self):
+        self.steps += 1
+
+
+@pytest.fixture(scope="module")
+def study_of(make_study):
+    def make(peak=PEAK, **sections):
+        return make_study(
+            parameters={
+                "x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.0}
+            },
+            budget={"trials": 10, "initial_trials": 5},
+            constraints={} if peak is None else {"peak": peak},
+            **sections,
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def study(study_of):
+    return study_of()
+
+
+@pytest.fixture(scope="module")
+def trials(study, function_backend):
+    tuning = Tuning(study, function_backend(study, axis), ALGORITHM)
+    return list(tuning)
+
+
+@pytest.fixture(scope="module")
+def settled(study, trials, function_backend):
+    watcher = Watcher()
+    backend = function_backend(study, axis)
+    found = settle(study, backend, trials, ALGORITHM.models, most=25, observer=watcher)
+    return found, watcher
+
+
+def test_a_trial_is_a_new_parameter_set_and_repetitions_come_on_top(trials, settled):
+    _, watcher = settled
+    assert len({trial.parameters["x"] for trial in trials}) == 10
+    known = {trial.number: trial for trial in trials}
+    assert 0 < len(watcher.evaluations) <= 25
+    assert watcher.steps == len(watcher.evaluations)
+    for number in {evaluation.trial for evaluation in watcher.evaluations}:
+        of_trial = [e for e in watcher.evaluations if e.trial == number]
+        first = len(known[number].evaluations)
+        assert [e.index for e in of_trial] == list(range(first, first + len(of_trial)))
+        assert {e.parameters["x"] for e in of_trial} == {known[number].parameters["x"]}
+    assert len({e.seed for e in watcher.evaluations}) == len(watcher.evaluations)
+
+
+def test_runs_are_where_the_limit_is_most_doubtful(settled):
+    _, watcher = settled
+    assert {e.stage for e in watcher.evaluations} == {Stage.CHECK_WORST}
+    loads = [e.context["load"] for e in watcher.evaluations]
+    assert np.mean(np.array(loads) > 1.9) > 0.8
+
+
+def test_the_answer_has_runs_of_its_own_there(settled):
+    found, _ = settled
+    trial = found.candidate.trial
+    assert found.feasible
+    assert trial.number in found.checked
+    assert 0.4 < trial.parameters["x"] <= 0.61
+    worst = trial.worst_cases["peak"]
+    near = [abs(e.context["load"] - worst.context["load"]) <= NEAR for e in trial.evaluations]
+    assert sum(near) >= OWN_RUNS
+    # At the largest load the mean is 0.4 + x; four runs alone have an error of 0.025.
+    assert worst.value == pytest.approx(0.4 + trial.parameters["x"], abs=0.05)
+    assert worst.observed == max(e.outcome.metrics["peak"] for e in trial.evaluations)
+
+
+def test_a_record_of_the_repetitions_leads_to_the_same_answer(study, trials, settled):
+    found, watcher = settled
+
+    class Nothing:
+        name = "nothing"
+
+        def run(self, evaluations):
+            raise AssertionError("asked for a run that is not on record")
+
+    recorded = RecordedEvaluations(Nothing(), study, watcher.evaluations)
+    assert settle(study, recorded, trials, ALGORITHM.models, most=25) == found
+
+
+def test_the_rank_after_repetitions_is_that_of_the_answer(study, trials, settled):
+    """A reader of the record ranks the trials with their repetitions, and finds the same."""
+    found, watcher = settled
+    extended = [
+        with_repetitions(trial, [e for e in watcher.evaluations if e.trial == trial.number])
+        for trial in trials
+    ]
+    best = rank(study, extended, ALGORITHM.models)[0]
+    assert best.trial.number == found.candidate.trial.number
+    assert best.feasibility == found.candidate.feasibility
+
+
+def test_a_parameter_set_is_judged_when_its_runs_have_doubled(make_trial):
+    """Whoever looks after each run, and stops when it looks well, is wrong too often."""
+    trial = make_trial(0, {"x": 0.5}, [1.0])
+    (evaluation,) = trial.evaluations
+    again = dataclasses.replace(evaluation, stage=Stage.CHECK_WORST)
+    found = {}
+    for count in (0, 1, 2, 3, 4, 7, 8, 40):
+        repeated = with_repetitions(trial, [again] * count)
+        found[count] = (looks(repeated), Repetition(repeated, None).runs)
+    assert found == {
+        0: (0, 2),
+        1: (0, 1),
+        2: (1, 2),
+        3: (1, 1),
+        4: (2, 4),
+        7: (2, 1),
+        8: (3, 8),
+        40: (5, 24),
+    }
+    assert required_of(trial) == CONFIDENT
+    assert required_of(with_repetitions(trial, [again] * 8)) == 1.0 - (1.0 - CONFIDENT) / 4.0
+
+
+def test_none_are_left(study, trials, function_backend):
+    backend = function_backend(study, axis)
+    found = settle(study, backend, trials, ALGORITHM.models, most=0)
+    assert backend.calls == []
+    assert found.checked == ()
+
+
+def test_without_limits_nothing_is_in_doubt(study_of, function_backend):
+    study = study_of(peak=None)
+    backend = function_backend(study, axis)
+    trials = list(Tuning(study, backend, ALGORITHM))
+    runs = len(backend.calls)
+    assert settle(study, backend, trials, ALGORITHM.models, most=20).feasible
+    assert len(backend.calls) == runs
+
+
+def test_a_chance_constraint_is_doubtful_in_drawn_contexts(study_of, function_backend):
+    chance = {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.8}
+    study = study_of(peak=chance)
+    backend, watcher = function_backend(study, axis), Watcher()
+    trials = list(Tuning(study, backend, ALGORITHM))
+    settle(study, backend, trials, ALGORITHM.models, most=6, observer=watcher)
+    assert {e.stage for e in watcher.evaluations} <= {Stage.CHECK_DRAWN}
+    loads = [e.context["load"] for e in watcher.evaluations]
+    assert len(set(loads)) == len(loads)
+
+
+def test_a_run_that_fails_ends_the_hopes_of_its_parameter_set(
+    study, trials, function_backend, failed
+):
+    backend = function_backend(study, lambda **_: failed("axis: stalled"))
+    found = settle(study, backend, trials, ALGORITHM.models, most=40)
+    assert not found.feasible
+    # Each candidate in doubt fails once; not one is asked twice.
+    assert len(backend.calls) == len(set(found.checked)) == len(found.checked)
+
+
+def test_lost_nodes_end_the_run(study, trials, function_backend):
+    backend = function_backend(study, lambda **_: Outcome(EvaluationState.LOST, reason="axis gone"))
+    with pytest.raises(RunError, match="3 repetitions in a row were lost"):
+        settle(study, backend, trials, ALGORITHM.models, most=40)
+
+
+def test_all_trials_failed(study, make_trial, function_backend):
+    trials = [make_trial(k, {"x": k / 10}) for k in range(4)]
+    backend = function_backend(study, axis)
+    assert settle(study, backend, trials, ALGORITHM.models, most=20) is None
+
+
+def test_a_lost_run_tells_nothing_of_the_trial(trials, settled):
+    _, watcher = settled
+    lost = dataclasses.replace(
+        watcher.evaluations[0], outcome=Outcome(EvaluationState.LOST, reason="axis gone")
+    )
+    trial = trials[lost.trial]
+    assert with_repetitions(trial, [lost]).state is TrialState.COMPLETE
+
+
+def test_the_number_of_repetitions(study, study_of):
+    """A third of the trials' evaluations, and at least those of a check of one candidate."""
+    least = DRAWN_EVALUATIONS + WORST_EVALUATIONS
+    assert most_repetitions(study, 20) == least
+    assert most_repetitions(study, 300) == 100
+    assert most_repetitions(study_of(peak=None), 20) == DRAWN_EVALUATIONS
+
+
+@pytest.mark.parametrize("whole", [30, 60, 80, 160, 301])
+def test_trials_and_repetitions_fill_a_budget(study, whole):
+    trials = before_repetitions(study, whole)
+    assert whole - 1 <= trials + most_repetitions(study, trials) <= whole
