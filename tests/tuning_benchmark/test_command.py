@@ -6,7 +6,7 @@ import re
 import signal
 
 import pytest
-from commands import finish, python_path, start
+from commands import Fork, finish, python_path
 from waiting import DEADLINE, wait_until
 
 from tuning_benchmark import command as command
@@ -19,7 +19,7 @@ def benchmark(tmp_path, experiment_file):
 
     def begin(output, *arguments, experiment=experiment_file, environment=None, **streams):
         arguments = ("--experiment", experiment, "--output", tmp_path / output, *arguments)
-        process = start(
+        process = Fork(
             *arguments, folder=tmp_path, package="tuning_benchmark", env=environment, **streams
         )
         started.append(process)
