@@ -16,6 +16,8 @@ SOURCE_PATH := $(subst $() ,:,$(PACKAGES:%=ros2_ws/src/%))
 
 # A sourced ROS installation must not shadow what is in .venv.
 unexport PYTHONPATH PYTHONHOME
+# Container images set it; without a cache each test process compiles all test modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # Set by the ROS wheels of the environment that called us; with it, ours would load its libraries.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE

@@ -4,6 +4,7 @@ Every figure on the page comes from a file in benchmarks/results, with the commi
 that it was obtained with; a file that is missing is left out.
 """
 
+import argparse
 import json
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
@@ -239,6 +240,7 @@ def _seconds(result: Result) -> str:
 
 def main() -> None:
     """Write the page."""
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     sections = [INTRODUCTION]
     for name, section in (
         ("suggestion_time.json", suggestion_section),

@@ -1,5 +1,6 @@
 """Fixtures of all tests: settings by difference from the shipped ones, and repeatable examples."""
 
+import importlib
 import os
 import signal
 import sys
@@ -16,6 +17,8 @@ from hypothesis import HealthCheck, settings
 # harness, are put on the path.
 for folder in ("references", "harness"):
     sys.path.append(str(Path(__file__).parent / folder))
+
+importlib.import_module("reaper").guard()
 
 # Studies that tests run are trusted by the tests alone.
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from commands import finish, python_path, start
+from commands import Fork, finish, python_path
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.__main__ import COMMANDS as OF_TUNER
@@ -278,7 +278,7 @@ def tune(folder, *arguments, **environment):
     """Run tune to its end in a folder; returns the run folder's path."""
     path = python_path(EXAMPLE)
     changes = {"PYTHONPATH": path} | environment
-    code, _, err = finish(start("tune", *arguments, folder=folder, env=changes))
+    code, _, err = finish(Fork("tune", *arguments, folder=folder, env=changes))
     return code, err, folder / "runs" / "latest"
 
 

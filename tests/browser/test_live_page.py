@@ -4,7 +4,7 @@ import re
 
 import pytest
 from axis import write_axis
-from commands import start
+from commands import Fork
 from waiting import count_in, wait_until
 
 ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:\d+/)(\?token=[\w-]+)")
@@ -23,7 +23,7 @@ def run(tmp_path):
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
     counter, said = tmp_path / "cuts", tmp_path / "said.txt"
     with said.open("w") as file:
-        process = start(
+        process = Fork(
             *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web", "--web-control"),
             folder=tmp_path,
             env={"CUTS": str(counter), "HOLD": "21"},

@@ -10,7 +10,7 @@ import sys
 import time
 
 import pytest
-from commands import environment, python_path, start
+from commands import Fork, environment, python_path, start
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE, wait_until
 
@@ -76,6 +76,8 @@ class Run:
         self.output = folder / output
         (folder / "study.yaml").write_text(json.dumps(study))
         self._changes = {"HOME": str(folder)} | changes
+        # What Python reads at its start is for an interpreter of its own.
+        self._start = start if "PYTHONPATH" in changes else Fork
         self.process = None
 
     def start(self):
@@ -86,13 +88,12 @@ class Run:
 
     def _tune(self, *arguments):
         with (self.folder / "out").open("a") as out:
-            self.process = start(
+            self.process = self._start(
                 "tune",
                 *arguments,
                 folder=self.folder,
                 env=self._changes,
                 without=OWN,
-                stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=out,
             )

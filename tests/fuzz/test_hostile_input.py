@@ -111,6 +111,6 @@ def test_mutated_records(tmp_path):
     whole = records.make_whole_run(tmp_path / "whole")
     for reader in records.READERS.values():
         reader(whole)
-    answered = [records.check_record(whole, tmp_path / "copy", number) for number in range(120)]
+    answered = [records.check_record(whole, tmp_path / "copy", number) for number in range(60)]
     for reader in records.READERS:
         assert {True, False} == {each[reader] for each in answered}, reader

@@ -1,25 +1,34 @@
-"""Commands of the packages as processes of their own."""
+"""Commands and nodes of the packages as processes of their own."""
 
 import multiprocessing
 import os
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
+from multiprocessing import reduction
+from unittest import mock
 
 from waiting import DEADLINE
 
-# The imports of a command take longer than most runs of a small object. The server has them done
-# when it forks; it serves this test process alone, and ends with it.
+# The imports of a command or a node take longer than most runs of a small object. The server has
+# them done when it forks; it serves this test process alone, and ends with it.
 _SERVER = multiprocessing.get_context("forkserver")
 _SERVER.set_forkserver_preload(
     [
         *(f"bo_tuner.cli.{name}" for name in ("tune", "report", "validate", "replay", "apply")),
+        "milling_plant.node",
+        "mpc_controller.node",
+        "tuning_benchmark.command",
         # What these import only when it is needed, which is soon.
         "plotly",
         "scipy.stats",
     ]
 )
+# As all of them have it; the library reads it when it is loaded.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+STREAMS = ("stdout", "stderr")
 
 
 def python_path(*folders):
@@ -49,25 +58,49 @@ def start(*arguments, folder, package="bo_tuner", env=None, without=(), **option
 
 
 class Fork:
-    """``python -m bo_tuner arguments`` in a folder, forked from a process with its imports.
+    """``python -m package arguments`` in a folder, forked from a process with its imports.
 
     It is used like the `subprocess.Popen` of `start`. That one is for what happens before the
-    command's first line or after its last: imports, signals in them, streams that are odd.
+    command's first line: imports, signals in them, streams and environments that are odd.
+
+    Parameters
+    ----------
+    folder
+        Where it starts, and finds modules.
+    package
+        Whose ``__main__`` runs.
+    env, without
+        Changes of the environment.
+    stdout, stderr
+        Files or descriptors; what goes to none of them, `communicate` returns.
+    start_new_session
+        Whether it leads a process group.
     """
 
-    def __init__(self, *arguments, folder, env=None, without=()):
-        self.args = [str(argument) for argument in arguments]
+    def __init__(
+        self,
+        *arguments,
+        folder,
+        package="bo_tuner",
+        env=None,
+        without=(),
+        stdout=None,
+        stderr=None,
+        start_new_session=False,
+    ):
+        self.args = [package, *map(str, arguments)]
+        given = (stdout, stderr)
         # Closed when they are read, as pipes would be.
-        self._output = [
-            tempfile.NamedTemporaryFile("r", encoding="utf-8")  # noqa: SIM115
-            for _ in range(2)
-        ]
+        self._said = [None if stream is not None else _temporary() for stream in given]
+        self._answer = None
+        output = [_Stream(file or stream) for file, stream in zip(self._said, given, strict=True)]
         variables = environment(folder, without=without, **(env or {}))
         self._process = _SERVER.Process(
-            target=_run_command,
-            args=(self.args, str(folder), variables, [file.name for file in self._output]),
+            target=_run_package,
+            args=(self.args, str(folder), variables, output, start_new_session),
         )
-        self._process.start()
+        with mock.patch.dict(os.environ, ONE_THREAD):
+            self._process.start()
         self.pid = self._process.pid
         self.returncode = None
 
@@ -85,34 +118,64 @@ class Fork:
 
     def communicate(self, timeout=None):
         self.wait(timeout)
-        said = []
-        for file in self._output:
-            said.append(file.read())
-            file.close()
-        self._process.close()
-        return tuple(said)
+        if self._answer is None:
+            self._process.close()
+            self._answer = tuple(file and _content(file) for file in self._said)
+        return self._answer
 
     def send_signal(self, signum):
         if self.poll() is None:
             os.kill(self.pid, signum)
 
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
     def kill(self):
-        if self.poll() is None:
-            self._process.kill()
+        self.send_signal(signal.SIGKILL)
 
 
-def _run_command(arguments, folder, variables, output):
-    for descriptor, path in enumerate(output, start=1):
-        file = os.open(path, os.O_WRONLY | os.O_APPEND)
-        os.dup2(file, descriptor)
-        os.close(file)
+class _Stream:
+    """A descriptor that the forked process gets, too."""
+
+    def __init__(self, stream):
+        self.descriptor = stream if isinstance(stream, int) else stream.fileno()
+
+    def __getstate__(self):
+        return reduction.DupFd(self.descriptor)
+
+    def __setstate__(self, passed):
+        self.descriptor = passed.detach()
+
+
+def _temporary():
+    return tempfile.NamedTemporaryFile("w+", encoding="utf-8")
+
+
+def _content(file):
+    with file:
+        file.seek(0)
+        return file.read()
+
+
+def _run_package(command, folder, variables, output, new_session):
+    if new_session:
+        os.setsid()
+    for descriptor, (name, stream) in enumerate(zip(STREAMS, output, strict=True), start=1):
+        os.dup2(stream.descriptor, descriptor)
+        os.close(stream.descriptor)
+        setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8", closefd=False))
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(variables)
     # As of `python -m`: the folder, and what the environment says.
     sys.path[:] = [folder, *variables["PYTHONPATH"].split(os.pathsep)]
-    sys.argv[:] = ["bo_tuner", *arguments]
-    runpy.run_module("bo_tuner", run_name="__main__", alter_sys=True)
+    sys.argv[:] = command
+    try:
+        runpy.run_module(command[0], run_name="__main__", alter_sys=True)
+    finally:
+        # Where an interpreter notes at its end what could not be written, multiprocessing does not.
+        for name in STREAMS:
+            getattr(sys, name).flush()
 
 
 def finish(process, deadline=DEADLINE):

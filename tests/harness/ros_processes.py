@@ -4,10 +4,10 @@ import fcntl
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+from commands import Fork
 from waiting import DEADLINE
 
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
@@ -46,12 +46,10 @@ class NodeProcess:
     def __init__(self, package, arguments, log):
         self.log = log
         self.expected_code = 0
-        command = [sys.executable, "-m", package]
-        if arguments:
-            command += ["--ros-args", *arguments]
+        ros_arguments = ["--ros-args", *arguments] if arguments else []
         with log.open("w") as output:
-            self.popen = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+            self.popen = Fork(
+                *ros_arguments, folder=log.parent, package=package, stdout=output, stderr=output
             )
 
     @property

@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 
 import numpy as np
+import osqp
+from scipy import sparse
 
 from tuning_benchmark.judging.truth import Judgement
 
@@ -76,6 +78,18 @@ class Draws:
 class Broken(Draws):
     def ask(self):
         raise RuntimeError("out of\nideas")
+
+
+class Endless(Draws):
+    """Solves programs in compiled code, and makes the file that the environment names first."""
+
+    def ask(self):
+        solver = osqp.OSQP()
+        eye, ones = sparse.eye(200, format="csc"), np.ones(200)
+        solver.setup(P=eye, q=ones, A=eye, l=-ones, u=ones, verbose=False)
+        Path(os.environ["VALLEY_ENDLESS"]).touch()
+        while True:
+            solver.solve()
 
 
 class Unsteady(Draws):

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from commands import environment, start
+from commands import Fork, environment
 from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
 from waiting import DEADLINE
 
@@ -247,7 +247,7 @@ def test_what_cannot_be_shown_is_not_set(record, now, gone, code, complaint, to_
     else:
         reading, output = os.pipe()
         os.close(reading)
-    process = start(
+    process = Fork(
         *("apply", record.path, "--yes"),
         folder=record.path.parent,
         stdout=output,

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from commands import finish, start
+from commands import Fork, finish
 from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
@@ -68,7 +68,7 @@ def study(tmp_path, **changes):
         "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
-    return finish(start("tune", "--check", "servo.yaml", folder=tmp_path))
+    return finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
 
 
 def test_a_study_that_is_right(servo, tmp_path):

@@ -5,7 +5,7 @@ import pty
 import select
 
 import pytest
-from commands import environment, finish, run, start
+from commands import environment, run, start
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_threads import at_work
 from rclpy.node import Node
@@ -140,7 +140,7 @@ def test_on_a_terminal_it_asks(servo, tmp_path):
 def test_a_file_that_is_there_is_not_overwritten(tmp_path):
     mine = tmp_path / "mine.yaml"
     mine.write_text("mine")
-    code, out, err = finish(start("tune", "--init", "mine.yaml", folder=tmp_path))
+    code, out, err = run("tune", "--init", "mine.yaml", folder=tmp_path)
     assert (code, out) == (2, "")
     assert err == (
         "error: mine.yaml: is there already, and is not overwritten; give another name\n"

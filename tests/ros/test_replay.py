@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from bag_readers import READERS, with_rosbags
-from commands import finish, start
+from commands import Fork, finish
 from made_runs import Uninterrupted, make_run
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
@@ -163,7 +163,7 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     record = make_run(folder, study, InProcessBackend(study))
     evaluation = record.trials[0].evaluations[-1]
     assert "the loop diverged" in evaluation.outcome.reason
-    process = start(
+    process = Fork(
         *("replay", folder, "0", "--backend", "ros", "--output", "bags"),
         folder=tmp_path,
         env={"COLUMNS": "120"},

@@ -6,7 +6,7 @@ import re
 import signal
 
 import pytest
-from commands import finish, python_path, start
+from commands import Fork, finish, python_path, start
 from waiting import DEADLINE, wait_until
 
 from tuning_benchmark import command as command
@@ -18,8 +18,10 @@ def benchmark(tmp_path, experiment_file):
     started = []
 
     def begin(output, *arguments, experiment=experiment_file, environment=None, **streams):
+        # Processes of several jobs come from a server of their own, which a fork would share.
+        how = start if "--jobs" in arguments else Fork
         arguments = ("--experiment", experiment, "--output", tmp_path / output, *arguments)
-        process = start(
+        process = how(
             *arguments, folder=tmp_path, package="tuning_benchmark", env=environment, **streams
         )
         started.append(process)
@@ -130,6 +132,28 @@ def test_ctrl_c_keeps_what_is_done(benchmark, tmp_path):
     assert out == ""
     assert "the same command resumes" in err
     assert records_of(tmp_path / "out")
+
+
+def test_ctrl_c_in_compiled_code_is_one_line(tmp_path, experiment_file):
+    """The interpreter ends while the task still runs."""
+    experiment_file.write_text(
+        experiment_file.read_text().replace("runs: 2", "runs: 1").replace(":Draws", ":Endless")
+    )
+    solving = tmp_path / "solving"
+    process = start(
+        *("--experiment", experiment_file, "--output", "out"),
+        folder=tmp_path,
+        package="tuning_benchmark",
+        env={"VALLEY_ENDLESS": str(solving)},
+    )
+    wait_until(solving.exists, "the optimizer", process)
+    process.send_signal(signal.SIGINT)
+    code, out, err = finish(process)
+    assert (code, out) == (130, "")
+    assert err.splitlines()[-2:] == [
+        "finished tasks are on record in out; the same command resumes",
+        "interrupted by SIGINT",
+    ]
 
 
 def test_a_task_that_raises_is_a_failed_run_with_its_reason(benchmark, tmp_path, experiment_file):

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from axis import node, write_axis
-from commands import environment, finish, run, start
+from commands import Fork, environment, finish, run, start
 from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
@@ -31,10 +31,10 @@ def runs(tmp_path_factory, make_study):
 TUNE = ("tune", "--study", "axis.yaml", "--backend", "inprocess", "--output", "runs")
 
 
-def held(runs, tmp_path, *arguments, **options):
+def held(runs, tmp_path, *arguments, begin=Fork, **options):
     """Start a command that waits in an evaluation."""
     cuts = tmp_path / "cuts"
-    process = start(*arguments, folder=runs, env={"CUTS": str(cuts), "HOLD": "3"}, **options)
+    process = begin(*arguments, folder=runs, env={"CUTS": str(cuts), "HOLD": "3"}, **options)
     wait_until(lambda: count_in(cuts) == 3, "the third evaluation", process)
     return process, cuts
 
@@ -80,7 +80,9 @@ def test_a_terminal_that_is_gone_leaves_a_record_that_goes_on(runs, tmp_path):
     """The terminal takes no more output, and the signal comes with it."""
     ours, theirs = os.openpty()
     command = (*TUNE[:-1], str(tmp_path / "gone"))
-    process, cuts = held(runs, tmp_path, *command, stdin=theirs, stdout=theirs, stderr=theirs)
+    process, cuts = held(
+        runs, tmp_path, *command, begin=start, stdin=theirs, stdout=theirs, stderr=theirs
+    )
     os.close(theirs)
     os.close(ours)
     process.send_signal(signal.SIGHUP)
@@ -98,7 +100,7 @@ def test_a_pipe_that_nobody_reads(runs, command, to_error):
     os.close(reading)
     name, *options = command
     streams = {"stdout": writing} | ({"stderr": writing} if to_error else {})
-    process = start(name, "runs/latest", *options, folder=runs, **streams)
+    process = Fork(name, "runs/latest", *options, folder=runs, **streams)
     os.close(writing)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 128 + signal.SIGPIPE
@@ -111,7 +113,7 @@ def test_a_tuner_that_nobody_listens_to_stops_with_its_record_whole(runs, tmp_pa
     reading, writing = os.pipe()
     os.close(reading)
     command = (*TUNE[:-1], str(tmp_path / "unheard"))
-    process = start(*command, folder=runs, stdout=writing)
+    process = Fork(*command, folder=runs, stdout=writing)
     os.close(writing)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 128 + signal.SIGPIPE
@@ -135,7 +137,7 @@ def full():
 def test_a_full_device(runs, full, command, to_error):
     name, *options = command
     streams = {"stdout": full} | ({"stderr": full} if to_error else {})
-    process = start(name, "runs/latest", *options, folder=runs, **streams)
+    process = Fork(name, "runs/latest", *options, folder=runs, **streams)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
     if not to_error:
@@ -147,7 +149,7 @@ def test_a_full_device(runs, full, command, to_error):
 def test_a_tuner_whose_output_is_full_stops_with_its_record_whole(runs, tmp_path, full, to_error):
     command = (*TUNE[:-1], str(tmp_path / "unwritten"))
     streams = {"stdout": full} | ({"stderr": full} if to_error else {})
-    process = start(*command, folder=runs, **streams)
+    process = Fork(*command, folder=runs, **streams)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
     if not to_error:
@@ -164,7 +166,7 @@ def started(name, *arguments, folder, **streams):
     """Start one of all commands."""
     package = "tuning_benchmark" if name == "benchmark" else "bo_tuner"
     command = arguments if name == "benchmark" else (name, *arguments)
-    return start(*command, folder=folder, package=package, **streams)
+    return Fork(*command, folder=folder, package=package, **streams)
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -39,8 +39,9 @@ def study_file(tmp_path, make_study):
 def tune(tmp_path, study_file):
     """Function that starts the command on the small object."""
 
-    def begin(*arguments, environment=None):
-        return Fork(*command(study_file, *arguments), folder=tmp_path, env=environment)
+    def begin(*arguments, environment=None, **streams):
+        arguments = command(study_file, *arguments)
+        return Fork(*arguments, folder=tmp_path, env=environment, **streams)
 
     return begin
 
@@ -226,10 +227,10 @@ class TestFaults:
         assert code == 1
         assert "trials.csv: cannot be written: Is a directory" in err.splitlines()[-1]
 
-    def test_a_reader_that_went_away(self, fresh_tune):
+    def test_a_reader_that_went_away(self, tune):
         """As in `tune | head -0`."""
         leader, follower = os.pipe()
-        process = fresh_tune("--trials", "1", stdout=follower)
+        process = tune("--trials", "1", stdout=follower)
         os.close(follower)
         os.close(leader)
         _, err = process.communicate(timeout=DEADLINE)

@@ -8,7 +8,7 @@ import time
 
 import pytest
 from axis import write_axis
-from commands import finish, start
+from commands import Fork, finish, start
 from waiting import DEADLINE
 
 from bo_tuner.cli.tune import make_parser
@@ -36,8 +36,8 @@ def tune(tmp_path, make_study):
     write_axis(tmp_path)
     (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study()))
 
-    def begin(*arguments, **environment):
-        return start("tune", *arguments, folder=tmp_path, env=environment)
+    def begin(*arguments, how=Fork, **environment):
+        return how("tune", *arguments, folder=tmp_path, env=environment)
 
     return begin
 
@@ -101,7 +101,7 @@ class TestRun:
         assert out.startswith("The tuned parameter set kept all limits; not certified yet\n")
 
     def test_an_interruption_is_shown_and_the_rest_recalled(self, tune, tmp_path):
-        process = tune(*NEW, "--json-lines", PACE="0.05")
+        process = tune(*NEW, "--json-lines", how=start, PACE="0.05")
         lines = iter(process.stdout.readline, "")
         first = [strict(next(lines)) for _ in range(2)]
         for line in lines:
@@ -122,7 +122,7 @@ class TestRun:
         assert [event["trial"] for event in told] == list(range(5))
 
     def test_a_reader_that_goes_away_does_not_end_the_run(self, tune, tmp_path):
-        process = tune(*NEW, "--json-lines", PACE="0.02")
+        process = tune(*NEW, "--json-lines", how=start, PACE="0.02")
         assert strict(process.stdout.readline())["event"] == "run"
         process.stdout.close()
         with process.stderr as stderr:

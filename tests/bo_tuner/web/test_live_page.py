@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from axis import write_axis
-from commands import finish, start
+from commands import Fork, finish
 from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.errors import OutputError
@@ -36,7 +36,7 @@ class Run:
         self.counter = folder / "cuts"
         self.said = folder / "said.txt"
         with self.said.open("w") as said:
-            self.process = start(
+            self.process = Fork(
                 *("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", *options),
                 folder=folder,
                 env={"CUTS": str(self.counter), "HOLD": str(hold)} | environment,
@@ -147,7 +147,7 @@ def beside(tmp_path_factory, make_study):
     write_axis(folder)
     (folder / "axis.yaml").write_text(study_to_yaml(make_study()))
     arguments = ("tune", "--backend", "inprocess", "--study", "axis.yaml", "--quiet")
-    code, _, err = finish(start(*arguments, folder=folder))
+    code, _, err = finish(Fork(*arguments, folder=folder))
     assert code == 0, err
     (folder / "runs" / "broken").mkdir()
     (folder / "runs" / "broken" / "journal.sqlite").write_text("no journal")
@@ -335,7 +335,7 @@ class TestRequests:
         assert run.page_processes() == []
 
     def test_they_need_a_page(self, tmp_path):
-        code, out, err = finish(start("tune", "--web-control", folder=tmp_path))
+        code, out, err = finish(Fork("tune", "--web-control", folder=tmp_path))
         assert (code, out) == (2, "")
         assert "--web-control needs --web" in err
 
@@ -426,7 +426,7 @@ class TestAddress:
         with listen(0).socket as taken:
             port = taken.getsockname()[1]
             code, out, err = finish(
-                start("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", port,
+                Fork("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", port,
                       folder=tmp_path)
             )  # fmt: skip
         assert (code, out) == (2, "")

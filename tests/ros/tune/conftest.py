@@ -4,13 +4,12 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import uuid
 from pathlib import Path
 
 import pytest
-from commands import start
+from commands import Fork, start
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.storage.journal_reader import read_journal
@@ -153,7 +152,7 @@ def drive_study(**changes):
 
 
 def processes(mark):
-    """Command lines by pid of the processes whose environment has the mark."""
+    """Command lines by pid of the programs that were started with the mark in their environment."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -167,8 +166,9 @@ def processes(mark):
 class Tune:
     """The command ``tune``, running."""
 
-    def __init__(self, folder, study, arguments, changes):
+    def __init__(self, folder, study, arguments, changes, begin=Fork):
         self.folder = folder
+        self._begin = begin
         self.mark = uuid.uuid4().hex
         file = folder / "study.yaml"
         file.write_text(json.dumps(study))  # YAML reads it, too
@@ -183,7 +183,7 @@ class Tune:
     def start(self, *arguments):
         """Start the command, or start it again in the same folder."""
         with (self.folder / "out").open("w") as out, (self.folder / "err").open("w") as err:
-            self.popen = start(
+            self.popen = self._begin(
                 "tune",
                 *arguments,
                 folder=self.folder,
@@ -196,7 +196,6 @@ class Tune:
                     "FASTRTPS_DEFAULT_PROFILES_FILE",
                     "ROS_LOG_DIR",
                 ),
-                stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
                 # A process group of its own, as a shell gives to a command.
@@ -217,11 +216,7 @@ class Tune:
 
     def nodes(self, name=""):
         """Pids of the nodes whose command line has the name."""
-        return [
-            pid
-            for pid, command in processes(self.mark).items()
-            if pid != self.popen.pid and name in command
-        ]
+        return [pid for pid, command in processes(self.mark).items() if name in command]
 
     def wait_for(self, condition, what):
         wait_until(condition, what, self.popen, lambda: self.err)
@@ -237,7 +232,8 @@ class Tune:
 
         What lies in /dev/shm does not tell: other programs of this machine have theirs there.
         """
-        maps = "".join(Path(f"/proc/{pid}/maps").read_text() for pid in processes(self.mark))
+        pids = [self.popen.pid, *processes(self.mark)]
+        maps = "".join(Path(f"/proc/{pid}/maps").read_text() for pid in pids)
         return re.findall(r"/dev/shm/.*fast.*", maps)
 
     def finish(self):
@@ -268,7 +264,7 @@ class Tune:
             os.kill(pid, signal.SIGKILL)
 
 
-def starter(folder):
+def starter(folder, begin=Fork):
     """Yield a function that starts the command: arguments, and the environment by keywords."""
     started = []
     executable = folder / "prefix" / "lib" / "drive" / "axis_drive"
@@ -279,7 +275,7 @@ def starter(folder):
     def start(*arguments, study=None, folder=folder, **environment):
         folder.mkdir(exist_ok=True)
         environment = {"AMENT_PREFIX_PATH": str(executable.parents[2])} | environment
-        started.append(Tune(folder, study or drive_study(), arguments, environment))
+        started.append(Tune(folder, study or drive_study(), arguments, environment, begin))
         return started[-1]
 
     yield start
@@ -295,8 +291,8 @@ def tune(tmp_path):
 
 @pytest.fixture(scope="module")
 def start_tune(tmp_path_factory):
-    """The same for a run that the tests of a module share."""
-    yield from starter(tmp_path_factory.mktemp("tune"))
+    """The same for a run that the tests of a module share, in an interpreter of its own."""
+    yield from starter(tmp_path_factory.mktemp("tune"), start)
 
 
 @pytest.fixture(name="drive_study")

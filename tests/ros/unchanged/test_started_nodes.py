@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from waiting import DEADLINE
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
@@ -76,8 +77,9 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
 
 
 @pytest.fixture
-def running(ros_environment, tmp_path):
-    """Function that starts a node of the example."""
+def running(ros_environment, tmp_path, monkeypatch):
+    """Function that starts a node of the example, which a backend may wait for."""
+    monkeypatch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", DEADLINE)
     started = []
 
     def start(node):

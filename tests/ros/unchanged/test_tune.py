@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from commands import finish, start
+from commands import Fork, finish
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -50,7 +50,7 @@ def test_a_pause_and_a_signal_leave_the_machine_safe(running, peer, tmp_path, si
         peer.spin_until(runs_or_ended, "a run")
         assert tune.poll() is None, finish(tune)
 
-    tune = start("tune", "--study", "study.yaml", "--attach", "--quiet", folder=tmp_path)
+    tune = Fork("tune", "--study", "study.yaml", "--attach", "--quiet", folder=tmp_path)
     try:
         if signum == signal.SIGTERM:
             # Of a trial, at work.

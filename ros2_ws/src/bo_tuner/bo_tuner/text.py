@@ -1,5 +1,8 @@
 """Text of others, such as names in a study and what nodes say, made fit to be shown."""
 
+MOST_SAID = 500
+"""Characters that are kept of a reason, or of a value, that a node gives."""
+
 
 def printable(text: str) -> str:
     """Replace what would steer a terminal, or reorder its line, by question marks.
@@ -15,6 +18,11 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """Make text fit for a single line of a terminal."""
     return printable(" ".join(text.split()))
+
+
+def brief(said: str) -> str:
+    """Make what a node says, however long, fit for a line of a terminal or a table."""
+    return one_line(said[:MOST_SAID])
 
 
 def csv_cell(value: object) -> object:

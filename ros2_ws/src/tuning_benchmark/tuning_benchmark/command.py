@@ -92,15 +92,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command; returns its exit code, or exits after a wrong option.
-
-    Parameters
-    ----------
-    argv
-        The command line without the command.
-    interruption
-        Ends the campaign on a signal; finished tasks are on record.
-    """
+    """Run the command: a `bo_tuner.cli.common.Run`."""
     parser = make_parser()
     arguments = parser.parse_args(argv)
     if arguments.jobs < 1:

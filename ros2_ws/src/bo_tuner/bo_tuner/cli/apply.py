@@ -36,11 +36,11 @@ from bo_tuner.deploy.bundle import (
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interruption
-from bo_tuner.metrics.collect import one_line
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.text import brief
 
 DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
@@ -99,15 +99,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command and return its exit code; exits on a wrong option.
-
-    Parameters
-    ----------
-    argv
-        The command line without the command; may hold ``--ros-args``.
-    interruption
-        Ends the command on a signal, until something is set.
-    """
+    """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
@@ -200,7 +192,7 @@ def _shown(row: Difference) -> tuple[str, str]:
     now, new = (f"{v:.6g}" if isinstance(v, float) else str(v) for v in (row.now, row.new))
     if now == new and not row.equal:
         now, new = repr(row.now), repr(row.new)
-    return one_line(now), one_line(new)
+    return brief(now), brief(new)
 
 
 def _confirmed(question: str, interruption: Interruption) -> bool:

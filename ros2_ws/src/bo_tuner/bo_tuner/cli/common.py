@@ -27,6 +27,8 @@ RUNS = Path("runs")
 """Where run folders are created, and looked for."""
 
 Run = Callable[[Sequence[str], Interruption], int]
+"""A command: takes its command line, which may hold ``--ros-args`` where nodes are used, and the
+interruption, which ends it on a signal. Returns its exit code, or exits after a wrong option."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -102,7 +104,7 @@ def guarded(run: Run) -> Run:
     Parameters
     ----------
     run
-        Takes the command line without the command, and the interruption; returns the exit code.
+        The command, without what is done about its errors.
     """
 
     def guard(argv: Sequence[str], interruption: Interruption) -> int:

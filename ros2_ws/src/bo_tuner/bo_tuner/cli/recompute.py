@@ -63,15 +63,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command and return its exit code; exits on a wrong option.
-
-    Parameters
-    ----------
-    argv
-        The command line without the command.
-    interruption
-        Ends the command on a signal.
-    """
+    """Run the command: a `common.Run`."""
     arguments = make_parser().parse_args(argv)
     record = read_run(run_folder(arguments.run))
     if arguments.study is None:

@@ -77,15 +77,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command and return its exit code; exits on a wrong option.
-
-    Parameters
-    ----------
-    argv
-        The command line without the command.
-    interruption
-        Ends the command on a signal.
-    """
+    """Run the command: a `common.Run`."""
     parser = make_parser()
     arguments = parser.parse_args(argv)
     if arguments.trial is not None and len(arguments.run) > 1:

@@ -226,15 +226,7 @@ def make_parser() -> Parser:
 
 @guarded
 def run(argv: Sequence[str], interruption: Interruption) -> int:
-    """Run the command and return its exit code; exits on a wrong option.
-
-    Parameters
-    ----------
-    argv
-        The command line without the command; may hold ``--ros-args``.
-    interruption
-        Ends the run on a signal.
-    """
+    """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)

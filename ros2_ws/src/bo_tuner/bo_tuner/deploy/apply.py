@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from bo_tuner.errors import BoTunerError
-from bo_tuner.metrics.collect import one_line
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.study import checks
+from bo_tuner.text import brief
 
 
 class ApplyError(BoTunerError, RuntimeError):
@@ -89,7 +89,7 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
             found = nodes.get(node, list(values))
             for name, value in values.items():
                 if not checks.same_value(found[name], value):
-                    shown = one_line(str(found[name]))
+                    shown = brief(str(found[name]))
                     raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
     except NodeError as error:
         raise ApplyError(f"{error}; {_set_back(nodes, before, touched)}") from error

@@ -5,19 +5,16 @@ from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, Self
 
-import rclpy
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.client import Client
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from bo_tuner.backends.ros.isolation import DomainClaim
+from bo_tuner.backends.ros.own_node import make_node
 from bo_tuner.backends.ros.parameters import to_messages, to_value
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
-from bo_tuner.metrics.collect import one_line
+from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
@@ -58,20 +55,9 @@ class LiveParameters:
     def __init__(
         self, nodes: list[str], ros_arguments: list[str], watch: Callable[[], None]
     ) -> None:
-        self._context = Context()
         self._claim: DomainClaim | None = None
-        try:
-            rclpy.init(
-                args=ros_arguments,
-                context=self._context,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            self._node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
-        except (RuntimeError, ValueError) as error:
-            self._context.try_shutdown()
-            # rcl appends the place in its own source.
-            reason = str(error).split(", at /")[0]
-            raise BackendError(f"cannot use --ros-args or ROS_DOMAIN_ID: {reason}") from error
+        self._node = make_node(NODE_NAME, ros_arguments)
+        self._context = self._node.context
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         try:
@@ -142,7 +128,7 @@ class LiveParameters:
         if response is None:
             raise _silent(node, CALL_TIMEOUT)
         if not response.result.successful:
-            reason = one_line(str(response.result.reason)) or "no reason given"
+            reason = brief(str(response.result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
 
     def _values(self, node: str, names: list[str]) -> list[object]:

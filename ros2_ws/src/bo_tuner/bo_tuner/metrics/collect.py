@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from math import isfinite
 
-from bo_tuner import text
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import EvaluationState, Outcome
 
 STATUS_OK = "ok"
@@ -17,13 +17,6 @@ LARGEST_METRIC = 1e90
 The models square responses and so take them up to 1e100, and the estimate of a worst case lies some
 standard deviations above the metrics that it comes from.
 """
-MOST_SAID = 500
-"""Characters of a reason, and of a value, that are kept."""
-
-
-def one_line(said: str) -> str:
-    """Make what a node says fit for a line of a terminal or a table."""
-    return text.one_line(said[:MOST_SAID])
 
 
 class Collector:
@@ -73,17 +66,17 @@ class Collector:
             for key, value in pairs.items()
         }
         if mismatch := self._mismatch(results, assigned or {}):
-            return Outcome(EvaluationState.FAILED, {}, one_line(mismatch), details)
+            return Outcome(EvaluationState.FAILED, {}, brief(mismatch), details)
         for node, pairs in results.items():
             if pairs.get("status") != STATUS_OK:
-                reason = one_line(str(pairs.get("reason") or "no reason given"))
+                reason = brief(str(pairs.get("reason") or "no reason given"))
                 return Outcome(EvaluationState.FAILED, {}, f"{node}: {reason}", details)
         metrics = {}
         for name, metric in self._study.metrics.items():
             try:
                 found = self._sources[name].value(results)
             except MissingMetricError as error:
-                return Outcome(EvaluationState.FAILED, {}, one_line(str(error)), details)
+                return Outcome(EvaluationState.FAILED, {}, brief(str(error)), details)
             if problem := metric_problem(found):
                 reason = f"metric {name} is {problem}"
                 if isinstance(metric, ReportedMetric):
@@ -107,7 +100,7 @@ class Collector:
 
 def metric_problem(found: object) -> str:
     """Tell in a few words why this cannot be the value of a metric; empty if it can."""
-    shown = one_line(str(found)[:40]) or "empty"
+    shown = brief(str(found)[:40]) or "empty"
     if isinstance(found, bool):
         return shown
     try:

@@ -20,6 +20,9 @@ from tuning_benchmark.campaign.tasks import Task, carry_out
 POLL = 0.2
 """Time [s] after which a signal is noticed."""
 
+THREAD = "tasks"
+"""Name of the thread that waits for the tasks; with one process, it carries them out."""
+
 CONNECTING = 10
 """Time [s] that a cluster has to answer."""
 
@@ -92,6 +95,11 @@ def unfinished(tasks: Sequence[Task], records: Records) -> list[Task]:
     return [task for task in tasks if task.name not in whole]
 
 
+def at_work() -> bool:
+    """Whether a task may still run in this process, after an interruption."""
+    return any(thread.name == THREAD for thread in threading.enumerate())
+
+
 def _results(
     tasks: Sequence[Task], interruption: Interruption, config: dict[str, Any]
 ) -> Iterator[dict[str, Any]]:
@@ -111,7 +119,7 @@ def _results(
         except Exception as error:
             found.put(error)
 
-    threading.Thread(target=work, daemon=True).start()
+    threading.Thread(target=work, name=THREAD, daemon=True).start()
     while True:
         interruption.check()
         try:

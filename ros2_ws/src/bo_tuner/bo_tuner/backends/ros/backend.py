@@ -25,7 +25,7 @@ from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.metrics.collect import Collector, one_line
+from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     FailedRunError,
@@ -36,6 +36,7 @@ from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
+from bo_tuner.text import brief
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
@@ -215,10 +216,10 @@ class RosBackend(SequentialBackend):
             problems = self._make_safe()
         if not problems:
             return outcome
-        text = one_line("; ".join(problems))
+        text = brief("; ".join(problems))
         if outcome.state is EvaluationState.COMPLETE:
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
-        return dataclasses.replace(outcome, reason=one_line(f"{outcome.reason}; {text}"))
+        return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
 
     def _evaluated(self, planned: Evaluation) -> Outcome:
         """Run an evaluation; whatever becomes of it is an outcome."""
@@ -237,12 +238,12 @@ class RosBackend(SequentialBackend):
             result = self._collector.outcome(client.evaluate(wanted, run), wanted)
         except (RefusedError, FailedRunError) as refusal:
             counts = self.recording.counts()
-            return Outcome(EvaluationState.FAILED, {}, one_line(str(refusal)), counts)
+            return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), counts)
         except DisturbedError as error:
-            reason = one_line(str(error))
+            reason = brief(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
         except LostError as loss:
-            return Outcome(EvaluationState.LOST, {}, one_line(str(loss)))
+            return Outcome(EvaluationState.LOST, {}, brief(str(loss)))
         ignored = {"ignored_results": str(client.results.take_ignored())}
         return dataclasses.replace(
             result, details={**result.details, **ignored, **self.recording.counts()}

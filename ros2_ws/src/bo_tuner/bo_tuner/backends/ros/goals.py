@@ -11,10 +11,10 @@ from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import StudyError
-from bo_tuner.metrics.collect import one_line
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study import checks
 from bo_tuner.study.steps import SendGoal
+from bo_tuner.text import brief
 
 ENDS = {
     GoalStatus.STATUS_ABORTED: "aborted the goal",
@@ -151,6 +151,6 @@ def _cancel_late(future: Future) -> None:
 def _reason(result: Any) -> str:
     """Tell what an action says of its end, if it has one of the usual fields."""
     fields = ("error_msg", "error_string", "message", "error_code")
-    said = [one_line(str(getattr(result, name, ""))) for name in fields]
+    said = [brief(str(getattr(result, name, ""))) for name in fields]
     found = [text for text in said if text and text != "0"]
     return f": {found[0]}" if found else ""

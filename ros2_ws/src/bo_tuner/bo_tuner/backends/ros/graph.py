@@ -5,15 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-import rclpy
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from bo_tuner.backends.ros.clock import WallClock
+from bo_tuner.backends.ros.own_node import make_node
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.signals import SignalRecorder
@@ -61,17 +58,8 @@ class Graph:
     def __init__(self, ros_arguments: Sequence[str], interrupted: Callable[[], None]) -> None:
         self._ros_arguments = ros_arguments
         self._interrupted = interrupted
-        self._context = Context()
-        try:
-            rclpy.init(
-                args=list(ros_arguments),
-                context=self._context,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            self.node = Node(NODE_NAME, context=self._context, start_parameter_services=False)
-        except (RuntimeError, ValueError) as error:
-            self._context.try_shutdown()
-            raise BackendError(f"cannot use --ros-args: {str(error).split(', at /')[0]}") from error
+        self.node = make_node(NODE_NAME, ros_arguments)
+        self._context = self.node.context
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 

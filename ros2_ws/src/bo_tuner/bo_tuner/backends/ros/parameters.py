@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
-from bo_tuner.metrics.collect import one_line
 from bo_tuner.study.checks import same_value
+from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
 
@@ -38,7 +38,7 @@ class Difference:
     expected: object
 
     def __str__(self) -> str:
-        found = "not set" if self.found is None else one_line(str(self.found))
+        found = "not set" if self.found is None else brief(str(self.found))
         return f"{self.node}: parameter {self.name} is {found}, expected {self.expected}"
 
 

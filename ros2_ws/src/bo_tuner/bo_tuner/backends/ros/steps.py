@@ -13,10 +13,10 @@ from bo_tuner.backends.ros.clock import RunClock, to_stamp
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.metrics.collect import one_line
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study import checks
 from bo_tuner.study.steps import Call, Lifecycle, Publish
+from bo_tuner.text import brief
 
 CONNECT_TIMEOUT = 5.0
 """Time [s] to find a topic, a service, an action, or the subscribers of a message."""
@@ -77,7 +77,7 @@ class ServiceCall:
             self.service, self.request, f"the node that {where(self.path)} calls", self.timeout
         )
         if getattr(response, "success", True) is False:
-            reason = one_line(getattr(response, "message", "")) or "no reason given"
+            reason = brief(getattr(response, "message", "")) or "no reason given"
             raise FailedRunError(f"{self.service.srv_name} refused: {reason}")
 
 

@@ -5,16 +5,12 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import rclpy
 from rclpy.client import Client
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
-from bo_tuner.errors import BackendError
+from bo_tuner.backends.ros.own_node import make_node
 
 NODE_NAME = "bo_tuner"
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
@@ -52,20 +48,8 @@ class TunerNode:
 
     def __init__(self, domain: int, ros_arguments: list[str], watch: Callable[[], None]) -> None:
         self._watch = watch
-        self.context = Context()
-        try:
-            rclpy.init(
-                args=ros_arguments,
-                context=self.context,
-                domain_id=domain,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            # It has no parameters to set, and rclpy's services for them can be made to raise.
-            self.node = Node(NODE_NAME, context=self.context, start_parameter_services=False)
-        except (RuntimeError, ValueError) as error:
-            self.context.try_shutdown()
-            # rcl adds where in its own sources it found the mistake.
-            raise BackendError(f"cannot use --ros-args: {str(error).split(', at /')[0]}") from error
+        self.node = make_node(NODE_NAME, ros_arguments, domain)
+        self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
