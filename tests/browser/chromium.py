@@ -112,6 +112,11 @@ class Chromium:
         self, page: Path | str, *, theme: str = "light", width: int = 1280, height: int = 900
     ) -> None:
         """Open a file or an address and wait until it is loaded."""
+        # What the page before still has under way, such as a request to a server that has ended,
+        # is none of this one's errors.
+        self._events.clear()
+        self.call("Page.navigate", url="about:blank")
+        self._wait("Page.loadEventFired")
         self.errors.clear()
         self.requests.clear()
         self.set_theme(theme)

@@ -4,8 +4,6 @@ import os
 from pathlib import Path
 
 import numpy as np
-import osqp
-from scipy import sparse
 
 from tuning_benchmark.judging.truth import Judgement
 
@@ -81,15 +79,16 @@ class Broken(Draws):
 
 
 class Endless(Draws):
-    """Solves programs in compiled code, and makes the file that the environment names first."""
+    """Computes in compiled code, and makes the file that the environment names first.
+
+    Not with OSQP, which takes Ctrl-C for itself while it solves.
+    """
 
     def ask(self):
-        solver = osqp.OSQP()
-        eye, ones = sparse.eye(200, format="csc"), np.ones(200)
-        solver.setup(P=eye, q=ones, A=eye, l=-ones, u=ones, verbose=False)
+        matrix = np.random.default_rng(1).standard_normal((300, 300))
         Path(os.environ["VALLEY_ENDLESS"]).touch()
         while True:
-            solver.solve()
+            np.linalg.svd(matrix)
 
 
 class Unsteady(Draws):
