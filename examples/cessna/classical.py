@@ -6,6 +6,7 @@ N. B. Nichols, Optimum settings for automatic controllers, Trans. ASME 64 (1942)
 nothing of, such as the corners of the two lags, keeps the value of the package.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -46,10 +47,18 @@ def ultimate(loop: control.StateSpace) -> tuple[float, float]:
     return float(gain), 2.0 * math.pi / float(crossover)
 
 
+@functools.cache
+def ultimates() -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return ultimate gain and period [s] of the bank and of the climb, in still air."""
+    return (
+        ultimate(airframe(Conditions(), "DaCmd", "Phi")),
+        ultimate(airframe(Conditions(), "DeCmd", "Alt")),
+    )
+
+
 def ziegler_nichols() -> dict[str, dict[str, float]]:
     """Return the gains of the autopilot that follow from the rule, by the kind of controller."""
-    bank, bank_period = ultimate(airframe(Conditions(), "DaCmd", "Phi"))
-    climb, climb_period = ultimate(airframe(Conditions(), "DeCmd", "Alt"))
+    (bank, bank_period), (climb, climb_period) = ultimates()
     return {
         "Ziegler-Nichols, P": detuned([1.0] * len(LOOPS)),
         "Ziegler-Nichols, PID and PI": {
@@ -64,7 +73,6 @@ def ziegler_nichols() -> dict[str, dict[str, float]]:
 
 def detuned(factors: Sequence[float]) -> dict[str, float]:
     """Return the gains of the rule for P controllers times factors, one for each of `LOOPS`."""
-    bank, _ = ultimate(airframe(Conditions(), "DaCmd", "Phi"))
-    climb, _ = ultimate(airframe(Conditions(), "DeCmd", "Alt"))
+    (bank, _), (climb, _) = ultimates()
     of_bank, of_climb = factors
     return {"bank_p": of_bank * 0.5 * bank, "climb_p": of_climb * 0.5 * climb}
