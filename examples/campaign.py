@@ -56,11 +56,13 @@ def result(run: Path) -> dict[str, Any]:
         json.loads(path.read_text(encoding="utf-8"))
         for path in sorted((run / "certificates").glob("*.json"))
     ]
+    study = yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))
     return {
-        "seed": yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))["seed"],
+        "seed": study["seed"],
         "trials": summary["trials"],
         "evaluations": summary["evaluations"],
-        "gains": node["ros__parameters"],
+        # Not what the study sets once, such as the Cessna's rate.
+        "gains": {name: node["ros__parameters"][name] for name in study["parameters"]},
         "feasible": summary["feasible"],
         "certificate": certificates[-1]["verdict"] if certificates else "none",
     }
