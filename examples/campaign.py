@@ -22,7 +22,7 @@ from typing import Any
 
 import yaml
 from comparison import Comparison, seeds_table, table
-from detuning import detune
+from detuning import detune, hardest
 
 COMPLETE = (0, 3)
 """Exit codes of `tune` and `validate` that do not mean that something went wrong."""
@@ -117,9 +117,10 @@ def main() -> None:
         compare = Comparison(
             judge.judge, judge.grid(arguments.sparse), judge.draws(DRAWS), study, executor
         )
+        hard = hardest(compare, judge.DEFAULT) if runs else []
         for run in runs:
             gains = detune(
-                classical.detuned, len(classical.LOOPS), compare, judge.DEFAULT,
+                classical.detuned, len(classical.LOOPS), compare, hard,
                 judge.draws(TRIED, run["seed"]), run["evaluations"], run["seed"],
             )  # fmt: skip
             if gains is not None:
@@ -128,7 +129,9 @@ def main() -> None:
     path = arguments.result or (arguments.output / "latest").resolve() / "comparison.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({**found, "runs": runs, "judged": judged}, indent=1) + "\n")
-    print(table(judged, study), seeds_table(runs, judged, study), sep="\n\n")
+    print(table(judged, study))
+    if runs:
+        print("", seeds_table(runs, judged, study), sep="\n")
     print(f"\nwritten to {path}")
 
 

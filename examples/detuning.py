@@ -24,11 +24,18 @@ PENALTY = 10.0
 """Of a limit that is exceeded by all of itself, in units of the objective."""
 
 
+def hardest(compare: Comparison, gains: Mapping[str, float]) -> list[int]:
+    """Return the places in the grid where gains go farthest; a crash is as far as can be."""
+    (metric,) = compare.limits("worst_case")
+    reach = [np.inf if f.crashed else getattr(f, metric) for f in compare.fly(gains, compare.grid)]
+    return [int(k) for k in np.argsort(reach)[-HARD:]]
+
+
 def detune(
     rule: Callable[[Sequence[float]], Mapping[str, float]],
     loops: int,
     compare: Comparison,
-    default: Mapping[str, float],
+    hard: Sequence[int],
     drawn: list[Any],
     flights: int,
     seed: int,
@@ -43,8 +50,8 @@ def detune(
         Number of factors.
     compare
         Flies.
-    default
-        Gains that say which conditions of the grid are hard.
+    hard
+        Conditions by their place in the grid, see `hardest`.
     drawn
         Conditions; not those of the judge.
     flights
@@ -58,16 +65,13 @@ def detune(
         None if no set of gains kept the limits.
     """
     rng = np.random.default_rng(seed)
-    (metric,) = compare.limits("worst_case")
-    over_grid = compare.fly(default, compare.grid)
-    reach = [np.inf if f.crashed else getattr(f, metric) for f in over_grid]
-    hard = [replace(compare.grid[k], seed=100_000 * seed + k) for k in np.argsort(reach)[-HARD:]]
+    noisy = [replace(compare.grid[k], seed=100_000 * seed + k) for k in hard]
     kept: list[tuple[float, Mapping[str, float]]] = []
 
     def cost(exponents: NDArray[np.float64]) -> float:
         """Return the objective with a penalty; a crash is worse than any limit that is broken."""
         gains = rule(list(SMALLEST**exponents))
-        flown = compare.fly(gains, drawn + hard)
+        flown = compare.fly(gains, drawn + noisy)
         excess = compare.excess(flown[: len(drawn)], flown[len(drawn) :])
         if not np.isfinite(excess):
             return 1e6 * sum(flight.crashed for flight in flown)
@@ -76,7 +80,7 @@ def detune(
             kept.append((objective, gains))
         return objective + PENALTY * excess
 
-    tried = flights // (len(drawn) + HARD)
+    tried = flights // (len(drawn) + len(hard))
     candidates = qmc.LatinHypercube(loops, rng=rng).random(tried // 2)
     best = candidates[np.argmin([cost(exponents) for exponents in candidates])]
     minimize(

@@ -115,19 +115,21 @@ def test_a_rule_is_detuned_with_the_flights_that_it_has(compare, module_of):
         return judge(gains, place)
 
     tested = replace(compare, judge=counted)
+    hard = detuning.hardest(compare, {"k": 1.0})
+    assert [compare.grid[k].wind for k in hard] == [0.0, 1.0, 2.0]  # the hardest last
     drawn = [Place(2.0), Place(2.0), Place(1.0)]
     limits = (2.0, 20.0)  # k of the rule; one is too much, the other far too much
     for highest in limits:
         flown.clear()
         found = detuning.detune(
             lambda factors, highest=highest: {"k": highest * factors[0]},
-            1, tested, {"k": 1.0}, drawn, 240, seed=1,
+            1, tested, hard, drawn, 240, seed=1,
         )  # fmt: skip
-        assert len(flown) <= 240 + len(compare.grid)
+        assert len(flown) <= 240
         assert 1.45 <= found["k"] <= 1.5
 
 
 def test_a_rule_that_never_keeps_the_limits(compare, module_of):
     detune = module_of(".", "detuning").detune
     never = [Place(3.0)] * 3  # an overshoot of 3 whatever the gain
-    assert detune(lambda _: {"k": 1.0}, 1, compare, {"k": 1.0}, never, 60, seed=1) is None
+    assert detune(lambda _: {"k": 1.0}, 1, compare, [0], never, 60, seed=1) is None
