@@ -267,12 +267,9 @@ class JointProcess:
 
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
-        own, data = self.coding.encode(x), self.data.x
-        wide = np.full(self.columns, WIDTH * self.columns**0.5)
-        near = _kernel(own, data[:, : self.columns], wide)
-        across = _kernel(
-            data[:, self.columns :], contexts, np.full(data.shape[1] - self.columns, WIDTH)
-        )
+        own, data, widths = self.coding.encode(x), self.data.x, _widths(self.columns, contexts)
+        near = _kernel(own, data[:, : self.columns], widths[: self.columns])
+        across = _kernel(data[:, self.columns :], contexts, widths[self.columns :])
         total = near @ (across * self.degrees[:, None]) + PRIOR_DEGREES
         squares = near @ (across * self.squares[:, None]) + PRIOR_DEGREES
         return self.noise_variance * squares / total, total
@@ -312,8 +309,11 @@ def _local_ratio(
     z: Array, points: Array, columns: int, squares: Array, degrees: Array
 ) -> tuple[Array, Array]:
     """Return local over common noise variance and degrees of freedom at joint points, (m,) each."""
-    contexts = points.shape[1] - columns
-    widths = np.append(np.full(columns, WIDTH * columns**0.5), np.full(contexts, WIDTH))
-    near = _kernel(z, points, widths)
+    near = _kernel(z, points, _widths(columns, points[:, columns:]))
     total = near @ degrees + PRIOR_DEGREES
     return (near @ squares + PRIOR_DEGREES) / total, total
+
+
+def _widths(columns: int, contexts: Array) -> Array:
+    """Return the widths of the kernel around a place whose noise is estimated, see `WIDTH`."""
+    return np.append(np.full(columns, WIDTH * columns**0.5), np.full(contexts.shape[1], WIDTH))

@@ -49,6 +49,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
+from tuning_benchmark.problems.node import ParameterizedNode
 
 NONE, CONSTANT, HETEROSCEDASTIC = "none", "constant", "heteroscedastic"
 
@@ -318,19 +319,12 @@ class Constants:
     kappa: Array = field(repr=False)
 
 
-class Node:
+class Node(ParameterizedNode):
     """A node that evaluates a problem; its parameters are the problem's, and the point."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, Any] = {}
-
-    def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Take settings, parameters, contexts and the seed."""
-        self._values |= values
 
     def run_cut(self) -> dict[str, object]:
         """Evaluate cost and stress once."""
-        values = self._values
+        values = self.values
         problem = problem_of(values)
         u = problem.point(values)
         if problem.crashes(u):

@@ -29,6 +29,7 @@ from bo_tuner.numerics.pareto import hypervolume
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from tuning_benchmark.problems.closed_form import warped
+from tuning_benchmark.problems.node import ParameterizedNode
 
 LIMIT = 0.8
 LEAN = 0.25
@@ -136,19 +137,12 @@ class TwoObjectives:
         return np.array([values[f"p{i + 1}"] for i in range(self.parameters)])
 
 
-class Node:
+class Node(ParameterizedNode):
     """A node that evaluates the problem."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, Any] = {}
-
-    def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Take settings, parameters, contexts and the seed."""
-        self._values |= values
 
     def run_cut(self) -> dict[str, object]:
         """Evaluate the point in the context."""
-        values = self._values
+        values = self.values
         problem = TwoObjectives(values["parameters"], values["contexts"])
         u = problem.point(values)
         w = np.array([values[f"w{j + 1}"] for j in range(problem.contexts)])
