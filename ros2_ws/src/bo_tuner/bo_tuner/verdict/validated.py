@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from bo_tuner.models.surrogates import CONFIDENT
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
@@ -108,8 +107,8 @@ def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:
         return ""
     if ALGORITHMS[algorithm].models.pooled:
         return (
-            f"The model of all runs says {feasibility:.2g} for the probability that it keeps its "
-            f"limits, and an answer needs at least {CONFIDENT:g}"
+            "The model of all runs is not sure enough that it keeps its limits: it gives a "
+            f"probability of {feasibility:.3g}"
         )
     return "It did not pass the check of the best candidates"
 
