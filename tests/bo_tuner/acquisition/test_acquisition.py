@@ -21,9 +21,9 @@ def model(seed=0, scale=1.0, points=12):
     return GaussianProcess.condition(THETA, x, y)
 
 
-def make_acquisition(objective, best, constraints=(), classifiers=(), **options):
+def make_acquisition(objective, best, constraints=(), *, failures=None, outlying=None, **options):
     named = {str(k): constraint for k, constraint in enumerate(constraints)}
-    surrogates = Surrogates(objective, named, tuple(classifiers))
+    surrogates = Surrogates(objective, named, failures, outlying)
     return constrained_improvement(surrogates, best, **options)
 
 
@@ -85,7 +85,8 @@ def test_sum_of_logarithms_equals_the_product_of_equation_five():
             SurrogateConstraint.on_expectation(overshoot, 1.0),
             SurrogateConstraint.on_observation(times, 1.8, 0.96),
         ),
-        (crashes, outliers),
+        failures=crashes,
+        outlying=outliers,
         avoid=1.0,
     )
     np.testing.assert_allclose(np.exp(acquisition(query)), expected, rtol=1e-7, atol=1e-250)
@@ -103,7 +104,7 @@ def test_crashed_points_are_excluded():
     x = queries(6)
     crashes = NeighbourClassifier(x, np.ones(6, dtype=bool), THETA.length_scales)
     for objective in (None, model()):
-        acquisition = make_acquisition(objective, None, (), (crashes,), avoid=1.0)
+        acquisition = make_acquisition(objective, None, failures=crashes, avoid=1.0)
         assert (acquisition(x) == -np.inf).all()
         assert np.isfinite(acquisition(np.random.default_rng(3).random((20, 2)))).all()
 
@@ -113,9 +114,19 @@ def test_points_near_crashes_are_left_out(avoid):
     x = queries()
     crashes = NeighbourClassifier(x, x[:, 0] > 0.6, THETA.length_scales)
     query = np.random.default_rng(5).random((200, 2))
-    excluded = make_acquisition(None, None, (), (crashes,), avoid=avoid)(query) == -np.inf
+    excluded = make_acquisition(None, None, failures=crashes, avoid=avoid)(query) == -np.inf
     assert 0 < excluded.sum() < 200
     np.testing.assert_array_equal(excluded, crashes.probability(query) > avoid)
+
+
+@pytest.mark.parametrize("avoid", [0.1, 0.5, 0.9])
+def test_an_outlier_is_avoided_less_than_a_failure(avoid):
+    """Where failures are hardly allowed, one outlier must not close what lies around it."""
+    x = queries()
+    outliers = NeighbourClassifier(x, x[:, 0] > 0.6, THETA.length_scales)
+    query = np.random.default_rng(5).random((200, 2))
+    excluded = make_acquisition(None, None, outlying=outliers, avoid=avoid)(query) == -np.inf
+    np.testing.assert_array_equal(excluded, outliers.probability(query) > max(avoid, 0.5))
 
 
 def test_without_a_feasible_point_feasibility_is_sought():

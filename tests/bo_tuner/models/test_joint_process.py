@@ -9,7 +9,13 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective, OverContexts
+from bo_tuner.models.joint_responses import (
+    EveryContext,
+    ExpectedObjective,
+    FutureBound,
+    OverContexts,
+    PooledResponse,
+)
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
@@ -298,3 +304,57 @@ class TestChance:
         process = self.process(np.random.default_rng(5), noise=0.0)
         (quantile,), _ = self.constraint(process, 0.9).predict(np.array([[0.5]]))
         assert quantile == pytest.approx(1.4, abs=0.03)
+
+    def test_a_run_tells_as_much_as_in_an_estimate_from_runs(self):
+        """Against the spread of mean + z · standard deviation of 200 runs, by sampling."""
+        rng = np.random.default_rng(6)
+        constraint = self.constraint(self.process(rng, slope=0.2), 0.9)
+        runs = 0.2 * rng.random((4000, 200)) + rng.normal(0.0, 0.1, (4000, 200))
+        estimates = runs.mean(axis=1) + norm.ppf(0.9) * runs.std(axis=1, ddof=1)
+        (variance,) = constraint.run_variance(np.array([[0.5]]))
+        assert variance == pytest.approx(200.0 * estimates.var(), rel=0.35)
+
+
+class Known(PooledResponse):
+    """A response of which mean, variance and that of a run are given."""
+
+    def __init__(self, limit, sign, mean, variance, run):
+        self.limit, self.sign = limit, sign
+        self._mean, self._variance, self._run = mean, variance, run
+
+    def predict(self, x):
+        return np.full(len(x), self._mean), np.full(len(x), self._variance)
+
+    def run_variance(self, x):
+        return np.full(len(x), self._run)
+
+
+class TestFutureBound:
+    @pytest.mark.parametrize(("limit", "sign"), [(1.3, 1.0), (1.0, 1.0), (0.7, -1.0)])
+    @pytest.mark.parametrize("runs", [1, 8])
+    def test_is_how_often_runs_show_that_the_limit_is_kept(self, limit, sign, runs):
+        """Draw the truth, then runs of it; judge by the conjugate posterior of a normal mean."""
+        mean, variance, run, confidence = 1.0, 0.04, 0.09, 0.9
+        rng = np.random.default_rng(runs)
+        truth = rng.normal(mean, np.sqrt(variance), 200_000)
+        average = rng.normal(truth, np.sqrt(run / runs))
+        precision = 1.0 / variance + runs / run
+        posterior = (mean / variance + runs * average / run) / precision
+        shown = norm.cdf(sign * (limit - posterior) * np.sqrt(precision)) >= confidence
+        bound = FutureBound(Known(limit, sign, mean, variance, run), runs, confidence)
+        (log_probability,) = bound.log_probability(np.zeros((1, 1)))
+        assert np.exp(log_probability) == pytest.approx(shown.mean(), abs=0.005)
+
+    def test_what_is_known_stays_as_it_is(self):
+        for limit, expected in ((1.1, 1.0), (0.9, 0.0)):
+            bound = FutureBound(Known(limit, 1.0, 1.0, 0.0, 0.01), 4, 0.975)
+            assert np.exp(bound.log_probability(np.zeros((1, 1)))) == pytest.approx([expected])
+
+    def test_a_run_in_the_worst_context_tells_by_the_noise_there(self):
+        process = fitted(*scattered(400, sd=lambda c: 0.01 if c < 0.5 else 0.05))
+        z = float(norm.ppf(0.9))
+        x = np.array([[0.5]])
+        of_mean = EveryContext(process, 1.5, CORNERS).run_variance(x)
+        of_runs = EveryContext(process, 1.5, CORNERS, z).run_variance(x)
+        assert of_mean == pytest.approx([0.05**2], rel=0.5)
+        assert of_runs / of_mean == pytest.approx([1.0 + z**2 / 2.0])

@@ -80,7 +80,7 @@ def test_an_outlier_leaves_all_models(study, make_trial):
     x = np.array([[0.55]])
     assert models.objective.predict(x)[0] == pytest.approx([1.555], abs=0.05)
     assert models.constraints["peak"].predict(x)[0] == pytest.approx([1.1], abs=0.05)
-    p_out = models.classifiers[1].probability(np.array([[0.56], [0.05]]))
+    p_out = models.outlying.probability(np.array([[0.56], [0.05]]))
     assert p_out[0] > 0.5 > p_out[1]
     assert fit(study, trials, reject_outliers=False).objective.predict(x)[0][0] > 5.0
 
@@ -89,7 +89,7 @@ def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
     trials = sloped(make_trial)
     models = fit(study, [*trials, make_trial(9, {"x": 0.97})])
     assert len(models.objective.data.x) == len(trials)
-    p_fail = models.classifiers[0].probability(np.array([[0.96], [0.1]]))
+    p_fail = models.failures.probability(np.array([[0.96], [0.1]]))
     assert p_fail[0] > 0.5 > p_fail[1]
 
 

@@ -26,6 +26,9 @@ from bo_tuner.models.surrogates import Classifier, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 
+OUTLYING = 0.5
+"""Probability of an outlier up to which no point is excluded."""
+
 
 class Acquisition(Protocol):
     """Logarithm of an acquisition function, to be maximized."""
@@ -156,7 +159,8 @@ def constrained_improvement(
         Cost to improve on: the lowest posterior mean among the points believed feasible. If None,
         the function has no improvement term and excludes evaluated points.
     avoid
-        Largest probability of a failure or an outlier; points above it are excluded.
+        Largest probability of a failure; points above it are excluded, and those where an outlier
+        is more probable than that and than `OUTLYING`.
     reinterpolate
         Use the improvement under the reinterpolation model; else the one under the noisy model,
         with evaluated points excluded.
@@ -170,8 +174,10 @@ def constrained_improvement(
             terms.append(LogNoisyImprovement(model, incumbent))
         terms.append(Unevaluated(model))
     terms += feasibility_terms(surrogates.constraints.values())
-    # Without a single outlier or failure there is nothing to avoid.
-    terms += [LogAvoidance(c, avoid) for c in surrogates.classifiers if c.labels.any()]
+    # Without a single outlier or failure there is nothing to avoid. An outlier costs no more than
+    # its evaluations, so where failures are hardly allowed it need not be less likely than not.
+    levels = ((surrogates.failures, avoid), (surrogates.outlying, max(avoid, OUTLYING)))
+    terms += [LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()]
     return LogSum(tuple(terms))
 
 

@@ -1,5 +1,6 @@
 """Objective and worst-case constraint of a parameter set, by processes that include the context."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,8 +98,16 @@ class ExpectedObjective:
         return mean + np.sqrt(variance) * rng.standard_normal((count, len(mean)))
 
 
+class PooledResponse(LimitedResponse):
+    """Limit on a response by the process of all runs, to which a further run can be added."""
+
+    @abstractmethod
+    def run_variance(self, x: Array) -> Array:
+        """Return the variance (m,) with which one further run at x (m, d) tells the response."""
+
+
 @dataclass(frozen=True, eq=False)
-class EveryContext(LimitedResponse):
+class EveryContext(PooledResponse):
     """Limit on a metric in every context, by its process over parameter set and context.
 
     A single run stays below mean + z σ, or above mean - z σ for a lower limit, with the
@@ -151,6 +160,15 @@ class EveryContext(LimitedResponse):
         margin = self.deviations * np.sqrt(noise)
         return mean + self.sign * margin, variance + margin**2 / (2.0 * degrees)
 
+    def run_variance(self, x: Array) -> Array:
+        """Return the variance (m,) with which a run in the worst context tells the quantile.
+
+        Its estimate from n runs, their mean plus z times their standard deviation, has about the
+        variance σ² (1 + z² / 2) / n.
+        """
+        _, _, noise = self.worst_case(x)
+        return noise**2 * (1.0 + 0.5 * self.deviations**2)
+
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""
         return self.most_doubtful(x)[1]
@@ -167,7 +185,7 @@ class EveryContext(LimitedResponse):
 
 
 @dataclass(frozen=True, eq=False)
-class OverContexts(LimitedResponse):
+class OverContexts(PooledResponse):
     """Limit that a run keeps with a probability over contexts and noise, by the joint process.
 
     The quantile q of runs solves mean_c Φ((q - f_c) / σ_c) = `probability`, with the process f_c
@@ -217,3 +235,50 @@ class OverContexts(LimitedResponse):
         variance = self.process.variance_of_weighted(x, self.contexts, weights)
         margin = (weights * standardised * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
         return self.sign * upper, variance + margin**2
+
+    def run_variance(self, x: Array) -> Array:
+        """Return the variance (m,) with which a run in a drawn context tells the quantile.
+
+        As of `EveryContext`, with the variance over contexts and noise.
+        """
+        spread = self.process.means(x, self.contexts).var(axis=1)
+        noise, _ = self.process.noise_everywhere(x, self.contexts)
+        factor = 1.0 + 0.5 * float(ndtri(self.probability)) ** 2
+        found: Array = factor * (spread + noise.mean(axis=1))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class FutureBound(LimitedResponse):
+    """Limit on the confidence bound of a response after further runs of the same parameter set.
+
+    With s² the variance of the response today and t² that of what a run tells of it, n runs leave
+    the variance s_n² = s² t² / (t² + n s²). The bound is then the mean plus z s_n, or minus for a
+    lower limit, and seen from today its mean has the variance s² - s_n². So the probability that
+    it keeps the limit is that with which the response is *shown* to keep it after n runs.
+
+    Attributes
+    ----------
+    response
+        The constrained response.
+    runs
+        n.
+    confidence
+        One-sided, of the bound: Φ(z).
+    """
+
+    response: PooledResponse
+    runs: int
+    confidence: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limit", self.response.limit)
+        object.__setattr__(self, "sign", self.response.sign)
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the bound at x (m, d)."""
+        mean, variance = self.response.predict(x)
+        run = self.response.run_variance(x)
+        left = variance * run / np.maximum(run + self.runs * variance, np.finfo(np.float64).tiny)
+        z = float(ndtri(self.confidence))
+        return mean + self.response.sign * z * np.sqrt(left), variance - left

@@ -87,8 +87,10 @@ class Surrogates:
         trial is complete.
     constraints
         Constraints by their names in the study; empty while no trial is complete.
-    classifiers
-        Probabilities of a failure and, with the outlier scheme, of an outlier.
+    failures
+        Probability of a failure; None if nothing is known of it.
+    outlying
+        Probability of an outlier of the objective; None without the outlier scheme.
     outliers
         Numbers of the trials that are outliers of the objective.
     models
@@ -98,7 +100,8 @@ class Surrogates:
 
     objective: Model | None
     constraints: Mapping[str, LimitedResponse]
-    classifiers: tuple[Classifier, ...]
+    failures: Classifier | None = None
+    outlying: NeighbourClassifier | None = None
     outliers: frozenset[int] = frozenset()
     models: Mapping[str, Fitted] = field(default_factory=dict)
 
@@ -162,17 +165,19 @@ class Surrogates:
             else:
                 constraints = fitting.constraints(kept)
                 objective = fitting.scalarized(kept, constraints.values(), weights)
-        classifiers: list[Classifier] = []
+        failures: Classifier
         if options.pooled:
-            classifiers.append(fitting.crashes(trials))
+            failures = fitting.crashes(trials)
         else:
-            classifiers.append(fitting.classifier(trials, lambda t: t.state is TrialState.FAILED))
+            failures = fitting.classifier(trials, lambda t: t.state is TrialState.FAILED)
+        outlying = None
         if options.reject_outliers and complete:
-            classifiers.append(fitting.classifier(complete, lambda t: t.number in outliers))
+            outlying = fitting.classifier(complete, lambda t: t.number in outliers)
         return cls(
             objective=objective,
             constraints=constraints,
-            classifiers=tuple(classifiers),
+            failures=failures,
+            outlying=outlying,
             outliers=outliers,
             models=fitting.models,
         )
@@ -191,8 +196,15 @@ class Surrogates:
     @property
     def limits(self) -> tuple[LimitedResponse, ...]:
         """The constraints, and the one on failures where it is modelled as such."""
-        crashes = [c.constraint for c in self.classifiers if isinstance(c, CrashModel)]
-        return (*self.constraints.values(), *(c for c in crashes if c is not None))
+        limits = tuple(self.constraints.values())
+        if isinstance(self.failures, CrashModel) and self.failures.constraint is not None:
+            limits += (self.failures.constraint,)
+        return limits
+
+    @property
+    def classifiers(self) -> tuple[Classifier, ...]:
+        """The probabilities of a failure and of an outlier, as far as they are modelled."""
+        return tuple(c for c in (self.failures, self.outlying) if c is not None)
 
 
 def _log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:

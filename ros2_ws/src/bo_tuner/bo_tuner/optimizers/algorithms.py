@@ -125,6 +125,7 @@ class Algorithm:
             evaluations = [
                 (t, e)
                 for t in trials
+                if t.number not in proposal.outliers
                 for e in t.evaluations
                 if e.outcome.state is EvaluationState.COMPLETE
             ]

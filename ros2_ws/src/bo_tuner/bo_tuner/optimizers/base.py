@@ -32,6 +32,8 @@ class Proposal:
     protocol
         Evaluations of the trial: in drawn contexts, and those in the worst one. By default as the
         study and the algorithm have it.
+    outliers
+        Numbers of the trials that its models left out.
     """
 
     parameters: dict[str, Value]
@@ -39,6 +41,7 @@ class Proposal:
     warnings: tuple[str, ...] = ()
     hyperparameters: dict[str, tuple[float, ...]] = field(default_factory=dict)
     protocol: tuple[int, int] | None = None
+    outliers: frozenset[int] = frozenset()
 
 
 class Optimizer(Protocol):

@@ -144,6 +144,7 @@ class BayesianOptimization(DesignedOptimizer):
             return proposal
         rng = self.rng()
         warnings: tuple[str, ...] = ()
+        outliers: frozenset[int] = frozenset()
         warm = latest_hyperparameters(self.trials)
         cube = None
         try:
@@ -155,7 +156,7 @@ class BayesianOptimization(DesignedOptimizer):
                 options=self._options,
                 weights=self._weights(),
             )
-            warnings = surrogates.warnings
+            warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
             cube, origin = self._search(surrogates, rng)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
@@ -163,9 +164,10 @@ class BayesianOptimization(DesignedOptimizer):
         if cube is not None:
             parameters = self.space.to_parameters(cube)
             if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
-                return Proposal(parameters, origin, warnings, warm)
+                return Proposal(parameters, origin, warnings, warm, outliers=outliers)
         cube = space_filling(self.space, self._tried(), rng)
-        return Proposal(self.space.to_parameters(cube), SPACE_FILLING, warnings, warm)
+        parameters = self.space.to_parameters(cube)
+        return Proposal(parameters, SPACE_FILLING, warnings, warm, outliers=outliers)
 
     def _weights(self) -> Array | None:
         """Draw the weights (k,) of k objectives, uniformly; None for a single one."""

@@ -4,9 +4,11 @@ Where limits are active, the optimum lies on the boundary of the feasible region
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
 set. Those of the first part of the budget are a search, with few evaluations each. Those of the
 second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT`, and have two runs in their worst context and one in a drawn
-one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
-limits; `bo_tuner.optimizers.repetition` decides which, and when that is settled.
+probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
+them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
+their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
+is most doubtful that they keep their limits; `bo_tuner.optimizers.repetition` decides which, and
+when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.joint_process`). The answer is the parameter set with the lowest predicted cost
@@ -18,10 +20,12 @@ Gibbs and Candès (2021). Adaptive conformal inference under distribution shift.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.joint_responses import FutureBound, PooledResponse
+from bo_tuner.models.surrogates import CONFIDENT, Surrogates
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
 from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,
@@ -38,6 +42,9 @@ SEARCHING = 0.5
 
 FAILING = 0.1
 """Share of the proposals that may fail, since a crash can cost a machine more than a run tells."""
+
+AHEAD = 8
+"""Further runs of a new point after which it should be shown to keep its limits."""
 
 DRAWN, WORST = 1, 2
 """Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
@@ -80,14 +87,15 @@ class BoundaryOptimization(BayesianOptimization):
         rng = self.rng()
         warm = latest_hyperparameters(self.trials)
         warnings: tuple[str, ...] = ()
+        outliers: frozenset[int] = frozenset()
         try:
             surrogates = Surrogates.fit(
                 self.study, self.trials, rng=rng, start=warm, options=self._options
             )
-            warnings = surrogates.warnings
+            warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
             candidates = ranked_by(surrogates, self.study, self.trials, self._options)
-            search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
+            search = AcquisitionSearch(provable(surrogates), self.space, self._acquisition, rng)
             best = candidates[0] if candidates and candidates[0].believed_feasible else None
             search.incumbent = (
                 None if best is None else float(self.study.objective.to_cost(best.objective))
@@ -97,16 +105,28 @@ class BoundaryOptimization(BayesianOptimization):
                 if np.isfinite(result.value):
                     parameters = self.space.to_parameters(result.position)
                     if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
-                        return Proposal(parameters, ACQUISITION, warnings, warm, self._new_point)
+                        return Proposal(
+                            parameters, ACQUISITION, warnings, warm, self._new_point, outliers
+                        )
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
         cube = space_filling(self.space, self._tried(), rng)
         parameters = self.space.to_parameters(cube)
-        return Proposal(parameters, SPACE_FILLING, warnings, warm, self._new_point)
+        return Proposal(parameters, SPACE_FILLING, warnings, warm, self._new_point, outliers)
 
     @property
     def _new_point(self) -> tuple[int, int]:
         return DRAWN, WORST * len(self.study.worst_case_constraints)
+
+
+def provable(surrogates: Surrogates) -> Surrogates:
+    """Return surrogates with the probability that `AHEAD` runs show a limit kept for its own."""
+    constraints = {
+        name: FutureBound(response, AHEAD, CONFIDENT)
+        for name, response in surrogates.constraints.items()
+        if isinstance(response, PooledResponse)
+    }
+    return replace(surrogates, constraints=constraints)
 
 
 def spent(study: Study, trials: Sequence[Trial]) -> float:

@@ -166,8 +166,16 @@ def looks(trial: Trial) -> int:
     It is judged whenever the number of its repetitions has doubled, to 2, 4, 8 and so on: whoever
     looks after each run and stops when it looks well finds a limit kept that is not.
     """
-    repetitions = sum(evaluation.stage in CHECKS for evaluation in trial.evaluations)
-    return max(repetitions.bit_length() - 1, 0)
+    return max(_repetitions(trial).bit_length() - 1, 0)
+
+
+def runs_until(trial: Trial, judged: int) -> int:
+    """Return after how many further runs a trial has been judged so often, see `looks`."""
+    return int(2**judged) - _repetitions(trial)
+
+
+def _repetitions(trial: Trial) -> int:
+    return sum(evaluation.stage in CHECKS for evaluation in trial.evaluations)
 
 
 def required_of(trial: Trial) -> float:
@@ -175,7 +183,12 @@ def required_of(trial: Trial) -> float:
 
     What is lacking to 1 is divided by the number of judgements (Bonferroni, each as the last).
     """
-    return 1.0 - (1.0 - CONFIDENT) / (1 + looks(trial))
+    return required_after(looks(trial))
+
+
+def required_after(judged: int) -> float:
+    """Return `required_of` a parameter set that was judged so often."""
+    return 1.0 - (1.0 - CONFIDENT) / (1 + judged)
 
 
 def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:

@@ -4,7 +4,13 @@ A posterior that chooses among many parameter sets is too optimistic of the one 
 errors of the data and of the fit are part of the choice. So the answer must have runs of its own
 where its limits are most doubtful, made after it was chosen or while it was searched. What is worth
 further runs is a parameter set that is better than the answer but not shown to be feasible: the one
-with the largest expected gain, improvement times probability of feasibility.
+with the largest expected gain for each of the runs that are likely to show it. The gain alone would
+prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
+
+References
+----------
+Frazier and Powell (2010). Paradoxes in learning and the marginal value of information. Decision
+Analysis 7(4).
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,16 +18,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.models.joint_responses import EveryContext, FutureBound, PooledResponse
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
-from bo_tuner.optimizers.ranking import Candidate, looks
+from bo_tuner.optimizers.ranking import Candidate, looks, required_after, runs_until
 from bo_tuner.study.study import Study
-from bo_tuner.trials import CHECKS, EvaluationState, Trial
+from bo_tuner.trials import EvaluationState, Trial
 
 OWN_RUNS = 4
 """Runs of its own that the answer must have where each limit is most doubtful."""
+
+NO_DOUBT = 1e-3
+"""Probability that a limit is exceeded below which the answer needs no runs of its own there."""
 
 NEAR = 0.15
 """Distance in every coordinate of the unit cube up to which contexts count as the same."""
@@ -43,20 +52,17 @@ class Repetition:
         Its trial.
     context
         Context of the runs; None for contexts drawn from the distribution.
+    runs
+        How many, before the parameter set is judged anew.
     """
 
     trial: Trial
     context: Mapping[str, float] | None
-
-    @property
-    def runs(self) -> int:
-        """Number of runs until the parameter set is judged anew, see `looks`."""
-        repetitions = sum(e.stage in CHECKS for e in self.trial.evaluations)
-        return int(2 ** (looks(self.trial) + 1)) - repetitions
+    runs: int
 
 
 def next_repetition(
-    study: Study, surrogates: Surrogates, candidates: Sequence[Candidate]
+    study: Study, surrogates: Surrogates, candidates: Sequence[Candidate], left: int
 ) -> Repetition | None:
     """Return the runs that tell most of what the answer is; None if that is settled.
 
@@ -68,46 +74,84 @@ def next_repetition(
         Models of all trials.
     candidates
         All candidates as they rank them.
+    left
+        Number of runs that are left.
     """
     best = candidates[0] if candidates and candidates[0].believed_feasible else None
     if best is not None:
-        lacking = [
-            place
-            for place in _doubtful(study, surrogates, best.trial)
-            if place.context is not None and _own_runs(study, place) < OWN_RUNS
-        ]
-        if lacking:
-            return lacking[0]
-    chosen = _challenger(study, surrogates, candidates, best)
+        for probability, context in _doubtful(study, surrogates, best.trial):
+            if context is None or probability >= 1.0 - NO_DOUBT:
+                continue
+            lacking = OWN_RUNS - _own_runs(study, best.trial, context)
+            if lacking > 0:
+                return Repetition(best.trial, context, lacking)
+    chosen = _challenger(study, surrogates, candidates, best, left)
     if chosen is None:
         return None
-    return _doubtful(study, surrogates, chosen.trial)[0]
+    _, context = _doubtful(study, surrogates, chosen.trial)[0]
+    return Repetition(chosen.trial, context, runs_until(chosen.trial, looks(chosen.trial) + 1))
 
 
 def _challenger(
-    study: Study, surrogates: Surrogates, candidates: Sequence[Candidate], best: Candidate | None
+    study: Study,
+    surrogates: Surrogates,
+    candidates: Sequence[Candidate],
+    best: Candidate | None,
+    left: int,
 ) -> Candidate | None:
     open_ones = [c for c in candidates if WORTH_REPEATING < c.feasibility < c.required]
     if not open_ones or surrogates.objective is None:
         return None
     space = study.search_space()
     x = np.array([space.to_cube(c.trial.parameters) for c in open_ones])
-    value = np.log([c.feasibility for c in open_ones])
+    gain = np.zeros(len(open_ones))
     if best is not None:
         _, variance = surrogates.objective.predict(x)
         score = np.array([c.score for c in open_ones])
-        value += log_expected_improvement(score, variance, best.score)
-    chosen = int(np.argmax(value))
-    if best is not None and value[chosen] < np.log(NEGLIGIBLE * surrogates.objective.scale):
+        gain = log_expected_improvement(score, variance, best.score)
+    plans = [_plan(surrogates, x[[k]], c, left) for k, c in enumerate(open_ones)]
+    runs, log_shown = np.array(plans).T
+    chosen = int(np.argmax(gain + log_shown - np.log(runs)))
+    value = gain[chosen] + log_shown[chosen]
+    if best is not None and value < np.log(NEGLIGIBLE * surrogates.objective.scale):
         return None
-    return open_ones[chosen] if np.isfinite(value[chosen]) else None
+    return open_ones[chosen] if np.isfinite(value) else None
 
 
-def _doubtful(study: Study, surrogates: Surrogates, trial: Trial) -> list[Repetition]:
-    """Return where each limit of a parameter set is most doubtful, the least probable one first."""
+def _plan(surrogates: Surrogates, x: Array, candidate: Candidate, left: int) -> tuple[int, float]:
+    """Return how many runs show best for their number that a candidate at x (1, d) is feasible.
+
+    Returns
+    -------
+    int
+        Number of runs until one of the next times that it is judged, see `looks`.
+    float
+        Log probability that it is shown to be feasible then.
+    """
+    plans: list[tuple[int, float]] = []
+    judged = looks(candidate.trial) + 1
+    while not plans or runs_until(candidate.trial, judged) <= left:
+        runs, required = runs_until(candidate.trial, judged), required_after(judged)
+        bounds = [
+            FutureBound(limit, runs, required)
+            for limit in surrogates.limits
+            if isinstance(limit, PooledResponse)
+        ]
+        plans.append((runs, float(sum(bound.log_probability(x)[0] for bound in bounds))))
+        judged += 1
+    return max(plans, key=lambda plan: plan[1] - np.log(plan[0]))
+
+
+def _doubtful(
+    study: Study, surrogates: Surrogates, trial: Trial
+) -> list[tuple[float, Mapping[str, float] | None]]:
+    """Return the probability of each limit where it is most doubtful, the lowest first, and where.
+
+    The context is None for a limit on runs in drawn contexts.
+    """
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
-    found: list[tuple[float, Repetition]] = []
+    found: list[tuple[float, Mapping[str, float] | None]] = []
     for constraint in surrogates.limits:
         context = None
         if isinstance(constraint, EveryContext):
@@ -115,17 +159,15 @@ def _doubtful(study: Study, surrogates: Surrogates, trial: Trial) -> list[Repeti
             context = contexts.to_dict(contexts.to_contexts(constraint.contexts[row])[0])
         else:
             log_probability = constraint.log_probability(x)
-        found.append((float(log_probability[0]), Repetition(trial, context)))
-    return [item for _, item in sorted(found, key=lambda pair: pair[0])]
+        found.append((float(np.exp(log_probability[0])), context))
+    return sorted(found, key=lambda pair: pair[0])
 
 
-def _own_runs(study: Study, place: Repetition) -> int:
+def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:
     """Return the number of complete runs of a parameter set near a context."""
     contexts = study.context_space()
-    done = [
-        e.context for e in place.trial.evaluations if e.outcome.state is EvaluationState.COMPLETE
-    ]
-    if not done or place.context is None:
+    done = [e.context for e in trial.evaluations if e.outcome.state is EvaluationState.COMPLETE]
+    if not done:
         return 0
-    apart: Array = np.abs(contexts.cube_of(done) - contexts.cube_of([place.context]))
+    apart: Array = np.abs(contexts.cube_of(done) - contexts.cube_of([context]))
     return int((apart <= NEAR).all(axis=1).sum())

@@ -85,7 +85,8 @@ def settle(
             return (
                 Recommendation(before[0], False, tuple(repeated), tuple(before)) if before else None
             )
-        choice = next_repetition(study, models, candidates) if len(repeated) < most else None
+        left = most - len(repeated)
+        choice = next_repetition(study, models, candidates, left) if left else None
         if choice is None:
             best = candidates[0]
             best = replace(best, trial=estimated(study, models, best.trial))
@@ -93,7 +94,7 @@ def settle(
                 best, best.believed_feasible, tuple(dict.fromkeys(repeated)), tuple(candidates)
             )
         number = choice.trial.number
-        for _ in range(min(choice.runs, most - len(repeated))):
+        for _ in range(min(choice.runs, left)):
             evaluation = _run(study, backend, latest[number], choice.context, observer)
             latest[number] = with_repetitions(latest[number], [evaluation])
             repeated.append(number)

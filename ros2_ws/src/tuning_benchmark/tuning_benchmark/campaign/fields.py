@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.models.surrogates import Classifier, Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.study.search_space import SearchSpace
@@ -47,8 +47,9 @@ def surrogate_fields(
         rows: list[list[float]] = np.round(values.reshape(shape), 6).tolist()
         return rows
 
-    nowhere = np.zeros(len(grid))
-    failure, *outlier = (c.probability(grid) for c in models.classifiers)
+    def probability(classifier: Classifier | None) -> list[list[float]]:
+        return field(np.zeros(len(grid)) if classifier is None else classifier.probability(grid))
+
     return {
         "names": list(space.names),
         "axes": [first, second],
@@ -60,8 +61,8 @@ def surrogate_fields(
             for name, model in models.constraints.items()
         },
         "feasibility": field(np.exp(models.log_feasibility(grid))),
-        "failure": field(failure),
-        "outlier": field(outlier[0] if outlier else nowhere),
+        "failure": probability(models.failures),
+        "outlier": probability(models.outlying),
         "samples": [
             {
                 "point": [t.parameters[name] for name in space.names],
