@@ -30,6 +30,8 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 
 # Processes of the benchmark and of the tests.
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
+# Tests wait for nodes and browsers for more than half of their time.
+TESTERS ?= $(shell expr 2 \* $(JOBS))
 EXPERIMENTS ?= paper peers choices boundary closed_form
 
 .PHONY: help setup tune quadrotor cessna benchmark test lint types format check colcon clean
@@ -63,7 +65,7 @@ benchmark: setup $(VENV)/.benchmarks
 		--output docs --records benchmarks/results --jobs $(JOBS) $(ARGS)
 
 test: setup $(VENV)/.dev $(VENV)/.examples
-	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(JOBS) --dist worksteal $(ARGS)
+	$(CHECK_ENV) $(BIN)/python -m pytest --numprocesses $(TESTERS) --dist worksteal $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

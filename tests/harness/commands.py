@@ -1,5 +1,6 @@
 """Commands and nodes of the packages as processes of their own."""
 
+import contextlib
 import multiprocessing
 import os
 import runpy
@@ -125,7 +126,9 @@ class Fork:
 
     def send_signal(self, signum):
         if self.poll() is None:
-            os.kill(self.pid, signum)
+            # It may end in this moment.
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signum)
 
     def terminate(self):
         self.send_signal(signal.SIGTERM)

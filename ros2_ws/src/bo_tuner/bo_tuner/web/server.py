@@ -33,6 +33,8 @@ from bo_tuner.web.state import LiveState
 
 LAST_LOOK = 20.0
 """Longest time [s] after the end of the run in which the page shows the result."""
+LEFT = 2.0
+"""Time [s] without a request for news after which all readers have left."""
 LARGEST_REQUEST = 16_384
 """Size of a request's head [byte]."""
 HEADERS = {
@@ -121,7 +123,11 @@ class State(Page):
         except ValueError:
             raise HTTPError(400, "after: expected a whole number") from None
         state.watch()
-        await state.news(version)
+        state.readers.add(self)
+        try:
+            await state.news(version)
+        finally:
+            state.readers.discard(self)
         self.set_header("Content-Type", "application/json")
         self.write(
             json.dumps(
@@ -141,6 +147,10 @@ class State(Page):
         )
         await self.flush()
         state.shown = state.complete
+
+    def on_connection_close(self) -> None:
+        """Note that a reader has left while it waited."""
+        self.state.readers.discard(self)
 
 
 class TrialPage(Page):
@@ -269,9 +279,15 @@ async def _last_look(state: LiveState) -> None:
     """Let those who look see the end of the run."""
     if not state.watched:
         return
+    loop = asyncio.get_running_loop()
+    present = loop.time()
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(LAST_LOOK):
             while not state.shown:
+                # Between two requests a reader is still there.
+                present = loop.time() if state.readers else present
+                if loop.time() - present > LEFT:
+                    return
                 await asyncio.sleep(0.02)
             # Other readers have asked for it, too.
             await asyncio.sleep(0.2)

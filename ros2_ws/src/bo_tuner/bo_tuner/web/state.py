@@ -42,6 +42,7 @@ class LiveState:
         self.problem = ""
         self.complete = False
         self.shown = False
+        self.readers: set[object] = set()
         self._watched_until = 0.0
         self._changed = asyncio.Event()
         self._due = asyncio.Event()
