@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from rich.table import Table
 
-from bo_tuner.backends.ros.graph import opened_graph
+from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.survey import survey
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.cli.streams import ask, say_error
@@ -170,8 +170,8 @@ def write_first_study(
         If there is no node with parameters, or no topic with numbers.
     """
     _check_path(path)
-    with opened_graph(ros_arguments, interruption.check) as graph:
-        seen, notes = survey(graph)
+    with opened_node(ros_arguments, interruption.check) as tuner:
+        seen, notes = survey(tuner)
     for note in notes:
         say(f"note: {note}")
     if not seen.topics:
