@@ -16,12 +16,12 @@ from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study import checks
-from bo_tuner.study.first_study import (
+from bo_tuner.study.first_study import first_study
+from bo_tuner.study.offers import (
     ParameterOffer,
     Seen,
     SeenNode,
     SignalOffer,
-    first_study,
     parameter_offers,
     signal_offers,
     suggested_parameters,

@@ -12,7 +12,7 @@ from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.first_study import Seen, SeenNode, SeenTopic
+from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
 
 QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
