@@ -69,13 +69,7 @@ class LiveParameters:
             self._claim.release()
 
     def get(self, node: str, names: list[str]) -> dict[str, object]:
-        """Read parameters of a node.
-
-        Raises
-        ------
-        NodeError
-            If the node does not answer, does not have one of them, or runs more than once.
-        """
+        """Read parameters of a node, as `Nodes.get`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
             values = [to_value(value) for value in self._clients[node].values(names)]
@@ -86,15 +80,7 @@ class LiveParameters:
         return dict(zip(names, values, strict=True))
 
     def set(self, node: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a node, all of them or none.
-
-        Raises
-        ------
-        RefusedError
-            If the node refuses them.
-        NodeError
-            If the node does not answer, or runs more than once; it may have set them.
-        """
+        """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
             result = self._clients[node].set(values)

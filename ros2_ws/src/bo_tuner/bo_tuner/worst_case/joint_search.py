@@ -31,15 +31,13 @@ class JointSearch:
 
     Parameters
     ----------
-    space
-        The context space.
+    space, evaluations
+        As in `ReinterpolationSearch`.
     limit
         Upper limit of the metric, in its unit, without the margin for the noise of an evaluation.
     probability
         Probability with which a single evaluation in the worst context must keep the limit; 0.5 if
         the limit is on the mean over noise.
-    evaluations
-        Largest number of contexts that `ask` returns.
     point
         The parameter set (d,) in the unit cube.
     x, y

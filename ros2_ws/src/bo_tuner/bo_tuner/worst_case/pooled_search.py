@@ -22,15 +22,11 @@ class PooledSearch:
 
     Parameters
     ----------
-    space
-        The context space.
-    limit
-        Upper limit of the metric, in its unit.
+    space, limit, evaluations
+        As in `ReinterpolationSearch`.
     deviations
         Standard deviations of a single run between its mean and the limit; 0 for a limit on the
         mean.
-    evaluations
-        Largest number of contexts that `ask` returns.
     point
         The parameter set (d,) in the unit cube.
     x, c, y
