@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
 from bo_tuner.backends.ros.errors import SilentError
-from bo_tuner.backends.ros.isolation import DomainClaim
+from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
@@ -18,8 +18,6 @@ NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
 LOOK_AROUND = 1.0
 """Time [s] to discover a second node of a name."""
-LEASE = 3.0
-"""Time [s] after which the discovery profile has forgotten a killed node for sure."""
 
 
 class LiveParameters:

@@ -14,6 +14,7 @@ from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
 from bo_tuner.backends.ros.isolation import (
+    LEASE,
     DomainClaim,
     domain_of_environment,
     isolated_environment,
@@ -41,8 +42,6 @@ from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
-LEASE = 3.0
-"""Time [s] after which the discovery profile has forgotten a killed node for sure."""
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 LOOK_AROUND = 1.0
