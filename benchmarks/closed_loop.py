@@ -120,7 +120,9 @@ class BareSteps:
             for q, (measurement, command) in zip(self._linear_terms, self._loop, strict=True):
                 kf.update(measurement)
                 solver.update(q=q)
-                solver.solve(raise_error=False)
+                # OSQP takes Ctrl-C for itself while it solves.
+                if solver.solve(raise_error=False).info.status == "interrupted":
+                    raise KeyboardInterrupt
                 kf.predict(command)
 
         return seconds(steps)
@@ -286,7 +288,7 @@ def main() -> None:
     if arguments.echo:
         echo()
     else:
-        run(arguments.repetitions, arguments.memory_evaluations)
+        run(arguments.repetitions, arguments.memory_cuts)
 
 
 if __name__ == "__main__":

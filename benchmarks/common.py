@@ -13,6 +13,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from tuning_benchmark.campaign.provenance import processor
+
 BENCHMARKS = Path(__file__).resolve().parent
 RESULTS = BENCHMARKS / "results"
 OUR_PACKAGES = ("mpc_controller", "milling_plant", "bo_tuner")
@@ -76,7 +78,7 @@ def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, object]:
         "changed_since_commit": not _from_commit(),
         "source_digest": source_digest(),
         "platform": platform.platform(),
-        "processor": _processor(),
+        "processor": processor(),
         "cpus": os.cpu_count(),
         "python": platform.python_version(),
         "versions": versions,
@@ -119,12 +121,3 @@ def _git(*arguments: str) -> str:
         ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

@@ -11,6 +11,8 @@ FAILING runs whose seed modulo 1000 is below this fail
 PEAK    the metric peak without noise
 """
 
+from bo_tuner.study.study_file import study_to_yaml
+
 TEXT = """\
 import os
 import time
@@ -70,6 +72,15 @@ def write_axis(
     """Write the module with the class ``Axis``; its metrics are expressions of its parameters."""
     text = TEXT.format(error=error, peak=peak, fails=fails)
     (folder / f"{module}.py").write_text(text, encoding="utf-8")
+
+
+def write_study(folder, study, **expressions):
+    """Write a study into ``axis.yaml``, and the module of its object beside it."""
+    module = study.nodes["axis"].object.partition(":")[0]
+    write_axis(folder, module, **expressions)
+    file = folder / "axis.yaml"
+    file.write_text(study_to_yaml(study), encoding="utf-8")
+    return file
 
 
 def node(module="axis_objects"):

@@ -16,18 +16,6 @@ INITIAL = {"trials": 3, "initial_trials": 3, "drawn_contexts": 2, "search_evalua
 """Budget of a run that needs no surrogates."""
 
 
-class Uninterrupted:
-    """In place of the interruption by signals."""
-
-    signum = None
-
-    def check(self):
-        pass
-
-    def ignore(self):
-        pass
-
-
 def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
     """Run a study's trials and leave their record; returns it.
 

@@ -10,7 +10,8 @@ from dataclasses import replace
 import pytest
 import yaml
 from commands import Fork, environment
-from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
+from in_process import call
+from made_runs import INITIAL, make_run, write_certificate
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -95,9 +96,7 @@ def tuned(record):
 
 
 def apply(capsys, record, *arguments):
-    code = command.run([str(record.path), *arguments], Uninterrupted())
-    said = capsys.readouterr()
-    return code, said.out, said.err
+    return call(command, capsys, record.path, *arguments)
 
 
 def rollback_file(record):

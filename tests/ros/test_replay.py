@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 from bag_readers import READERS, with_rosbags
 from commands import Fork, finish
-from made_runs import Uninterrupted, make_run
+from in_process import Uninterrupted, call
+from made_runs import make_run
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
@@ -87,11 +88,11 @@ def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsy
     held = record.path / "log" / HELD
     held.write_text(json.dumps({"plant": {"noise_variance": 0.5}, "controller": {}}))
     try:
-        code = command.run([str(record.path), "1", "--backend", "ros", "--attach"], Uninterrupted())
+        code, _, err = call(command, capsys, record.path, "1", "--backend", "ros", "--attach")
     finally:
         held.unlink()
     assert code == 2
-    last = capsys.readouterr().err.splitlines()[-1]
+    last = err.splitlines()[-1]
     expected = "parameter noise_variance is 0.001, expected 0.5, as when the run began; set it back"
     assert last == f"error: plant: {expected}"
 
@@ -187,7 +188,7 @@ def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch
     study = replace(study, nodes=nodes)
     folder = tmp_path / "run"
     make_run(folder, study, InProcessBackend(study))
-    code = command.run([str(folder), "0", "--backend", "ros", "--attach"], Uninterrupted())
+    code, _, err = call(command, capsys, folder, "0", "--backend", "ros", "--attach")
     assert code == 2
-    (line,) = capsys.readouterr().err.splitlines()[1:]
+    (line,) = err.splitlines()[1:]
     assert line.startswith("error: no_milling_plant: no such node in ROS domain ")

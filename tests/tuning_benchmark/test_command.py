@@ -4,9 +4,11 @@ import json
 import os
 import re
 import signal
+from functools import partial
 
 import pytest
 from commands import Fork, finish, python_path, start
+from in_process import complaint
 from waiting import DEADLINE, wait_until
 
 from tuning_benchmark import command as command
@@ -33,30 +35,11 @@ def benchmark(tmp_path, experiment_file):
         process.communicate()
 
 
-class Undisturbed:
-    """An interruption that never comes."""
-
-    def check(self):
-        pass
-
-
 @pytest.fixture
 def refused(tmp_path, experiment_file, monkeypatch, capsys):
     """Function that runs the command in this process and returns its one line on stderr."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        argv = ["--experiment", str(experiment_file), "--output", "out", *arguments]
-        try:
-            code = command.run(argv, Undisturbed())
-        except SystemExit as stop:
-            code = stop.code
-        out, err = capsys.readouterr()
-        assert (code, out) == (2, "")
-        (line,) = err.splitlines()
-        return line
-
-    return run
+    return partial(complaint, command, capsys, "--experiment", experiment_file, "--output", "out")
 
 
 def records_of(folder, name="closed"):

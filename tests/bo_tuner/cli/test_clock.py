@@ -8,11 +8,10 @@ import subprocess
 import sys
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import environment, python_path
 
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_to_yaml
 
 SITE = """\
 import datetime
@@ -71,8 +70,7 @@ def test_a_study_beyond_2038(tmp_path, make_study, ahead):
     year = done.stdout.strip()
     assert int(year) > 2040
 
-    write_axis(tmp_path, "late_axis")
-    (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("late_axis"))))
+    write_study(tmp_path, make_study(nodes=node("late_axis")))
     commands = [
         ("tune", "--study", "axis.yaml", "--backend", "inprocess"),
         ("tune", "--resume", "latest", "--trials", "6"),

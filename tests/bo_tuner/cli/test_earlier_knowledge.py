@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import run
 
 from bo_tuner.storage.record import read_run
@@ -16,9 +16,7 @@ class Commands:
 
     def __init__(self, folder, study):
         self.folder = folder
-        write_axis(folder, "known_axis")
-        self.study = folder / "axis.yaml"
-        self.study.write_text(study_to_yaml(study))
+        self.study = write_study(folder, study)
 
     def tune(self, output, *arguments):
         given = ("--quiet", "--output", self.folder / output, *arguments)

@@ -3,11 +3,9 @@
 import shutil
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import Fork, finish
 from waiting import count_in, wait_until
-
-from bo_tuner.study.study_file import study_to_yaml
 
 
 def take_folder(run):
@@ -60,8 +58,7 @@ def listing(run):
     ],
 )
 def test_noticed_before_the_next_write(tmp_path, make_study, take, complaint):
-    write_axis(tmp_path, "lost_axis")
-    (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("lost_axis"))))
+    write_study(tmp_path, make_study(nodes=node("lost_axis")))
     cuts = tmp_path / "cuts"
     process = Fork(
         *("tune", "--study", "axis.yaml", "--backend", "inprocess"),

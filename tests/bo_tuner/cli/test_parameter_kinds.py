@@ -4,11 +4,10 @@ import csv
 
 import pytest
 import yaml
-from axis import node, write_axis
+from axis import node, write_study
 from commands import run
 
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_to_yaml
 
 NODE = {"node": "axis"}
 MODES = {"slow": 1.0, "fast": 0.0, "wild": 2.0}
@@ -25,7 +24,6 @@ def folder(tmp_path_factory, make_study):
     folder = tmp_path_factory.mktemp("kinds")
     costs = f"{MODES!r}[self.mode] + (not self.smooth) + self.weights[1]"
     error = f"25 * (self.gain - 0.3) ** 2 + self.load + {costs}"
-    write_axis(folder, "kinds_axis", error=error, peak="0.2 * self.load")
     nodes = node("kinds_axis")
     nodes["axis"]["parameters"] = {"weights": [0.5, 1.0]}
     seed = {"node": "axis", "parameter": "seed"}
@@ -41,9 +39,9 @@ def folder(tmp_path_factory, make_study):
         },
         certificate={"draws": 5, "confidence": 0.5},
     )
-    (folder / "kinds.yaml").write_text(study_to_yaml(study))
+    write_study(folder, study, error=error, peak="0.2 * self.load")
     code, _, err = run(
-        "tune", "--study", "kinds.yaml", "--backend", "inprocess", "--quiet", folder=folder
+        "tune", "--study", "axis.yaml", "--backend", "inprocess", "--quiet", folder=folder
     )
     assert code == 0, err
     return folder

@@ -9,7 +9,7 @@ import struct
 from dataclasses import replace
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import Fork, finish, run
 from functions import planned
 from waiting import count_in, wait_until
@@ -19,7 +19,7 @@ from bo_tuner.errors import OutputError
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study.study_file import load_study, study_to_yaml
+from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import summary_from_record, with_summary
 
@@ -32,9 +32,7 @@ class Runs:
     def __init__(self, folder, study):
         self.folder = folder
         error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
-        write_axis(folder, "counting_axis", error=error, peak="self.load * self.gain")
-        self.study = folder / "axis.yaml"
-        self.study.write_text(study_to_yaml(study))
+        self.study = write_study(folder, study, error=error, peak="self.load * self.gain")
 
     def start(self, name, *arguments, kill=0):
         environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}

@@ -6,14 +6,13 @@ import shutil
 from pathlib import Path
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import Fork, finish
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.summary import with_summary
 
 CHANCE = {"peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}}
@@ -25,19 +24,18 @@ class Runs:
 
     def __init__(self, folder, make_study):
         self.folder = folder
-        # Both errors are smallest at different gains.
-        write_axis(
-            folder,
-            "front_axis",
-            error="(self.gain - 0.3) ** 2 + 0.01 * self.load",
-            peak="(self.gain - 0.8) ** 2 + 0.001 * self.load",
-        )
         study = make_study(
             nodes=node("front_axis"),
             constraints=CHANCE,
             further_objectives=[{"metric": "peak"}],
         ).replace(trials=10, initial_trials=5)
-        (folder / "axis.yaml").write_text(study_to_yaml(study))
+        # Both errors are smallest at different gains.
+        write_study(
+            folder,
+            study,
+            error="(self.gain - 0.3) ** 2 + 0.01 * self.load",
+            peak="(self.gain - 0.8) ** 2 + 0.001 * self.load",
+        )
 
     def run(self, *arguments):
         return finish(Fork(*arguments, folder=self.folder))

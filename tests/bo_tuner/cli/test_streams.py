@@ -6,12 +6,11 @@ import subprocess
 import sys
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import Fork, environment, finish, run, start
 from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_to_yaml
 
 COMMANDS = (("report",), ("replay",), ("validate", "--draws", "100"))
 # The commands take the feasible way out.
@@ -21,8 +20,7 @@ WELL = (0, 3)
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
     folder = tmp_path_factory.mktemp("streams")
-    write_axis(folder, "streamed_axis")
-    (folder / "axis.yaml").write_text(study_to_yaml(make_study(nodes=node("streamed_axis"))))
+    write_study(folder, make_study(nodes=node("streamed_axis")))
     code, _, err = run(*TUNE, folder=folder)
     assert code == 0, err
     return folder

@@ -11,28 +11,25 @@ import resource
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
-from axis import write_axis
+from axis import write_axis, write_study
 from commands import Fork, finish, start
+from in_process import complaint
 from waiting import DEADLINE, catches, count_in, wait_until
 
 from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
-from bo_tuner.interruption import Interruption
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import EvaluationState, TrialState
 
 
 @pytest.fixture
 def study_file(tmp_path, make_study):
-    write_axis(tmp_path)
-    file = tmp_path / "axis.yaml"
-    file.write_text(study_to_yaml(make_study()))
-    return file
+    return write_study(tmp_path, make_study())
 
 
 @pytest.fixture
@@ -243,25 +240,7 @@ def refusal(tmp_path, study_file, monkeypatch, capsys):
     """Function that runs the command in this process and returns its one line of complaint."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    handlers = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
-
-    def run(*arguments, code=2, warnings=0):
-        interruption = Interruption()
-        try:
-            found = tune_command.run(list(arguments), interruption)
-        except SystemExit as exit_:
-            found = exit_.code
-        out, err = capsys.readouterr()
-        assert found == code, err
-        assert out == ""
-        *warned, line = err.splitlines()
-        assert len(warned) == warnings, err
-        assert line.startswith("error: ")
-        return line
-
-    yield run
-    for signum, handler in handlers.items():
-        signal.signal(signum, handler)
+    return partial(complaint, tune_command, capsys)
 
 
 class TestBadInput:

@@ -9,11 +9,13 @@ import os
 import re
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from commands import Fork, finish
+from in_process import call, complaint
 from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -21,12 +23,11 @@ from bo_tuner.certificate import certificate as certificate_module
 from bo_tuner.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.errors import OutputError, RunError
-from bo_tuner.interruption import Interruption
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.study.study_file import load_study, study_to_yaml
+from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import EvaluationState, Outcome
 
 CHANCE = {
@@ -42,8 +43,7 @@ class Runs:
         self.folder = folder
         noise = "(self.seed % 997) / 997"
         peak = f'number("PEAK", 0.2) + 0.1 * self.load * {noise}'
-        write_axis(folder, "validated_axis", peak=peak)
-        (folder / "axis.yaml").write_text(study_to_yaml(study))
+        write_study(folder, study, peak=peak)
 
     def start(self, *arguments, environment=None):
         return Fork(*arguments, folder=self.folder, env=environment)
@@ -71,35 +71,14 @@ def folder(runs, tmp_path):
 def here(runs, monkeypatch, capsys):
     """Function that runs the command in this process; returns code, out and err."""
     monkeypatch.syspath_prepend(runs.folder)
-    handlers = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
-
-    def run(*arguments):
-        try:
-            code = validate_command.run([str(item) for item in arguments], Interruption())
-        except SystemExit as exit_:
-            code = exit_.code
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    yield run
-    for signum, handler in handlers.items():
-        signal.signal(signum, handler)
+    return partial(call, validate_command, capsys)
 
 
 @pytest.fixture
-def refusal(here):
+def refusal(runs, monkeypatch, capsys):
     """Function that runs the command and returns its one line of complaint."""
-
-    def run(*arguments, code=2, warnings=0):
-        found, out, err = here(*arguments)
-        assert found == code, err
-        assert out == ""
-        *warned, line = err.splitlines()
-        assert len(warned) == warnings
-        assert line.startswith("error: ")
-        return line
-
-    return run
+    monkeypatch.syspath_prepend(runs.folder)
+    return partial(complaint, validate_command, capsys)
 
 
 def certificate(folder, number=1):

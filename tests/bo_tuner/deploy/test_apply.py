@@ -7,7 +7,8 @@ import sys
 from dataclasses import replace
 
 import pytest
-from made_runs import INITIAL, Uninterrupted, make_run, write_certificate
+from in_process import Uninterrupted, call
+from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
@@ -124,10 +125,9 @@ def objects(tmp_path, monkeypatch):
 
 def apply(capsys, *arguments):
     """Run the command; returns its exit code and its one line of complaint."""
-    code = command.run([str(argument) for argument in arguments], Uninterrupted())
-    said = capsys.readouterr()
-    assert said.out == ""
-    (line,) = said.err.splitlines()
+    code, out, err = call(command, capsys, *arguments)
+    assert out == ""
+    (line,) = err.splitlines()
     return code, line
 
 
@@ -288,23 +288,20 @@ class TestMistakes:
 
     def test_a_result_that_is_not_on_record(self, record, capsys):
         (record.path / "summary.json").write_text(json.dumps(record.summary | {"trial": 77}))
-        code = command.run([str(record.path), "--yes"], Uninterrupted())
-        warning, line = capsys.readouterr().err.splitlines()
+        code, _, err = call(command, capsys, record.path, "--yes")
+        warning, line = err.splitlines()
         assert code == 2
         assert "summary.json: not the summary of this record; ignored, since the run has" in warning
         assert "has no result" in line
 
     def test_unknown_option(self, record, capsys):
-        with pytest.raises(SystemExit) as caught:
-            apply(capsys, record.path, "--force")
-        assert caught.value.code == 2
-        assert "--force" in capsys.readouterr().err
+        code, line = apply(capsys, record.path, "--force")
+        assert code == 2
+        assert "--force" in line
 
     def test_help_tells_exit_codes_and_examples(self, capsys):
-        with pytest.raises(SystemExit) as caught:
-            command.run(["--help"], Uninterrupted())
-        assert caught.value.code == 0
-        text = capsys.readouterr().out
+        code, text, _ = call(command, capsys, "--help")
+        assert code == 0
         assert "exit codes:" in text
         assert "examples:" in text
 

@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from axis import write_axis
+from axis import write_study
 from commands import Fork, finish, start
 from waiting import DEADLINE
 
@@ -17,7 +17,6 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import WorstCase
 from bo_tuner.tuning.observer import Phase
 
@@ -33,8 +32,7 @@ def strict(line):
 
 @pytest.fixture
 def tune(tmp_path, make_study):
-    write_axis(tmp_path)
-    (tmp_path / "axis.yaml").write_text(study_to_yaml(make_study()))
+    write_study(tmp_path, make_study())
 
     def begin(*arguments, how=Fork, **environment):
         return how("tune", *arguments, folder=tmp_path, env=environment)

@@ -6,7 +6,7 @@ import signal
 import commands
 import numpy as np
 import pytest
-from axis import node, write_axis
+from axis import node, write_study
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
@@ -15,7 +15,6 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.stopping import StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.loop import Tuning
 
 ALGORITHM = ALGORITHMS["IV"]
@@ -151,15 +150,14 @@ class Runs:
 
     def __init__(self, folder, study):
         self.folder = folder
-        write_axis(folder, "flat_axis", error="5.0 + self.load")
-        (folder / "flat.yaml").write_text(study_to_yaml(study))
+        write_study(folder, study, error="5.0 + self.load")
 
     def run(self, name, *arguments, kill=0):
         environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
         return commands.run("tune", *arguments, folder=self.folder, env=environment)
 
     def begin(self, name, kill=0):
-        arguments = ("--study", "flat.yaml", "--backend", "inprocess", "--output", name)
+        arguments = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
         return self.run(name, *arguments, "--stop-early", kill=kill)
 
 

@@ -1,128 +1,49 @@
-"""Bags without ROS: what is in them, which are kept, and what is left of one that was cut off."""
+"""Bags without ROS: what is in them, and which are kept."""
 
 import json
 import shutil
-import signal
-import struct
-import subprocess
-import sys
-import textwrap
 import threading
 from dataclasses import replace
-from pathlib import Path
 
-import bag_readers
-import numpy as np
 import pytest
 from bag_readers import READERS, with_mcap, with_rosbags
-from rosbags.typesys import Stores, get_typestore
+from recorded_trials import (
+    CONTEXT,
+    JOINTS,
+    PARAMETERS,
+    START,
+    STUDY,
+    evaluation_of,
+    event,
+    joints,
+    record,
+    scalar,
+    trial_of,
+)
 
-from bo_tuner.recording import recorder as recorder_module
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
 from bo_tuner.recording.recorder import Recorder
-from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import MADE, Policy, RecordOptions, custom_data
 from bo_tuner.recording.run_recording import RunRecording
-from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
-    Evaluation,
     EvaluationState,
     Outcome,
     Stage,
-    Trial,
     TrialState,
-    WorstCase,
 )
 from bo_tuner.tuning.limits import verdict
-
-STORE = get_typestore(Stores.ROS2_JAZZY)
-JOINTS = make_topic("/joint_states", "sensor_msgs/msg/JointState")
-EVENTS = make_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
-NUMBERS = make_topic("/number", "std_msgs/msg/Float64")
-START = 1_700_000_000 * NANOSECONDS
-STUDY = load_study("benchmark")
-PARAMETERS = STUDY.search_space().defaults
-CONTEXT = {"stiffness_factor": 1.0, "damping_factor": 0.9}
-
-
-def time_message(time):
-    seconds, nanoseconds = divmod(time, NANOSECONDS)
-    return STORE.types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
-
-
-def joints(time, velocity=0.0):
-    header = STORE.types["std_msgs/msg/Header"](time_message(time), "")
-    message = STORE.types[JOINTS.type](
-        header, ["x"], np.array([]), np.array([velocity]), np.array([])
-    )
-    return JOINTS, bytes(STORE.serialize_cdr(message, JOINTS.type))
-
-
-def event(name="node"):
-    message = STORE.types[EVENTS.type](time_message(5), name, [], [], [])
-    return EVENTS, bytes(STORE.serialize_cdr(message, EVENTS.type))
-
-
-def number(value):
-    return NUMBERS, bytes(STORE.serialize_cdr(STORE.types[NUMBERS.type](value), NUMBERS.type))
-
-
-def evaluation_of(trial, index=0, **changes):
-    metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1e-4}
-    outcome = Outcome(EvaluationState.COMPLETE, metrics)
-    evaluation = Evaluation(trial, index, Stage.DRAWN, PARAMETERS, CONTEXT, 7 + index, outcome)
-    return replace(evaluation, **changes)
-
-
-def trial_of(number, worst=0.05, state=TrialState.COMPLETE, evaluations=1):
-    return Trial(
-        number,
-        PARAMETERS,
-        "initial",
-        state,
-        "" if state is TrialState.COMPLETE else "stalled",
-        tuple(evaluation_of(number, k) for k in range(evaluations)),
-        {"overshoot": WorstCase(worst, CONTEXT, worst)} if state is TrialState.COMPLETE else {},
-    )
-
-
-def record(recorder, trial, best=False, samples=50):
-    """Hand a trial to a recorder as a run does."""
-    for evaluation in trial.evaluations:
-        start = START + (100 * trial.number + evaluation.index) * 10 * NANOSECONDS
-        recorder.take(*event())
-        for k in range(samples):
-            recorder.take(*joints(start + k * 20_000_000, 0.1 * k))
-        recorder.evaluation(evaluation)
-    recorder.trial(trial, best)
-
-
-@pytest.fixture
-def recorder(tmp_path, monkeypatch):
-    """Function that makes a recorder of `tmp_path`; all are closed in the end."""
-    monkeypatch.setattr(recorder_module, "QUIET", 0.0)
-    made = []
-
-    def make(policy=Policy.NOTABLE, **options):
-        memory = options.pop("memory", recorder_module.MEMORY)
-        made.append(Recorder(tmp_path, STUDY, RecordOptions(policy, **options), memory))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each._writer.shutdown()
 
 
 class TestTime:
     def test_is_that_of_the_header(self):
         assert stamp(joints(START + 17)) == START + 17
 
-    @pytest.mark.parametrize("message", [number(1.0), event(), joints(0), (JOINTS, b"\0\1\0\0")])
+    @pytest.mark.parametrize("message", [scalar(1.0), event(), joints(0), (JOINTS, b"\0\1\0\0")])
     def test_none_without_a_header_that_is_set(self, message):
         assert stamp(message) is None
 
     def test_a_message_without_a_stamp_stays_behind_the_one_before_it(self):
-        messages = [number(0.0), joints(START), number(1.0), joints(START + 9), number(2.0)]
+        messages = [scalar(0.0), joints(START), scalar(1.0), joints(START + 9), scalar(2.0)]
         times = [time for time, _ in timed(messages)]
         assert times == [START, START, START, START + 9, START + 9]
         assert [message for _, message in timed(messages)] == messages
@@ -301,100 +222,6 @@ class TestRetention:
             recording.trial(trial_of(0), None)
         assert recording.summary == {"policy": "none"}
         assert list(tmp_path.iterdir()) == []
-
-
-class TestCutOff:
-    def write(self, folder, evaluations=3):
-        """Leave an unfinished bag behind: a partial bag of some evaluations."""
-        bag = TrialBag(folder / "trial_0002")
-        for k in range(evaluations):
-            start = START + k * NANOSECONDS
-            messages = [joints(start + i, float(i)) for i in range(40)]
-            bag.write(timed(messages), {"trial": "2", "state": "interrupted"})
-        return bag
-
-    def test_a_killed_writer_loses_no_whole_evaluation(self, tmp_path):
-        program = f"""
-            import os, signal, sys
-            sys.path[:0] = {[str(Path(file).parent) for file in (__file__, bag_readers.__file__)]}
-            from pathlib import Path
-            from test_recorder import TestCutOff
-            bag = TestCutOff().write(Path({str(tmp_path)!r}))
-            bag._writer.write(*next(iter([(c, 1, b"abc") for c in bag._connections.values()])))
-            os.kill(os.getpid(), signal.SIGKILL)
-        """
-        ended = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], check=False)
-        assert ended.returncode == -signal.SIGKILL
-        (partial,) = partial_bags(tmp_path)
-        bag = recover(partial)
-        assert bag == tmp_path / "trial_0002"
-        assert len(with_rosbags(bag)) == len(with_mcap(bag)) == 120
-        data = custom_data(bag)
-        assert data["complete"] == "false"
-        assert data["state"] == "interrupted"
-        assert list(tmp_path.iterdir()) == [bag]
-
-    @pytest.mark.parametrize("cut_by", [1, 500, 3000, 6000])
-    def test_a_file_cut_anywhere_gives_its_whole_chunks(self, tmp_path, cut_by):
-        self.write(tmp_path).abandon()
-        (partial,) = partial_bags(tmp_path)
-        (file,) = partial.rglob("*.mcap")
-        data = file.read_bytes()
-        file.write_bytes(data[:-cut_by])
-        found = with_rosbags(recover(partial))
-        assert len(found) in (40, 80, 120)
-        assert [m.velocity[0] for _, _, m in found] == [float(k % 40) for k in range(len(found))]
-
-    def test_damage_ends_the_recovery(self, tmp_path):
-        self.write(tmp_path).abandon()
-        (partial,) = partial_bags(tmp_path)
-        (file,) = partial.rglob("*.mcap")
-        data = bytearray(file.read_bytes())
-        chunks, position = [], 8
-        while position < len(data):
-            kind, length = struct.unpack_from("<BQ", data, position)
-            chunks += [position] if kind == 0x06 else []
-            position += 9 + length
-        # The second one now claims to be longer than the file.
-        data[chunks[1] + 1 : chunks[1] + 9] = b"\xff" * 8
-        file.write_bytes(data)
-        assert len(with_rosbags(recover(partial))) == 40
-
-    @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"garbage" * 50, None])
-    def test_nothing_to_recover(self, tmp_path, content):
-        self.write(tmp_path).abandon()
-        (partial,) = partial_bags(tmp_path)
-        (file,) = partial.rglob("*.mcap")
-        if content is None:
-            file.unlink()
-        else:
-            file.write_bytes(content)
-        assert recover(partial) is None
-        assert list(tmp_path.iterdir()) == []
-
-    def test_the_next_session_recovers_and_says_so(self, recorder, tmp_path):
-        self.write(tmp_path).abandon()
-        it = recorder()
-        summary = it.close()
-        assert summary["incomplete"] == ["trial_0002"]
-        assert summary["bags"] == ["trial_0002"]
-        assert "trial_0002" in summary["warnings"][0]
-
-    def test_a_whole_bag_of_the_same_trial_is_not_replaced(self, recorder, tmp_path):
-        record(it := recorder(), trial_of(2), best=True)
-        it.close()
-        self.write(tmp_path).abandon()
-        recorder().close()
-        assert custom_data(tmp_path / "trial_0002")["complete"] == "true"
-
-    def test_an_interrupted_run_leaves_its_last_trial(self, recorder, tmp_path):
-        it = recorder()
-        it.take(*joints(START))
-        it.evaluation(evaluation_of(4))
-        assert it.close()["incomplete"] == ["trial_0004"]
-        data = custom_data(tmp_path / "trial_0004")
-        assert data["state"] == "interrupted"
-        assert len(with_rosbags(tmp_path / "trial_0004")) == 1
 
 
 class TestTrouble:

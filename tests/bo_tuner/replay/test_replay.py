@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from axis import node, write_axis
 from bag_readers import READERS, with_rosbags
-from made_runs import INITIAL, Uninterrupted, make_run
+from in_process import call, complaint
+from made_runs import INITIAL, make_run
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.protocol import SequentialBackend
@@ -56,21 +57,11 @@ def record(tmp_path, axis, make_study):
 
 
 def run(capsys, *arguments):
-    code = command.run([str(argument) for argument in arguments], Uninterrupted())
-    said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    return code, said.out, said.err
+    return call(command, capsys, *arguments)
 
 
 def refusal(capsys, *arguments):
-    try:
-        code, out, err = run(capsys, *arguments)
-    except SystemExit as end:
-        said = capsys.readouterr()
-        code, out, err = end.code, said.out, said.err
-    assert (code, out) == (2, "")
-    (line,) = err.splitlines()
-    return line
+    return complaint(command, capsys, *arguments)
 
 
 def complete(record):

@@ -1,12 +1,13 @@
 """Runs side by side: each run says on the page what its own report says."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
+from in_process import call
 
 from bo_tuner.cli import report as report_command
-from bo_tuner.interruption import Interruption
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
 from bo_tuner.report.content import number
@@ -87,12 +88,7 @@ def test_a_run_without_signals_is_named(both, monkeypatch):
 @pytest.fixture
 def report(capsys):
     """Function that runs the command; returns its exit code, output and errors."""
-
-    def run(*arguments):
-        code = report_command.run([str(a) for a in arguments], Interruption())
-        return code, *capsys.readouterr()
-
-    return run
+    return partial(call, report_command, capsys)
 
 
 def test_the_command_writes_one_page_of_its_own(report, both, tmp_path, monkeypatch):

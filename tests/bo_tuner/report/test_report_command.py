@@ -1,24 +1,17 @@
 """The command: what it writes, its exit codes, and one line for each mistake."""
 
+from functools import partial
+
 import pytest
+from in_process import call
 
 from bo_tuner.cli import report as report_command
-from bo_tuner.interruption import Interruption
 
 
 @pytest.fixture
 def report(capsys):
     """Function that runs the command; returns its exit code, output and errors."""
-
-    def run(*arguments):
-        try:
-            code = report_command.run([str(a) for a in arguments], Interruption())
-        except SystemExit as left:
-            code = left.code
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
+    return partial(call, report_command, capsys)
 
 
 def test_the_report_goes_into_the_run_folder(report, tuned):

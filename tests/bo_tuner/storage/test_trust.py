@@ -10,25 +10,17 @@ import sys
 
 import pytest
 from axis import write_axis
+from in_process import Uninterrupted
 from small_run import make_run
 
 from bo_tuner.cli import replay, report, tune, validate
 from bo_tuner.errors import JournalError, OutputError, RunRecordError
-from bo_tuner.interruption import Interruption
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import LOCK, RunFolder
 from bo_tuner.storage.trust import foreign_programs, is_trusted, python_functions, trust
 from bo_tuner.study.study_file import load_study, shipped_studies, study_from_mapping
-
-
-class Quiet(Interruption):
-    def __init__(self):
-        self._request = None
-
-    def ignore(self):
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +45,7 @@ def run(strangers, tmp_path, monkeypatch):
 
 
 def call(command, *arguments):
-    return command.run([str(argument) for argument in arguments], Quiet())
+    return command.run([str(argument) for argument in arguments], Uninterrupted())
 
 
 COMMANDS = [

@@ -6,12 +6,12 @@ import pytest
 
 from bo_tuner.numerics.signal_metrics import MEASURES
 from bo_tuner.study.descriptors import Described
-from bo_tuner.study.first_study import (
+from bo_tuner.study.first_study import first_study
+from bo_tuner.study.offers import (
     Seen,
     SeenNode,
     SeenTopic,
     SignalOffer,
-    first_study,
     parameter_offers,
     signal_offers,
     suggested_parameters,

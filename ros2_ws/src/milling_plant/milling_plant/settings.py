@@ -58,7 +58,6 @@ class PlantSettings:
     )
 
     def __post_init__(self) -> None:
-        """Check the rules between parameters."""
         samples = len(self.reference_levels) * self.samples_per_level
         if samples > 1_000_000:
             raise SettingsError(

@@ -1,6 +1,8 @@
 """Model predictive controller: the condensed program of Eq. 2, solved by OSQP."""
 
+import signal
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import osqp
@@ -55,20 +57,11 @@ class Mpc:
     """
 
     def __init__(self, program: CondensedProgram, lower: float, upper: float) -> None:
-        horizon = program.P.shape[0]
         self._linear = program.linear
-        self._first_input = program.inputs[0]
+        self._inputs = program.inputs
         self._lower = lower
         self._upper = upper
-        self._solver = osqp.OSQP()
-        self._solver.setup(
-            P=sparse.eye(horizon, format="csc"),
-            q=np.zeros(horizon),
-            A=sparse.csc_matrix(program.inputs),
-            l=np.full(horizon, lower),
-            u=np.full(horizon, upper),
-            **SOLVER_SETTINGS,
-        )
+        self._set_up()
 
     def solve(self, x: Array, last_input: float, preview: Array) -> Solution:
         """Solve for the present sample, warm-started from the one before.
@@ -86,10 +79,35 @@ class Mpc:
         if not np.isfinite(q).all():
             # OSQP would keep NaN in its iterates, and with it fail in all samples to come.
             return Solution(None, "data not finite", 0)
-        self._solver.update(q=q)
-        result = self._solver.solve(raise_error=False)
+        result = self._solve(q)
+        while result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+            # Another thread was handed the signal. The workspace would keep this status.
+            self._set_up()
+            signal.raise_signal(signal.SIGINT)
+            result = self._solve(q)
         if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
             return Solution(None, result.info.status, result.info.iter)
         # ADMM meets the limits only to its tolerance; the drive is never asked for more.
-        u = min(max(float(self._first_input @ result.x), self._lower), self._upper)
+        u = min(max(float(self._inputs[0] @ result.x), self._lower), self._upper)
         return Solution(u, "solved", result.info.iter)
+
+    def _set_up(self) -> None:
+        horizon = len(self._inputs)
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            P=sparse.eye(horizon, format="csc"),
+            q=np.zeros(horizon),
+            A=sparse.csc_matrix(self._inputs),
+            l=np.full(horizon, self._lower),
+            u=np.full(horizon, self._upper),
+            **SOLVER_SETTINGS,
+        )
+
+    def _solve(self, q: Array) -> Any:
+        """Solve with SIGINT held back from this thread: OSQP would take it for itself."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            self._solver.update(q=q)
+            return self._solver.solve(raise_error=False)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -56,7 +56,6 @@ class ControllerSettings:
     )
 
     def __post_init__(self) -> None:
-        """Check the rules between parameters."""
         if self.prediction_horizon < self.control_horizon:
             raise SettingsError(
                 f"prediction_horizon: {self.prediction_horizon} is below "

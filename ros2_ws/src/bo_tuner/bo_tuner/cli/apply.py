@@ -125,7 +125,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
-        with LiveParameters(list(new), ros_arguments, interruption.check) as nodes:
+        nodes = LiveParameters(list(new), ros_arguments, interruption.check)
+        with contextlib.closing(nodes):
             try:
                 now = read_values(nodes, new)
                 rows = differences(record.study, now, new)

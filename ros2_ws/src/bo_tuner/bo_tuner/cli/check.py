@@ -2,7 +2,8 @@
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,7 +12,14 @@ from numpy.typing import ArrayLike
 from rich.table import Table
 
 from bo_tuner.backends.ros.backend import RosBackend
-from bo_tuner.backends.ros.graph import Graph, describe_nodes, opened_graph
+from bo_tuner.backends.ros.graph import (
+    describe,
+    describe_nodes,
+    opened_node,
+    signal_problems,
+)
+from bo_tuner.backends.ros.preparation import run_problems
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
@@ -22,7 +30,7 @@ from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.descriptors import Described, problem
+from bo_tuner.study.descriptors import problem
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import shown
@@ -55,13 +63,12 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
     BackendError
         If the nodes cannot be had.
     """
-
-    def describe(nodes: Mapping[str, str]) -> dict[str, dict[str, Described]]:
-        return describe_nodes(nodes, ros_arguments, interruption.check)
-
-    study = load_study(given, describe)
-    with opened_graph(ros_arguments, interruption.check) as graph:
-        problems, notes = _look(study, graph)
+    study = load_study(
+        given,
+        partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check),
+    )
+    with opened_node(ros_arguments, interruption.check) as tuner:
+        problems, notes = _look(study, tuner)
     for note in notes:
         say(f"note: {note}")
     for text in problems:
@@ -75,13 +82,13 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
     return _try(study, ros_arguments, interruption)
 
 
-def _look(study: Study, graph: Graph) -> tuple[list[str], list[str]]:
+def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     """Hold parameters, signals and steps against the graph; problems and notes, a line each."""
     problems, notes = [], []
     defaults = study.search_space().defaults
     for key, spec in study.nodes.items():
         try:
-            known = graph.describe(spec.node)
+            known = describe(tuner, spec.node)
         except BackendError as error:
             problems.append(f"nodes.{key}: {error}")
             continue
@@ -102,8 +109,8 @@ def _look(study: Study, graph: Graph) -> tuple[list[str], list[str]]:
     steps = () if study.run is None else study.run.steps
     own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
     heard = {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
-    problems += [str(error) for error in graph.signal_problems(heard)]
-    problems += [str(error) for error in graph.run_problems(study)]
+    problems += [str(error) for error in signal_problems(tuner, heard)]
+    problems += [str(error) for error in run_problems(study, tuner)]
     return problems, notes
 
 

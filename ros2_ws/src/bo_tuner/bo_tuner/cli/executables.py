@@ -1,11 +1,12 @@
 """Entry points of the commands, for ``ros2 run bo_tuner`` and the shell."""
 
 import importlib
+import signal
 import sys
 from typing import NoReturn
 
 from bo_tuner.cli.streams import open_streams
-from bo_tuner.interruption import Interruption
+from bo_tuner.interruption import SIGNALS, Interruption
 
 
 def tune() -> NoReturn:
@@ -42,6 +43,9 @@ def run(module: str, argv: list[str]) -> NoReturn:
     """Run the command in a module and exit with its code."""
     open_streams()
     interruption = Interruption()
-    # This import takes a second or two, in which Ctrl-C must not end in a traceback.
+    # This import takes a second or two, in which Ctrl-C must not end in a traceback. The threads
+    # that libraries start meanwhile are to leave signals to this one: it may hold one back.
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     command = importlib.import_module(module)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     sys.exit(command.run(argv, interruption))

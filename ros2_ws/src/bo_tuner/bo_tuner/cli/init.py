@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from rich.table import Table
 
-from bo_tuner.backends.ros.graph import opened_graph
+from bo_tuner.backends.ros.graph import opened_node
 from bo_tuner.backends.ros.survey import survey
 from bo_tuner.cli.exit_codes import EXIT_OK
 from bo_tuner.cli.streams import ask, say_error
@@ -16,8 +16,12 @@ from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.study import checks
-from bo_tuner.study.first_study import (
-    first_study,
+from bo_tuner.study.first_study import first_study
+from bo_tuner.study.offers import (
+    ParameterOffer,
+    Seen,
+    SeenNode,
+    SignalOffer,
     parameter_offers,
     signal_offers,
     suggested_parameters,
@@ -170,13 +174,35 @@ def write_first_study(
         If there is no node with parameters, or no topic with numbers.
     """
     _check_path(path)
-    with opened_graph(ros_arguments, interruption.check) as graph:
-        seen, notes = survey(graph)
+    with opened_node(ros_arguments, interruption.check) as tuner:
+        seen, notes = survey(tuner)
     for note in notes:
         say(f"note: {note}")
     if not seen.topics:
         raise BackendError("no topic has a number that could be a signal while the nodes are idle")
-    chooser = Chooser(interruption)
+    tuned, chosen, recorded = _choose(seen, nodes, parameters, signals, Chooser(interruption))
+    text = first_study(str(path), seen, tuned, chosen, recorded)
+    # Nothing is written that `tune --study` would refuse.
+    parse_study(text, str(path))
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        _check_path(path)
+    say(f"{path}: {len(chosen)} parameters and {len(recorded)} signals; now read it, and settle")
+    say("each CHECK in it: bounds, what a run does, what good means; then")
+    say(f"  tune --check {path}")
+    return EXIT_OK
+
+
+def _choose(
+    seen: Seen,
+    nodes: Sequence[str] | None,
+    parameters: Sequence[str] | None,
+    signals: Sequence[str] | None,
+    chooser: Chooser,
+) -> tuple[list[SeenNode], list[ParameterOffer], list[SignalOffer]]:
+    """Choose nodes and parameters to tune, and signals to record."""
     offers = {node.name: parameter_offers(node)[0] for node in seen.nodes}
     tuned = chooser.choose(
         "nodes",
@@ -204,18 +230,7 @@ def write_first_study(
         lambda offer: [str(offer), offer.topic.name],
         lambda offer: [str(offer), shown(offer.topic.fields[offer.field]), offer.remark],
     )
-    text = first_study(str(path), seen, tuned, chosen, recorded)
-    # Nothing is written that `tune --study` would refuse.
-    parse_study(text, str(path))
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        _check_path(path)
-    say(f"{path}: {len(chosen)} parameters and {len(recorded)} signals; now read it, and settle")
-    say("each CHECK in it: bounds, what a run does, what good means; then")
-    say(f"  tune --check {path}")
-    return EXIT_OK
+    return tuned, chosen, recorded
 
 
 def _check_path(path: Path) -> None:

@@ -155,20 +155,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     backend = arguments.backend or recorded_backend(record)
     if arguments.attach and backend != ROS:
         parser.error("--attach needs --backend ros")
-    confidence, draws = arguments.confidence, arguments.draws
-    if confidence is None:
-        confidence = record.study.certificate.confidence
-    level = spent(confidence, next_attempt(record.path))
-    needed, constraint = most_draws_needed(record.study, level)
-    if draws is None:
-        draws = max(required_draws(record.study, confidence), needed)
-    if draws > maxima.DRAWS:
-        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {draws}")
+    confidence = arguments.confidence or record.study.certificate.confidence
+    draws = _draws(arguments, parser, record, confidence)
     if not 1 <= arguments.until_pass <= maxima.TRIALS:
         parser.error(f"--until-pass: expected at least 1, found {arguments.until_pass}")
-    if draws < max(needed, FEWEST_DRAWS):
-        why = f" to show {constraint}, even if none violates it" if constraint else ""
-        parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
     trial, is_result = _trial(record, arguments.trial)
     allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     console = plain_console(stderr=True)
@@ -217,6 +207,24 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
         write_deliverables(folder.path, tell, tell)
     return exit_code(verdict)
+
+
+def _draws(
+    arguments: argparse.Namespace, parser: Parser, record: RunRecord, confidence: float
+) -> int:
+    """Return the largest number of draws, which must be able to show every chance constraint."""
+    needed, constraint = most_draws_needed(
+        record.study, spent(confidence, next_attempt(record.path))
+    )
+    draws: int | None = arguments.draws
+    if draws is None:
+        draws = max(required_draws(record.study, confidence), needed)
+    if draws > maxima.DRAWS:
+        parser.error(f"--draws: expected at most {maxima.DRAWS}, found {draws}")
+    if draws < max(needed, FEWEST_DRAWS):
+        why = f" to show {constraint}, even if none violates it" if constraint else ""
+        parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
+    return draws
 
 
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:

@@ -115,14 +115,6 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     default = node_values(record.study, record.study.search_space().defaults)
     if rollback is not None:
         _check_restorable(rollback, default)
-    certificate = None
-    with contextlib.suppress(RunRecordError):
-        certificate = latest_certificate(record, trial)
-    copied = {
-        CERTIFICATE: certificate,
-        EVALUATIONS: None if certificate is None else evaluations_path(certificate),
-        REPORT: record.path / REPORT,
-    }
     folder = record.path / DEPLOY
     files = {
         PARAMETERS: to_yaml(tuned).encode(),
@@ -130,14 +122,14 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     }
     try:
         folder.mkdir(exist_ok=True)
-        for name, source in copied.items():
+        for name, source in _copied(record, trial).items():
             if source is not None and source.is_file():
                 files[name] = source.read_bytes()
-                if name == REPORT:
-                    # Its links lead into the run folder, which is one level up from here.
-                    files[name] = files[name].replace(b'href="./', b'href="../')
             else:
                 (folder / name).unlink(missing_ok=True)
+        if REPORT in files:
+            # Its links lead into the run folder, which is one level up from here.
+            files[REPORT] = files[REPORT].replace(b'href="./', b'href="../')
         if rollback is not None or not (folder / ROLLBACK).exists():
             files[ROLLBACK] = _sealed(default if rollback is None else rollback).encode()
         else:
@@ -153,6 +145,18 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     return folder
+
+
+def _copied(record: RunRecord, trial: Trial) -> dict[str, Path | None]:
+    """Return the files of the run that the bundle has too, by their names there."""
+    certificate = None
+    with contextlib.suppress(RunRecordError):
+        certificate = latest_certificate(record, trial)
+    return {
+        CERTIFICATE: certificate,
+        EVALUATIONS: None if certificate is None else evaluations_path(certificate),
+        REPORT: record.path / REPORT,
+    }
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:

@@ -91,7 +91,6 @@ class ColorScale:
     scale: Scale = Scale.LINEAR
 
     def __post_init__(self) -> None:
-        """Check the ends, and the middle."""
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ValueError(f"colours need low < high, found {self.low} and {self.high}")
         if self.middle is not None and not self.low < self.middle < self.high:
@@ -122,7 +121,6 @@ class Line:
     hover: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check the lengths."""
         _same_length(self, len(self.x), y=self.y, hover=self.hover)
 
 
@@ -137,7 +135,6 @@ class Band:
     color: Color = Color.BLUE
 
     def __post_init__(self) -> None:
-        """Check the lengths."""
         _same_length(self, len(self.x), lower=self.lower, upper=self.upper)
 
 
@@ -211,7 +208,6 @@ class Bars:
     hover: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        """Check the lengths."""
         _same_length(
             self,
             len(self.x),
@@ -235,7 +231,6 @@ class Heatmap:
     colors: ColorScale
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
         _grid(self, self.x, self.y, self.z)
 
 
@@ -254,7 +249,6 @@ class Contour:
     labelled: bool = False
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
         _grid(self, self.x, self.y, self.z)
 
 
@@ -270,7 +264,6 @@ class Region:
     color: Color = Color.PAPER
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
         _grid(self, self.x, self.y, self.z)
 
 

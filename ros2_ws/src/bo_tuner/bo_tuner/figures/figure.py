@@ -122,7 +122,6 @@ class Figure:
     panel_height: int = 360
 
     def __post_init__(self) -> None:
-        """Check name, panels and columns."""
         if not re.fullmatch(r"[a-z0-9_-]+", self.name):
             raise ValueError(
                 f"name: expected lower-case letters, digits, - and _, found '{self.name}'"

@@ -260,7 +260,8 @@ class GaussianProcess:
             As `predict`.
         """
         points = self._checked(x)
-        squared = scaled_squared_distances(self.hyperparameters, points, self.data.x)
+        scales = self.hyperparameters.length_scales
+        squared = scaled_squared_distances(points, self.data.x, scales)
         at_data = squared.min(axis=1) == 0.0
         cross = covariance_of_distances(self.hyperparameters, squared)
         variance = self._prior_variance - _squared_norms(self._inverse_interpolator, cross)

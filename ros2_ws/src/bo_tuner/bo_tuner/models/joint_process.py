@@ -32,12 +32,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
-from scipy.spatial.distance import cdist
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
-from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
+from bo_tuner.models.kernel import MEAN_SD, correlation, jittered_cholesky, latent_covariance
 from bo_tuner.models.replicates import Replicates, Standardisation
 from bo_tuner.numerics.arrays import Array
 
@@ -241,7 +240,7 @@ class JointProcess:
         across = self._context_kernel(contexts).mean(axis=1)
         cross = self._parameter_kernel(x) * across + MEAN_SD**2
         scales = self.hyperparameters.length_scales[self.columns :]
-        prior = self.hyperparameters.signal**2 * _kernel(contexts, contexts, scales).mean()
+        prior = self.hyperparameters.signal**2 * correlation(contexts, contexts, scales).mean()
         return self._posterior_variance(cross, float(prior) + MEAN_SD**2)
 
     def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
@@ -249,7 +248,7 @@ class JointProcess:
         across = weights @ self._context_kernel(contexts).T
         cross = self._parameter_kernel(x) * across + MEAN_SD**2
         scales = self.hyperparameters.length_scales[self.columns :]
-        within = weights @ _kernel(contexts, contexts, scales)
+        within = weights @ correlation(contexts, contexts, scales)
         prior = self.hyperparameters.signal**2 * np.einsum("ij,ij->i", within, weights)
         return self._posterior_variance(cross, prior + MEAN_SD**2)
 
@@ -268,8 +267,8 @@ class JointProcess:
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
         own, data, widths = self.coding.encode(x), self.data.x, _widths(self.columns, contexts)
-        near = _kernel(own, data[:, : self.columns], widths[: self.columns])
-        across = _kernel(data[:, self.columns :], contexts, widths[self.columns :])
+        near = correlation(own, data[:, : self.columns], widths[: self.columns])
+        across = correlation(data[:, self.columns :], contexts, widths[self.columns :])
         total = near @ (across * self.degrees[:, None]) + PRIOR_DEGREES
         squares = near @ (across * self.squares[:, None]) + PRIOR_DEGREES
         return self.noise_variance * squares / total, total
@@ -277,13 +276,13 @@ class JointProcess:
     def _parameter_kernel(self, x: Array) -> Array:
         """Return s² k(x, x_i), shape (m, n)."""
         scales = self.hyperparameters.length_scales[: self.columns]
-        kernel = _kernel(self.coding.encode(x), self.data.x[:, : self.columns], scales)
+        kernel = correlation(self.coding.encode(x), self.data.x[:, : self.columns], scales)
         return self.hyperparameters.signal**2 * kernel
 
     def _context_kernel(self, contexts: Array) -> Array:
         """Return k(c_i, c), shape (n, k)."""
         scales = self.hyperparameters.length_scales[self.columns :]
-        return _kernel(self.data.x[:, self.columns :], contexts, scales)
+        return correlation(self.data.x[:, self.columns :], contexts, scales)
 
     def _posterior_variance(self, cross: Array, prior: float | Array) -> Array:
         whitened = blas.dtrmm(1.0, self._inverse_factor, cross.T, lower=1)
@@ -297,19 +296,11 @@ class JointProcess:
         return inverse
 
 
-def _kernel(a: Array, b: Array, scales: Array) -> Array:
-    """Return the squared exponential (len(a), len(b)) without its variance."""
-    if not len(scales):
-        return np.ones((len(a), len(b)))
-    kernel: Array = np.exp(-0.5 * cdist(a / scales, b / scales, "sqeuclidean"))
-    return kernel
-
-
 def _local_ratio(
     z: Array, points: Array, columns: int, squares: Array, degrees: Array
 ) -> tuple[Array, Array]:
     """Return local over common noise variance and degrees of freedom at joint points, (m,) each."""
-    near = _kernel(z, points, _widths(columns, points[:, columns:]))
+    near = correlation(z, points, _widths(columns, points[:, columns:]))
     total = near @ degrees + PRIOR_DEGREES
     return (near @ squares + PRIOR_DEGREES) / total, total
 

@@ -32,25 +32,33 @@ def latent_covariance(hyperparameters: Hyperparameters, a: Array, b: Array) -> A
     -------
     ndarray, shape (m, n)
     """
-    return covariance_of_distances(hyperparameters, scaled_squared_distances(hyperparameters, a, b))
+    squared = scaled_squared_distances(a, b, hyperparameters.length_scales)
+    return covariance_of_distances(hyperparameters, squared)
 
 
-def scaled_squared_distances(hyperparameters: Hyperparameters, a: Array, b: Array) -> Array:
+def scaled_squared_distances(a: Array, b: Array, scales: Array) -> Array:
     """Return Σ_j (a_j - b_j)² / ℓ_j² of all pairs, exactly zero for equal points.
 
     Parameters
     ----------
-    hyperparameters : Hyperparameters
     a : ndarray, shape (m, d)
     b : ndarray, shape (n, d)
+    scales : ndarray, shape (d,)
+        The length scales ℓ.
 
     Returns
     -------
     ndarray, shape (m, n)
     """
-    scales = hyperparameters.length_scales
+    if not len(scales):
+        return np.zeros((len(a), len(b)))
     squared: Array = cdist(a / scales, b / scales, "sqeuclidean")
     return squared
+
+
+def correlation(a: Array, b: Array, scales: Array) -> Array:
+    """Return k(a, b) / s² of all pairs; parameters as in `scaled_squared_distances`."""
+    return np.exp(-0.5 * scaled_squared_distances(a, b, scales))
 
 
 def covariance_of_distances(hyperparameters: Hyperparameters, squared: Array) -> Array:

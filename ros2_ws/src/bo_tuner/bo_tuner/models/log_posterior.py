@@ -182,29 +182,15 @@ def maximise_posterior(
         The best φ found; `start`, else the prior medians, where none has a finite posterior.
     warnings : tuple of str
     """
-    dimension = len(box) - 2
     lower, upper = box.T
-    priors = posterior.priors
-    medians = priors.medians(dimension)
-    short = medians - priors.spreads(dimension) * np.repeat([2.0, 0.0, 1.0], [dimension, 1, 1])
-    starts = [np.clip(phi, lower, upper) for phi in (medians, short)]
-    fallback = starts[0]
-    if start is not None:
-        fallback = np.clip(start, lower, upper)
-        draws = [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
-        challengers = starts + [np.clip(phi, lower, upper) for phi in draws]
-        values = [posterior.value(phi) for phi in challengers]
-        best_challenger = int(np.argmax(values))
-        starts = [fallback]
-        if values[best_challenger] > posterior.value(fallback):
-            starts.append(challengers[best_challenger])
+    starts = _starts(posterior, box, rng, start)
 
     def loss(phi: Array) -> tuple[float, Array]:
         value, gradient = posterior.value_and_gradient(phi)
         return -value, -gradient
 
     warm = start is not None and len(starts) == 1 and len(posterior.data.x) > MANY_POINTS
-    best, best_value = fallback, -np.inf
+    best, best_value = starts[0], -np.inf
     for phi in starts:
         result = minimize(
             loss,
@@ -224,4 +210,24 @@ def maximise_posterior(
     if np.isfinite(best_value):
         return best, ()
     origin = "the prior medians" if start is None else "the earlier hyperparameters"
-    return fallback, (f"hyperparameters: the log posterior is not finite, kept {origin}",)
+    return starts[0], (f"hyperparameters: the log posterior is not finite, kept {origin}",)
+
+
+def _starts(
+    posterior: LogPosterior, box: Array, rng: np.random.Generator, start: Array | None
+) -> list[Array]:
+    """Return where the runs of `maximise_posterior` start, shape (d + 2,) each."""
+    dimension = len(box) - 2
+    lower, upper = box.T
+    priors = posterior.priors
+    medians = priors.medians(dimension)
+    short = medians - priors.spreads(dimension) * np.repeat([2.0, 0.0, 1.0], [dimension, 1, 1])
+    starts = [np.clip(phi, lower, upper) for phi in (medians, short)]
+    if start is None:
+        return starts
+    warm = np.clip(start, lower, upper)
+    draws = [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
+    challengers = starts + [np.clip(phi, lower, upper) for phi in draws]
+    values = [posterior.value(phi) for phi in challengers]
+    best = int(np.argmax(values))
+    return [warm, challengers[best]] if values[best] > posterior.value(warm) else [warm]

@@ -76,7 +76,6 @@ class NeighbourClassifier:
     encode: Callable[[Array], Array] = lambda x: x
 
     def __post_init__(self) -> None:
-        """Check shapes and ranges."""
         if self.x.ndim != 2 or not np.isfinite(self.x).all():
             raise ValueError(f"x: expected finite values of shape (n, d), found {self.x.shape}")
         n, d = self.x.shape

@@ -63,15 +63,7 @@ class ExpressionError(ValueError):
 
 
 class UnknownNameError(ExpressionError):
-    """An expression has a name that is not known.
-
-    Parameters
-    ----------
-    name
-        The name.
-    known
-        The names that are.
-    """
+    """An expression has a name that is not known."""
 
     def __init__(self, name: str, known: tuple[str, ...]) -> None:
         super().__init__(f"unknown name {name}")

@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
 from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
@@ -83,12 +82,7 @@ class RunRecording(RunObserver):
                 raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop listening and finish the bags."""
         if self._listener is not None:
             self._listener.close()

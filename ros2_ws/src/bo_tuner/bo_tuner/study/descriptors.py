@@ -8,9 +8,6 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.parameter import Parameter
 
-FROM_THE_NODE = ("type", "bounds", "default")
-"""Keys of a parameter that may be left out where the node runs."""
-
 
 @dataclass(frozen=True)
 class Described:

@@ -146,7 +146,6 @@ class TruncatedNormal(_Continuous):
     standard_deviation: float
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self._check_bounds()
         object.__setattr__(self, "mean", checks.number(self.mean, "mean"))
         deviation = checks.positive(self.standard_deviation, "standard_deviation")
@@ -175,7 +174,6 @@ class Uniform(_Continuous):
     kind: ClassVar[str] = "uniform"
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self._check_bounds()
         self._finish(self.lower + 0.5 * self.width)
 
@@ -200,7 +198,6 @@ class Beta(_Continuous):
     b: float
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self._check_bounds()
         object.__setattr__(self, "a", checks.positive(self.a, "a"))
         object.__setattr__(self, "b", checks.positive(self.b, "b"))
@@ -227,7 +224,6 @@ class Triangular(_Continuous):
     mode: float
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         self._check_bounds()
         object.__setattr__(self, "mode", self._inside(self.mode, "mode"))
         self._finish(self.mode)
@@ -259,7 +255,6 @@ class Discrete(Distribution):
     nominal: float = _DEFAULT
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         values, probabilities = (
             tuple(
                 checks.number(item, key, index)

@@ -53,7 +53,6 @@ class NodeSpec:
     inprocess_parameters: Mapping[str, checks.ParameterValue] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
         checks.matching(
             self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"

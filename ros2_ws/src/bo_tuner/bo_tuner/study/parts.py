@@ -52,7 +52,6 @@ class ContextVariable:
     parameter: str = ""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
@@ -69,7 +68,6 @@ class SeedParameter:
     parameter: str
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.text(self.node, "node")
         checks.parameter_name(self.parameter, "parameter")
 
@@ -83,7 +81,6 @@ class Trigger:
     timeout: float = 30.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.text(self.node, "node")
         checks.matching(
             self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
@@ -123,7 +120,6 @@ class ReportedMetric:
     reproducible: bool = True
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.parameter_name(self.name)
         checks.text(self.node, "node")
         checks.text(self.unit, "unit")
@@ -151,7 +147,6 @@ class Objective:
     direction: str = MINIMIZE
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.text(self.metric, "metric")
         checks.choice(self.scale, (LINEAR, LOG), "scale")
         checks.choice(self.direction, (MINIMIZE, MAXIMIZE), "direction")
@@ -216,7 +211,6 @@ class Constraint:
     probability: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.parameter_name(self.name)
         checks.choice(self.kind, (CHANCE, WORST_CASE), "kind")
         checks.text(self.metric, "metric")
@@ -369,7 +363,6 @@ class CertificateRequirement:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.integer(self.draws, "draws", at_least=2)
         object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
 
@@ -419,7 +412,6 @@ class Budget:
         return self.remaining(trials, evaluations) == 0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         for item in dataclasses.fields(self):
             if item.default is None and getattr(self, item.name) is None:
                 continue

@@ -32,7 +32,6 @@ class End:
     result: bool = False
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.boolean(self.result, "result")
         if (self.after is not None) + (self.when != "") + self.result != 1:
             raise StudyError("expected one of after, when and result")
@@ -76,7 +75,6 @@ class Run:
     clock: str = WALL
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
         for phase in PHASES:
             checks.at_most(getattr(self, phase), maxima.STEPS, phase)

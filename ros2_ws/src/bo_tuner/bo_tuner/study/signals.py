@@ -95,7 +95,6 @@ class Signal:
     most_lost: int | None = None
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.name, SIGNAL_NAME, "a name of letters, digits and _")
         if self.name == TIME or self.name in FUNCTIONS:
             raise StudyError(f"'{self.name}' has a meaning in expressions; choose another name")
@@ -147,7 +146,6 @@ class SignalMetric:
     """Of measured signals no two runs give the same."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.parameter_name(self.name)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
@@ -203,7 +201,6 @@ class PythonMetric:
     """Of measured signals no two runs give the same."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.parameter_name(self.name)
         checks.matching(
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"

@@ -25,7 +25,6 @@ class Publish:
     type: str = ""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.topic, GRAPH_NAME, "a topic name such as /setpoint", "topic")
         _check_message(self.message, "message")
         if self.type != "":
@@ -46,7 +45,6 @@ class Call:
     timeout: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.service, GRAPH_NAME, "a service name such as /motor/reset", "service")
         _check_message(self.request, "request")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
@@ -65,7 +63,6 @@ class SendGoal:
     timeout: float = 30.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.action, GRAPH_NAME, "an action name such as /follow_path", "action")
         _check_message(self.goal, "goal")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
@@ -84,7 +81,6 @@ class Lifecycle:
     timeout: float = 5.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.matching(self.node, GRAPH_NAME, "a node name such as /camera", "node")
         checks.choice(self.transition, TRANSITIONS, "transition")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
@@ -99,7 +95,6 @@ class WaitUntil:
     timeout: float = 10.0
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.text(self.condition, "condition")
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
         object.__setattr__(self, "hold", checks.positive(self.hold, "hold"))
@@ -149,7 +144,6 @@ class Step:
     wait: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         checks.text(self.restart, "restart")
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]
         if len(given) + bool(self.restart) != 1:

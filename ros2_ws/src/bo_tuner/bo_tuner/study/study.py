@@ -23,6 +23,7 @@ from bo_tuner.study.parts import (
     SeedParameter,
     Trigger,
 )
+from bo_tuner.study.references import check_objectives, check_run, check_targets
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
@@ -161,13 +162,13 @@ class Study:
                     raise StudyError(f"is called '{item.name}' in itself", (section, name))
         for path, node in self._node_references():
             checks.reference(node, "node", self.nodes, *path, "node")
-        self._check_run()
-        self._check_objectives()
+        check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
+        check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
             checks.reference(
                 constraint.metric, "metric", self.metrics, "constraints", name, "metric"
             )
-        self._check_targets()
+        check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
         self._check_park()
         self.starting_sets()
 
@@ -344,63 +345,6 @@ class Study:
         if self.seed_parameter is not None:
             yield ("seed_parameter",), self.seed_parameter.node
 
-    def _check_objectives(self) -> None:
-        """Refuse objectives without a metric, too many, or two of one metric."""
-        checks.reference(self.objective.metric, "metric", self.metrics, "objective", "metric")
-        if len(self.objectives) > maxima.OBJECTIVES:
-            raise StudyError(
-                f"expected at most {maxima.OBJECTIVES} objectives in all, found "
-                f"{len(self.objectives)}",
-                ("further_objectives",),
-            )
-        metrics = [self.objective.metric]
-        for index, item in enumerate(self.further_objectives):
-            path = ("further_objectives", index, "metric")
-            checks.reference(item.metric, "metric", self.metrics, *path)
-            if item.metric in metrics:
-                raise StudyError(
-                    f"expected another metric, found '{item.metric}' again; each objective has a "
-                    "metric of its own",
-                    path,
-                )
-            metrics.append(item.metric)
-
-    def _check_run(self) -> None:
-        """Refuse a run that does not give the metrics, or that is described twice."""
-        if self.trigger is None and self.run is None:
-            raise StudyError("missing; expected trigger, or run with signals", ("trigger",))
-        if self.trigger is not None and self.run is not None:
-            raise StudyError("a study has either trigger or run; leave one out", ("run",))
-        reporting = {}
-        for name, metric in self.metrics.items():
-            here = ("metrics", name)
-            if not isinstance(metric, ReportedMetric):
-                if self.run is None:
-                    raise StudyError("signals are recorded in a run; add run", here)
-                if isinstance(metric, PythonMetric):
-                    continue
-                try:
-                    metric.check_signals(self.signals)
-                except StudyError as error:
-                    raise error.under(*here) from None
-            elif self.run is not None:
-                raise StudyError(
-                    "is reported by a node that is triggered; with run, write of and measure",
-                    (*here, "node"),
-                )
-            else:
-                reporting[metric.node] = f"metric '{name}'"
-        if self.trigger is not None:
-            reporting[self.trigger.node] = "the trigger"
-        for node, needed_by in reporting.items():
-            if not self.nodes[node].result:
-                raise StudyError(f"missing; {needed_by} needs it", ("nodes", node, "result"))
-        if self.run is None:
-            if self.signals:
-                raise StudyError("signals are recorded in a run; add run", ("signals",))
-            return
-        self.run.check_references(self.signals, self.nodes)
-
     def _check_park(self) -> None:
         """Refuse safe parameters that the study cannot set."""
         path = ("park", "parameters")
@@ -412,50 +356,6 @@ class Study:
             _ = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
-
-    def _check_item(self, name: str, item: Parameter) -> None:
-        """Refuse an item of an array that the study does not have, or not with such an item."""
-        path = ("nodes", item.node, "parameters", item.array)
-        if item.array not in self.nodes[item.node].parameters:
-            raise StudyError(f"missing; expected the array of which '{name}' is an item", path)
-        array = self.nodes[item.node].parameters[item.array]
-        if not isinstance(array, tuple):
-            raise StudyError(f"expected an array, found {checks.show(array)}", path)
-        if item.item >= len(array):
-            raise StudyError(
-                f"has {len(array)} items, so that there is no '{item.parameter}'", path
-            )
-        try:
-            item.checked(array[item.item])
-        except StudyError as error:
-            raise error.under(*path, item.item) from None
-
-    def _check_targets(self) -> None:
-        """Refuse two sources for one parameter of a node."""
-        sources: dict[tuple[str, str], str] = {}
-        arrays = {(item.node, item.array) for item in self.parameters.values() if item.array}
-        for name, item in self.parameters.items():
-            if item.array:
-                self._check_item(name, item)
-        for key, node in self.nodes.items():
-            for name in (*node.parameters, *node.inprocess_parameters):
-                if (key, name) not in arrays:
-                    sources[key, name] = f"nodes.{key}"
-        targets: list[tuple[KeyPath, str, str]] = [
-            ((section, name), item.node, item.parameter)
-            for section, items in (("parameters", self.parameters), ("contexts", self.contexts))
-            for name, item in items.items()
-        ]
-        if self.seed_parameter is not None:
-            seeded = self.seed_parameter
-            targets.append((("seed_parameter",), seeded.node, seeded.parameter))
-        for path, node_key, parameter in targets:
-            here = ".".join(map(str, path))
-            other = sources.setdefault((node_key, parameter), here)
-            if other != here:
-                raise StudyError(
-                    f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
-                )
 
 
 def _one_limit_each(constraints: Mapping[str, Constraint]) -> dict[str, Constraint]:

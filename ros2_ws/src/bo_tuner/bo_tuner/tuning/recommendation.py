@@ -109,16 +109,12 @@ def recommend(
         if holds:
             held.add(trial.number)
         observer.advance()
-    for candidate in ranked:
-        if candidate.trial.number in held:
-            return Recommendation(
-                candidate, candidate.believed_feasible, tuple(checked), tuple(ranked)
-            )
-    if open_ones:
-        return Recommendation(open_ones[0], False, tuple(checked), tuple(ranked))
+    kept = next((candidate for candidate in ranked if candidate.trial.number in held), None)
+    if kept is not None:
+        return Recommendation(kept, kept.believed_feasible, tuple(checked), tuple(ranked))
     # Among several within the limits the first in rank, not the one with the largest margin: a
     # machine that hardly moves keeps every limit.
-    least = min(ranked, key=lambda c: max(c.violation, 0.0))
+    least = open_ones[0] if open_ones else min(ranked, key=lambda c: max(c.violation, 0.0))
     return Recommendation(least, False, tuple(checked), tuple(ranked))
 
 

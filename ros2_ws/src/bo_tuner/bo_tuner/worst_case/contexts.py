@@ -1,6 +1,7 @@
 """Shared parts of the worst-case searches: priors, swarm and starting contexts."""
 
 from collections.abc import Callable, Mapping, Sequence
+from math import sqrt
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
 
 SEARCH_EFFORT = SwarmSettings(particles=40, iterations=25, stall=6)
+
+DECIDED = 2.0
+"""Standard deviations between the constrained quantity and the limit that end a search."""
 
 DISTINCT = 0.1
 """Contexts closer than this in every coordinate of the unit cube count as equal."""
@@ -23,6 +27,14 @@ PRIORS = Hyperpriors(
     signal=LogNormal(1.0, 0.5, 0.05, 20.0),
     noise=LogNormal(0.15, 0.5, 1e-3, 3.0),
 )
+
+
+def is_clear(distance: float, variance: float, asked: int) -> bool:
+    """Return whether a limit is kept or violated for sure, at a distance above the mean."""
+    error = DECIDED * sqrt(variance)
+    # A model with few data can be overconfident: the limit counts as kept only after an evaluation
+    # at the maximum of the upper confidence bound.
+    return distance < -error or (distance > error and asked > 0)
 
 
 def maximise_over_contexts(

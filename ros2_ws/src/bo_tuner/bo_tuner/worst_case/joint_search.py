@@ -19,10 +19,7 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
-
-DECIDED = 2.0
-"""Standard deviations between the worst case and the limit at which the decision is clear."""
+from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximise_over_contexts
 
 
 class JointSearch:
@@ -34,15 +31,13 @@ class JointSearch:
 
     Parameters
     ----------
-    space
-        The context space.
+    space, evaluations
+        As in `ReinterpolationSearch`.
     limit
         Upper limit of the metric, in its unit, without the margin for the noise of an evaluation.
     probability
         Probability with which a single evaluation in the worst context must keep the limit; 0.5 if
         the limit is on the mean over noise.
-    evaluations
-        Largest number of contexts that `ask` returns.
     point
         The parameter set (d,) in the unit cube.
     x, y
@@ -90,11 +85,7 @@ class JointSearch:
         margin = float(ndtri(self._probability)) * sqrt(model.noise_variance)
         context, _ = self._maximise(lambda c: self._upper(model, c), rng)
         mean, variance = model.predict(self._joint(self._space.cube_of([context])))
-        distance = self._limit - margin - float(mean[0])
-        error = DECIDED * sqrt(float(variance[0]))
-        # A model with few data can be overconfident: the limit counts as kept only after an
-        # evaluation at the maximum of the upper confidence bound.
-        return distance < -error or (distance > error and self._asked > 0)
+        return is_clear(self._limit - margin - float(mean[0]), float(variance[0]), self._asked)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
         """Return the context with the largest upper confidence bound."""

@@ -11,10 +11,7 @@ from bo_tuner.models.joint_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
-
-DECIDED = 2.0
-"""Standard deviations between the constrained quantity and the limit that end the search."""
+from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximise_over_contexts
 
 
 class PooledSearch:
@@ -25,15 +22,11 @@ class PooledSearch:
 
     Parameters
     ----------
-    space
-        The context space.
-    limit
-        Upper limit of the metric, in its unit.
+    space, limit, evaluations
+        As in `ReinterpolationSearch`.
     deviations
         Standard deviations of a single run between its mean and the limit; 0 for a limit on the
         mean.
-    evaluations
-        Largest number of contexts that `ask` returns.
     point
         The parameter set (d,) in the unit cube.
     x, c, y
@@ -92,11 +85,7 @@ class PooledSearch:
         process = self._fit(rng)
         context, _ = self._maximise(self._upper(process), rng)
         mean, variance = self._quantile(process, self._space.cube_of([context]))
-        distance = self._limit - float(mean[0])
-        error = DECIDED * sqrt(float(variance[0]))
-        # A process with few data can be overconfident: the limit counts as kept only after an
-        # evaluation where the upper confidence bound is largest.
-        return distance < -error or (distance > error and self._asked > 0)
+        return is_clear(self._limit - float(mean[0]), float(variance[0]), self._asked)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
         """Return the context with the largest upper confidence bound."""

@@ -106,10 +106,11 @@ def machine() -> str:
         for library in threadpool_info()
         if library["user_api"] == "blas"
     }
-    return ", ".join([_processor(), f"{os.cpu_count()} cores", platform.system(), *sorted(kernels)])
+    return ", ".join([processor(), f"{os.cpu_count()} cores", platform.system(), *sorted(kernels)])
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Name the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

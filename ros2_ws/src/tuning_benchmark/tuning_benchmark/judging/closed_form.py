@@ -16,16 +16,7 @@ NODE = "problem"
 class Judge:
     """Judges parameter sets of a closed-form problem.
 
-    Parameters
-    ----------
-    constants
-        Settings of the node ``problem``.
-    drawn, grid
-        Contexts: values by the node's own parameter name, (drawn,) and (grid,).
-    corners
-        Not needed.
-    seed
-        Of the noise of single runs in the drawn contexts.
+    Its parameters are those of `truth.Judge`; the corners are not needed.
     """
 
     def __init__(

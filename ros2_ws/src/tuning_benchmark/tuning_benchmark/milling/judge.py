@@ -43,18 +43,7 @@ ROUGH = 10
 class Judge:
     """Judges parameter sets of the controller, all in the same contexts and noise.
 
-    Parameters
-    ----------
-    constants
-        Parameters that stay, by node: ``plant`` and ``controller``.
-    drawn
-        Contexts drawn from their distribution: the values (drawn,) of each plant parameter.
-    grid
-        Contexts among which the worst is sought, likewise (grid,).
-    corners
-        Rows of the grid that are corners of the contexts' box.
-    seed
-        Of all noise.
+    Its parameters are those of `truth.Judge`, the nodes ``plant`` and ``controller``.
     """
 
     def __init__(

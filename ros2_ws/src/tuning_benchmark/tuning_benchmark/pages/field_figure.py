@@ -47,7 +47,27 @@ def field_figure(
     truth
         Results of `fields.true_fields`, one for each value of the first parameter.
     """
-    study = case.study
+    return Figure(
+        name=f"surrogates-{case.name}",
+        title=f"Final surrogates and the truth, {case.title}",
+        caption=(
+            "Left: the surrogates at the end of the run, with the region predicted feasible, "
+            "regions of likely outliers or crashes, and the samples; below them the predicted "
+            "probability of feasibility, with contours of the probability of an outlier and, where "
+            "it is not negligible, of a crash. Right: the truth on the grid, with the truly "
+            f"feasible region. Row {figure.row}, seed {figure.seed}."
+        ),
+        alternative=(
+            "Fields over the plane of the two tuned parameters; where they were sampled, "
+            "surrogates and truth have the same shape."
+        ),
+        panels=_panels(case.study, surrogates, truth),
+        columns=2,
+        panel_height=300,
+    )
+
+
+def _panels(study: Study, surrogates: Record, truth: Sequence[Record]) -> list[Panel]:
     predicted, known = _predicted(study, surrogates), _known(study, truth)
     x, y = surrogates["axes"]
     feasible_truth = _within_limits(study, known)
@@ -77,24 +97,7 @@ def field_figure(
         panels.append(
             panel(title, Heatmap(x=x, y=y, z=heat, colors=PROBABILITY), *elements, *marks[-2:])
         )
-    return Figure(
-        name=f"surrogates-{case.name}",
-        title=f"Final surrogates and the truth, {case.title}",
-        caption=(
-            "Left: the surrogates at the end of the run, with the region predicted feasible, "
-            "regions of likely outliers or crashes, and the samples; below them the predicted "
-            "probability of feasibility, with contours of the probability of an outlier and, where "
-            "it is not negligible, of a crash. Right: the truth on the grid, with the truly "
-            f"feasible region. Row {figure.row}, seed {figure.seed}."
-        ),
-        alternative=(
-            "Fields over the plane of the two tuned parameters; where they were sampled, "
-            "surrogates and truth have the same shape."
-        ),
-        panels=panels,
-        columns=2,
-        panel_height=300,
-    )
+    return panels
 
 
 def _predicted(study: Study, result: Record) -> dict[str, Grid]:

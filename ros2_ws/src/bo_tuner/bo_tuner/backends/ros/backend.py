@@ -12,8 +12,9 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.held_parameters import compare_with_earlier
+from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
 from bo_tuner.backends.ros.isolation import (
+    LEASE,
     DomainClaim,
     domain_of_environment,
     isolated_environment,
@@ -41,8 +42,6 @@ from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
 DISCOVERY_TIMEOUT = 20.0
 ATTACH_TIMEOUT = 5.0
-LEASE = 3.0
-"""Time [s] after which the discovery profile has forgotten a killed node for sure."""
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 LOOK_AROUND = 1.0
@@ -147,19 +146,19 @@ class RosBackend(SequentialBackend):
             if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
             found = {key: client.parameters.read(key) for key in self._study.nodes}
+            own, others = divide(self._study, found)
             if self._attach:
-                self._found = {key: self._of_study(key, found[key]) for key in found}
+                self._found = own
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
-            others = {key: self._not_of_study(key, found[key]) for key in found}
             compare_with_earlier(
                 self._run_log or self._log_directory,
                 others,
                 refuse=self._attach,
                 note=self._run_log is None,
             )
-            self._safe = _safe(self._study)
+            self._safe = safe_parameters(self._study)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
                 self._set_safe(client)
@@ -172,9 +171,7 @@ class RosBackend(SequentialBackend):
     @property
     def context(self) -> Context:
         """ROS context of the tuner; there while the backend is open."""
-        if self._tuner is None:
-            raise BackendError("the backend is not open")
-        return self._tuner.context
+        return self._opened[0].context
 
     def park(self) -> list[str]:
         """Set the safe parameters on all nodes and read them back.
@@ -184,9 +181,7 @@ class RosBackend(SequentialBackend):
         list of str
             What went wrong, each in a line.
         """
-        if self._client is None:
-            raise BackendError("the backend is not open")
-        return self._client.park(self._safe, self._held)
+        return self._opened[1].park(self._safe, self._held)
 
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
@@ -223,9 +218,7 @@ class RosBackend(SequentialBackend):
 
     def _evaluated(self, planned: Evaluation) -> Outcome:
         """Run an evaluation; whatever becomes of it is an outcome."""
-        client = self._client
-        if client is None:
-            raise BackendError("the backend is not open")
+        _, client = self._opened
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         try:
@@ -341,19 +334,6 @@ class RosBackend(SequentialBackend):
             self._claim.release()
             self._claim = None
 
-    def _not_of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
-        of_study = self._of_study(key, values)
-        return {name: value for name, value in values.items() if name not in of_study}
-
-    def _of_study(self, key: str, values: Mapping[str, object]) -> dict[str, object]:
-        """Keep the parameters of a node that the study sets."""
-        study = self._study
-        contexts = study.context_space()
-        nominal = contexts.to_dict(contexts.nominal())
-        of_evaluation = study.assignments(study.search_space().defaults, nominal, 0)
-        names = {*study.nodes[key].parameters, *of_evaluation.get(key, {})}
-        return {name: value for name, value in values.items() if name in names}
-
     def _restore(self, tuner: TunerNode, client: StudyClient) -> None:
         """Restore attached nodes: a live one must not keep what an evaluation was run with."""
         found, self._found = self._found, {}
@@ -449,16 +429,3 @@ def _refuse_second_tuner(tuner: TunerNode) -> None:
             f"another tuner is at work as {tuner.full_name}; wait for it, or "
             "use another namespace or ROS_DOMAIN_ID"
         )
-
-
-def _safe(study: Study) -> dict[str, dict[str, object]]:
-    """Return by node key the parameters that nodes have while no run is performed."""
-    contexts = study.context_space()
-    nominal = contexts.to_dict(contexts.nominal())
-    safe: dict[str, dict[str, object]] = {
-        key: dict(values)
-        for key, values in study.assignments(study.safe_parameters, nominal, 0).items()
-    }
-    if study.seed_parameter is not None:
-        del safe[study.seed_parameter.node][study.seed_parameter.parameter]
-    return safe

@@ -201,13 +201,7 @@ class SimClock:
 
 
 class Stopwatch:
-    """Time that has passed by a clock, which may be set back meanwhile.
-
-    Parameters
-    ----------
-    clock
-        The clock.
-    """
+    """Time that has passed by a clock, which may be set back meanwhile."""
 
     def __init__(self, clock: RunClock) -> None:
         self._clock = clock

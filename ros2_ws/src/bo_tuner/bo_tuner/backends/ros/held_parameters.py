@@ -1,4 +1,4 @@
-"""Parameters that a study does not set, as they were when its run began."""
+"""Parameters of nodes outside of evaluations, and those that a study does not set."""
 
 import contextlib
 import json
@@ -9,9 +9,39 @@ from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import read_text
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
 
 HELD = "held_parameters.json"
 """File beside the logs."""
+
+
+def safe_parameters(study: Study) -> dict[str, dict[str, object]]:
+    """Return by node key the parameters that nodes have while no run is performed."""
+    safe = _assigned(study, study.safe_parameters)
+    if study.seed_parameter is not None:
+        del safe[study.seed_parameter.node][study.seed_parameter.parameter]
+    return safe
+
+
+def divide(
+    study: Study, values: Mapping[str, Mapping[str, object]]
+) -> tuple[dict[str, dict[str, object]], dict[str, dict[str, object]]]:
+    """Return the parameters, by node key, that a study sets, and the others."""
+    assigned = _assigned(study, study.search_space().defaults)
+    own: dict[str, dict[str, object]] = {}
+    others: dict[str, dict[str, object]] = {}
+    for key, found in values.items():
+        names = {*study.nodes[key].parameters, *assigned.get(key, {})}
+        own[key] = {name: value for name, value in found.items() if name in names}
+        others[key] = {name: value for name, value in found.items() if name not in names}
+    return own, others
+
+
+def _assigned(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    return {key: dict(v) for key, v in study.assignments(parameters, nominal, 0).items()}
 
 
 def compare_with_earlier(

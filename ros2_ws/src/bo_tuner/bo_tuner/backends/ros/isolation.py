@@ -23,6 +23,8 @@ FAST_DDS = "rmw_fastrtps"
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST = "LOCALHOST"
+LEASE = 3.0
+"""Time [s] after which the discovery profile has forgotten a killed node for sure."""
 
 
 class DomainClaim:

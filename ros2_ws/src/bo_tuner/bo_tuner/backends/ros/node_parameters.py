@@ -1,20 +1,12 @@
 """Sets and reads the parameters of a study's nodes."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
-from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
-from rclpy.client import Client
 
 from bo_tuner.backends.ros.errors import DisturbedError, RefusedError
-from bo_tuner.backends.ros.parameters import (
-    Difference,
-    ParameterWatch,
-    differences,
-    read_values,
-    to_messages,
-)
+from bo_tuner.backends.ros.parameter_client import ParameterClient
+from bo_tuner.backends.ros.parameters import Difference, ParameterWatch, differences, read_values
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.study import checks
 
@@ -31,36 +23,19 @@ class NodeParameters:
         The tuner's node.
     nodes
         Names of the nodes by their keys in the study.
+
+    Attributes
+    ----------
+    clients : dict from str to ParameterClient
+        By the same keys.
     """
 
     def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
-        self._tuner = tuner
-        self._nodes = nodes
         self._known: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._watch = ParameterWatch(tuner.node, nodes)
-        self._setters: dict[str, Client] = {}
-        self._getters: dict[str, Client] = {}
-        self._listers: dict[str, Client] = {}
-        for key, node in nodes.items():
-            for clients, kind, name in (
-                (self._setters, SetParametersAtomically, "set_parameters_atomically"),
-                (self._getters, GetParameters, "get_parameters"),
-                (self._listers, ListParameters, "list_parameters"),
-            ):
-                clients[key] = tuner.node.create_client(kind, f"{node}/{name}")
-
-    def calls(self, key: str) -> list[tuple[Client, Any]]:
-        """List the services of a node's parameters, each with a request that changes nothing."""
-        return [
-            (self._setters[key], SetParametersAtomically.Request()),
-            (self._getters[key], GetParameters.Request()),
-            (self._listers[key], ListParameters.Request()),
-        ]
-
-    def servers(self, key: str) -> int:
-        """Count the nodes that take parameters under a node's name."""
-        return self._tuner.node.count_services(self._setters[key].srv_name)
+        services = (SetParametersAtomically, GetParameters, ListParameters)
+        self.clients = {key: ParameterClient(tuner, node, *services) for key, node in nodes.items()}
 
     def forget(self, key: str) -> None:
         """Forget what a node has, so that it is asked, and told, again."""
@@ -106,8 +81,7 @@ class NodeParameters:
         changes = {name: v for name, v in values.items() if _differs(known, name, v)}
         if not changes:
             return []
-        request = SetParametersAtomically.Request(parameters=to_messages(changes))
-        result = self._call(self._setters[key], request, key, timeout).result
+        result = self.clients[key].set(changes, timeout)
         if not result.successful:
             # The refusal of rclpy does not name what is not declared.
             missing = [name for name in changes if name not in self._names[key]]
@@ -147,8 +121,7 @@ class NodeParameters:
         LostError
             If it does not answer within `timeout` seconds.
         """
-        request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
-        listed = self._call(self._listers[key], request, key, timeout).result.names
+        listed = self.clients[key].names(timeout)
         self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
         return self._read([key], timeout)[key]
 
@@ -199,7 +172,7 @@ class NodeParameters:
         SilentError
             If it does not answer.
         """
-        self._call(self._setters[key], SetParametersAtomically.Request(), key)
+        self.clients[key].set({})
 
     def _tell(self, key: str, values: Mapping[str, object]) -> list[str]:
         before = dict(self._known.get(key, {}))
@@ -217,27 +190,13 @@ class NodeParameters:
         self, keys: Iterable[str], timeout: float | None = None
     ) -> dict[str, dict[str, object]]:
         """Read the parameters of nodes side by side, by key."""
-        calls = {
-            key: self._getters[key].call_async(GetParameters.Request(names=self._names[key]))
-            for key in keys
+        asked = {key: self.clients[key].ask(self._names[key]) for key in keys}
+        return {
+            key: read_values(
+                self._names[key], self.clients[key].values(self._names[key], timeout, future)
+            )
+            for key, future in asked.items()
         }
-        found = {}
-        for key, future in calls.items():
-            name = self._nodes[key]
-            values = self._tuner.answer(self._getters[key], future, name, timeout).values
-            if len(values) != len(self._names[key]):
-                # A node leaves out all if it lacks one.
-                values = [self._value(key, name) for name in self._names[key]]
-            found[key] = read_values(self._names[key], values)
-        return found
-
-    def _value(self, key: str, name: str) -> ParameterValue:
-        request = GetParameters.Request(names=[name])
-        values = self._call(self._getters[key], request, key).values
-        return values[0] if values else ParameterValue()
-
-    def _call(self, client: Client, request: Any, key: str, timeout: float | None = None) -> Any:
-        return self._tuner.call(client, request, self._nodes[key], timeout)
 
 
 def _differs(known: Mapping[str, object], name: str, value: object) -> bool:

@@ -5,14 +5,13 @@ import time
 from rclpy.client import Client
 from rclpy.expand_topic_name import expand_topic_name
 
-from bo_tuner.backends.ros.errors import LostError, SilentError
+from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
 from bo_tuner.backends.ros.trigger import of_node
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode
 from bo_tuner.study.study import Study
 
-ANSWER_TIMEOUT = 1.0
 NAME_TIMEOUT = 1.0
 """Time [s] that the graph has to tell which node a new publisher belongs to."""
 
@@ -50,7 +49,7 @@ class Presence:
         return [
             key
             for key in self._study.nodes
-            if not all(client.service_is_ready() for client, _ in self._parameters.calls(key))
+            if not self._parameters.clients[key].is_ready()
             or self._node.count_publishers(self._sign_of_life(key)) == 0
             or (key == triggered and self._trigger and not self._trigger.service_is_ready())
         ]
@@ -71,16 +70,8 @@ class Presence:
                     f"{name}: no such node in ROS domain {self._tuner.domain} after {timeout:g} s"
                 )
             self._tuner.spin_once()
-        for key, spec in self._study.nodes.items():
-            for client, request in self._parameters.calls(key):
-                # A node that was killed looks discovered until its lease ends.
-                while True:
-                    try:
-                        self._tuner.call(client, request, spec.node, ANSWER_TIMEOUT)
-                        break
-                    except SilentError:
-                        if time.monotonic() > deadline:
-                            raise
+        for client in self._parameters.clients.values():
+            client.expect_answers(deadline)
         self.restarted()
 
     def wait_until_gone(self, timeout: float) -> None:
@@ -124,7 +115,7 @@ class Presence:
         found = [
             spec.node
             for key, spec in self._study.nodes.items()
-            if self._parameters.servers(key) > 1
+            if self._parameters.clients[key].servers() > 1
         ]
         if self._trigger and self._node.count_services(self._trigger.srv_name) > 1:
             found.append(self._trigger.srv_name)

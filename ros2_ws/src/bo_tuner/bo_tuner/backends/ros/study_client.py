@@ -19,13 +19,6 @@ PARK_TIMEOUT = 2.0
 class StudyClient:
     """The tuner's connection to the nodes of a study.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-
     Attributes
     ----------
     parameters : NodeParameters

@@ -8,10 +8,11 @@ from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
-from bo_tuner.backends.ros.graph import DISCOVERY, Graph
+from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.first_study import Seen, SeenNode, SeenTopic
+from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
 
 QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
@@ -21,7 +22,7 @@ OF_ROS = ("/rosout", "/parameter_events", "/clock")
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
 
 
-def survey(graph: Graph) -> tuple[Seen, list[str]]:
+def survey(tuner: TunerNode) -> tuple[Seen, list[str]]:
     """Look at all that runs.
 
     Returns
@@ -37,38 +38,38 @@ def survey(graph: Graph) -> tuple[Seen, list[str]]:
     BackendError
         If there is no node with parameters.
     """
-    _settle(graph)
-    names = _nodes(graph)
+    _settle(tuner)
+    names = _nodes(tuner)
     if not names:
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         raise BackendError(
             f"no node with parameters found in {DISCOVERY:g} s in domain {domain}, namespace "
-            f"{graph.node.get_namespace()}; start your nodes first"
+            f"{tuner.node.get_namespace()}; start your nodes first"
         )
     nodes, notes = [], []
     for name in names:
         try:
-            nodes.append(SeenNode(name, graph.describe(name)))
+            nodes.append(SeenNode(name, describe(tuner, name)))
         except BackendError as error:
             notes.append(f"left out: {error}")
-    topics, unknown = _topics(graph)
+    topics, unknown = _topics(tuner)
     notes += [f"left out: {text}" for text in unknown]
     services = sorted(
         name
-        for name, types in graph.node.get_service_names_and_types()
+        for name, types in tuner.node.get_service_names_and_types()
         if types[0] in WITHOUT_REQUEST and not _is_hidden(name)
     )
     return Seen(tuple(nodes), tuple(topics), tuple(services)), notes
 
 
-def _settle(graph: Graph) -> None:
+def _settle(tuner: TunerNode) -> None:
     """Wait until nothing new has been found for a while."""
     seen: tuple[object, ...] = ()
     since = time.monotonic()
 
     def is_quiet() -> bool:
         nonlocal seen, since
-        node = graph.node
+        node = tuner.node
         now = (
             sorted(node.get_node_names_and_namespaces()),
             sorted(name for name, _ in node.get_topic_names_and_types()),
@@ -76,25 +77,25 @@ def _settle(graph: Graph) -> None:
         )
         if now != seen:
             seen, since = now, time.monotonic()
-        return bool(_nodes(graph)) and time.monotonic() - since > QUIET
+        return bool(_nodes(tuner)) and time.monotonic() - since > QUIET
 
-    graph.wait(is_quiet)
+    tuner.wait_until(is_quiet, DISCOVERY)
 
 
-def _nodes(graph: Graph) -> list[str]:
+def _nodes(tuner: TunerNode) -> list[str]:
     """Return the names of the nodes with parameters, relative to the namespace."""
-    services = {name for name, _ in graph.node.get_service_names_and_types()}
+    services = {name for name, _ in tuner.node.get_service_names_and_types()}
     found = {
-        _relative(graph, name, namespace)
-        for name, namespace in graph.node.get_node_names_and_namespaces()
+        _relative(tuner, name, namespace)
+        for name, namespace in tuner.node.get_node_names_and_namespaces()
         if f"{namespace.rstrip('/')}/{name}/list_parameters" in services
     }
     return sorted(name for name in found if name and not _is_hidden(name))
 
 
-def _relative(graph: Graph, name: str, namespace: str) -> str:
+def _relative(tuner: TunerNode, name: str, namespace: str) -> str:
     """Return a node's name relative to the namespace; empty if it is in another one."""
-    own = graph.node.get_namespace().rstrip("/") + "/"
+    own = tuner.node.get_namespace().rstrip("/") + "/"
     full = f"{namespace.rstrip('/')}/{name}"
     return full.removeprefix(own) if full.startswith(own) else ""
 
@@ -104,13 +105,13 @@ def _is_hidden(name: str) -> bool:
     return any(part.startswith("_") for part in name.split("/"))
 
 
-def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
+def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
     """Return the topics with numbers, and why others are left out."""
     found, notes = [], []
     heard: dict[str, bytes] = {}
     listened = {}
     classes = {}
-    for name, types in sorted(graph.node.get_topic_names_and_types()):
+    for name, types in sorted(tuner.node.get_topic_names_and_types()):
         if name in OF_ROS or _is_hidden(name):
             continue
         try:
@@ -118,17 +119,17 @@ def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
         except StudyError as error:
             notes.append(f"{name}: {error.problem}")
             continue
-        for publisher in graph.node.get_publishers_info_by_topic(name)[:1]:
+        for publisher in tuner.node.get_publishers_info_by_topic(name)[:1]:
             offered = publisher.qos_profile
             qos = QoSProfile(
                 depth=1, reliability=offered.reliability, durability=offered.durability
             )
-            listened[name] = graph.node.create_subscription(
+            listened[name] = tuner.node.create_subscription(
                 classes[name], name, _keep(heard, name), qos, raw=True
             )
-    graph.wait(lambda: len(heard) == len(listened), LISTEN)
+    tuner.wait_until(lambda: len(heard) == len(listened), LISTEN)
     for subscription in listened.values():
-        graph.node.destroy_subscription(subscription)
+        tuner.node.destroy_subscription(subscription)
     for name, cls in classes.items():
         try:
             message = decode(heard[name], cls) if name in heard else cls()
@@ -136,19 +137,19 @@ def _topics(graph: Graph) -> tuple[list[SeenTopic], list[str]]:
             notes.append(f"{name} {error}")
             continue
         if fields := number_fields(message):
-            publishers = _ends(graph, graph.node.get_publishers_info_by_topic(name))
-            listeners = _ends(graph, graph.node.get_subscriptions_info_by_topic(name))
+            publishers = _ends(tuner, tuner.node.get_publishers_info_by_topic(name))
+            listeners = _ends(tuner, tuner.node.get_subscriptions_info_by_topic(name))
             found.append(SeenTopic(name, type_name(cls), fields, publishers, listeners))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
     return found, notes
 
 
-def _ends(graph: Graph, found: Sequence[TopicEndpointInfo]) -> tuple[str, ...]:
+def _ends(tuner: TunerNode, found: Sequence[TopicEndpointInfo]) -> tuple[str, ...]:
     """Return the names of the nodes at one end of a topic, one for each publisher or listener."""
     return tuple(
         sorted(
-            _relative(graph, end.node_name, end.node_namespace) or end.node_name for end in found
+            _relative(tuner, end.node_name, end.node_namespace) or end.node_name for end in found
         )
     )
 

@@ -25,15 +25,6 @@ RESULT_QOS = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.RELIABLE)
 class TriggeredRun:
     """Triggers an evaluation, and hears what the nodes say of it.
 
-    Parameters
-    ----------
-    study
-        The study.
-    tuner
-        The tuner's node.
-    parameters
-        The nodes' parameters.
-
     Attributes
     ----------
     results : RunResults

@@ -2,15 +2,19 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import rclpy
 from rclpy.client import Client
+from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
-from bo_tuner.backends.ros.own_node import make_node
+from bo_tuner.errors import BackendError
 
 NODE_NAME = "bo_tuner"
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
@@ -27,11 +31,13 @@ class TunerNode:
     Parameters
     ----------
     domain
-        The ROS domain.
+        The ROS domain; None for that of the environment.
     ros_arguments
         ``--ros-args`` of the node.
     watch
         Called at least every `SPIN_PERIOD` seconds while waiting; raises what shall end the wait.
+    name
+        Its name.
 
     Attributes
     ----------
@@ -46,9 +52,15 @@ class TunerNode:
         If ROS does not take the arguments.
     """
 
-    def __init__(self, domain: int, ros_arguments: list[str], watch: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        domain: int | None,
+        ros_arguments: Sequence[str],
+        watch: Callable[[], None],
+        name: str = NODE_NAME,
+    ) -> None:
         self._watch = watch
-        self.node = make_node(NODE_NAME, ros_arguments, domain)
+        self.node = _make_node(name, ros_arguments, domain)
         self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
@@ -130,3 +142,22 @@ class TunerNode:
                 raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
             self.spin_once()
         return future.result()
+
+
+def _make_node(name: str, ros_arguments: Sequence[str], domain: int | None) -> Node:
+    """Make a node with a context of its own."""
+    context = Context()
+    try:
+        rclpy.init(
+            args=list(ros_arguments),
+            context=context,
+            domain_id=domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        # It has no parameters to set, and rclpy's services for them can be made to raise.
+        return Node(name, context=context, start_parameter_services=False)
+    except (RuntimeError, ValueError) as error:
+        context.try_shutdown()
+        what = "--ros-args" if domain is not None else "--ros-args or ROS_DOMAIN_ID"
+        # rcl adds where in its own sources it found the mistake.
+        raise BackendError(f"cannot use {what}: {str(error).split(', at /')[0]}") from error

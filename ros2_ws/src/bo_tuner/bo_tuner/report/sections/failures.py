@@ -1,8 +1,10 @@
 """Failed evaluations, and outliers of the objective."""
 
+from collections.abc import Sequence
+
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, values
-from bo_tuner.trials import EvaluationState
+from bo_tuner.trials import Evaluation, EvaluationState, Trial
 
 
 def failures(analysis: Analysis) -> Section:
@@ -13,51 +15,9 @@ def failures(analysis: Analysis) -> Section:
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
     if failed:
-        tables.append(
-            Table(
-                caption="Failed evaluations, in the order in which they ran",
-                header=[
-                    "trial",
-                    "stage",
-                    "state",
-                    "reason",
-                    "parameters",
-                    "context",
-                    "seed",
-                    "bag",
-                ],
-                rows=[
-                    [
-                        str(r.trial),
-                        r.stage,
-                        r.outcome.state,
-                        r.outcome.reason,
-                        values(analysis.tuned_values(r.parameters)),
-                        values(r.context),
-                        str(r.seed),
-                        _bag(analysis, r.trial),
-                    ]
-                    for r in failed
-                ],
-            )
-        )
-    metric = analysis.study.metrics[analysis.study.objective.metric]
+        tables.append(_failed_table(analysis, failed))
     if outliers:
-        tables.append(
-            Table(
-                caption="Outliers: trials left out of the surrogates; their vicinity is avoided",
-                header=["trial", "parameters", f"mean {metric.name} [{metric.unit}]"],
-                rows=[
-                    [
-                        str(trial.number),
-                        values(analysis.tuned_values(trial.parameters)),
-                        number(analysis.mean_objective(trial)),
-                    ]
-                    for trial in outliers
-                ],
-                numeric=[2],
-            )
-        )
+        tables.append(_outlier_table(analysis, outliers))
     warnings = [f"Trial {t.number}: {text}." for t in analysis.trials for text in t.warnings]
     lead = f"Failed evaluations: {len(failed)}. Outliers of the objective: {len(outliers)} trials."
     return Section(
@@ -66,6 +26,43 @@ def failures(analysis: Analysis) -> Section:
         lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
         tables=tables,
         notes=warnings,
+    )
+
+
+def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
+    return Table(
+        caption="Failed evaluations, in the order in which they ran",
+        header=["trial", "stage", "state", "reason", "parameters", "context", "seed", "bag"],
+        rows=[
+            [
+                str(r.trial),
+                r.stage,
+                r.outcome.state,
+                r.outcome.reason,
+                values(analysis.tuned_values(r.parameters)),
+                values(r.context),
+                str(r.seed),
+                _bag(analysis, r.trial),
+            ]
+            for r in failed
+        ],
+    )
+
+
+def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
+    metric = analysis.study.metrics[analysis.study.objective.metric]
+    return Table(
+        caption="Outliers: trials left out of the surrogates; their vicinity is avoided",
+        header=["trial", "parameters", f"mean {metric.name} [{metric.unit}]"],
+        rows=[
+            [
+                str(trial.number),
+                values(analysis.tuned_values(trial.parameters)),
+                number(analysis.mean_objective(trial)),
+            ]
+            for trial in outliers
+        ],
+        numeric=[2],
     )
 
 

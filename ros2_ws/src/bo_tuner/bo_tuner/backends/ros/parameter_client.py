@@ -1,0 +1,117 @@
+"""The parameters of a node, through its standard services."""
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor, ParameterValue, SetParametersResult
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParametersAtomically,
+)
+from rclpy.task import Future
+
+from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.parameters import to_messages
+from bo_tuner.backends.ros.tuner_node import TunerNode
+
+NAMES = {
+    SetParametersAtomically: "set_parameters_atomically",
+    GetParameters: "get_parameters",
+    ListParameters: "list_parameters",
+    DescribeParameters: "describe_parameters",
+}
+ATTEMPT = 1.0
+"""Time [s] after which a request that changes nothing is repeated: a node that was killed looks
+discovered until its lease ends, and one may receive a request before it has discovered who asks."""
+
+
+class ParameterClient:
+    """Calls the parameter services of a node.
+
+    All calls raise `SilentError` if the node does not answer within `timeout` seconds, by default
+    those of `TunerNode.call`.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node.
+    node
+        Name of the other one, relative to the namespace.
+    services
+        Those that are used.
+    """
+
+    def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
+        self.node = node
+        self._tuner = tuner
+        self._clients = {
+            kind: tuner.node.create_client(kind, f"{node}/{NAMES[kind]}") for kind in services
+        }
+
+    def destroy(self) -> None:
+        """Leave the services."""
+        for client in self._clients.values():
+            self._tuner.node.destroy_client(client)
+
+    def is_ready(self) -> bool:
+        """Whether all services are discovered."""
+        return all(client.service_is_ready() for client in self._clients.values())
+
+    def servers(self) -> int:
+        """Count the nodes that take parameters under this name."""
+        return self._tuner.node.count_services(self._clients[SetParametersAtomically].srv_name)
+
+    def expect_answers(self, deadline: float) -> None:
+        """Have all services answer a request that changes nothing, until a time of `monotonic`."""
+        for kind in self._clients:
+            while True:
+                try:
+                    self._call(kind, kind.Request(), ATTEMPT)
+                    break
+                except SilentError:
+                    if time.monotonic() > deadline:
+                        raise
+
+    def names(self, timeout: float | None = None) -> list[str]:
+        """List the parameters."""
+        request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+        return list(self._call(ListParameters, request, timeout).result.names)
+
+    def descriptors(
+        self, names: Sequence[str], timeout: float | None = None
+    ) -> list[ParameterDescriptor]:
+        """Describe parameters."""
+        request = DescribeParameters.Request(names=names)
+        return list(self._call(DescribeParameters, request, timeout).descriptors)
+
+    def ask(self, names: Sequence[str]) -> Future:
+        """Ask for parameters ahead of `values`, which makes nodes answer side by side."""
+        return self._clients[GetParameters].call_async(GetParameters.Request(names=names))
+
+    def values(
+        self, names: Sequence[str], timeout: float | None = None, asked: Future | None = None
+    ) -> list[ParameterValue]:
+        """Read parameters, not set where the node does not have one."""
+        client = self._clients[GetParameters]
+        asked = self.ask(names) if asked is None else asked
+        answer = self._tuner.answer(client, asked, self.node, timeout)
+        values = list(answer.values)
+        if len(values) == len(names):
+            return values
+        if len(names) == 1:
+            return [ParameterValue()]
+        # A node may leave out all if it lacks one.
+        return [self.values([name], timeout)[0] for name in names]
+
+    def set(
+        self, values: Mapping[str, object], timeout: float | None = None
+    ) -> SetParametersResult:
+        """Set parameters, all of them or none."""
+        request = SetParametersAtomically.Request(parameters=to_messages(values))
+        return self._call(SetParametersAtomically, request, timeout).result
+
+    def _call(self, kind: Any, request: Any, timeout: float | None) -> Any:
+        return self._tuner.call(self._clients[kind], request, self.node, timeout)

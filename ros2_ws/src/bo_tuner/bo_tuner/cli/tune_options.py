@@ -1,0 +1,239 @@
+"""The options of ``tune``."""
+
+import argparse
+from pathlib import Path
+
+from bo_tuner.cli.common import RUNS, Parser
+from bo_tuner.cli.init import FIRST_STUDY
+from bo_tuner.monitoring.display import Output
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
+from bo_tuner.study import maxima
+from bo_tuner.study.parts import BACKENDS
+from bo_tuner.study.study_file import shipped_studies
+
+DESCRIPTION = """\
+Find robust, real-time capable, safe parameters by two-stage constrained
+Bayesian optimization, and validate them on fresh draws.
+"""
+
+EPILOG = """\
+exit codes:
+  0    a feasible parameter set was found, and kept all limits in the validation
+  1    the run had to stop (nodes lost or disturbed three times in a row, disk
+       full); its record is kept
+  2    bad input: study, option, folder or nodes
+  3    the run is complete, but no feasible parameter set was found
+  130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
+       page, 129: the terminal was closed, 141: nobody reads the output any
+       more); the nodes are stopped, the record is kept, and --resume continues
+       the run
+
+examples:
+  tune                                 the benchmark study on nodes of its own
+  tune --study full --trials 80        four parameters
+  tune --study my_axis.yaml --attach   your study, on nodes that are running
+  tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
+  tune --init my_axis.yaml             write a first study for running nodes
+  tune --check my_axis.yaml            try the study on nodes that are running
+  tune --resume latest                 resume an interrupted run
+  tune --resume latest --trials 60     continue a run to 60 trials in all
+  tune --start known.yaml              try parameter sets that you know first
+  tune --from latest --trials 60       begin with the trials of an earlier run
+  tune --stop-early                    stop when further trials are not worth it
+  tune --web                           the report, live, in a browser
+  tune --web --web-control             the same, with buttons to pause and end
+  tune --json-lines | jq .event        events for another program
+  tune --ros-args -r __ns:=/x_axis     all nodes in a namespace
+"""
+
+STUDY = "benchmark"
+LARGEST_PORT = 65535
+
+
+def make_parser() -> Parser:
+    """Return the parser of the command line."""
+    parser = Parser("tune", DESCRIPTION, EPILOG)
+    _add_study(parser)
+    parser.add_backend_arguments(BACKENDS[0])
+    _add_record(parser)
+    parser.add_argument(
+        "--algorithm",
+        choices=tuple(ALGORITHMS),
+        help="; ".join(f"{name}: {method.title}" for name, method in ALGORITHMS.items())
+        + f" (default: {DEFAULT_ALGORITHM})",
+    )
+    _add_known(parser)
+    _add_running_nodes(parser)
+    _add_output(parser)
+    parser.add_argument(
+        "--stop-early",
+        action="store_true",
+        help="stop the tuning when the expected gain of the remaining trials is below the noise; "
+        "the best candidates are checked and validated as usual",
+    )
+    _add_web(parser)
+    parser.add_trust_argument("with --resume or --from: ")
+    return parser
+
+
+def _add_study(parser: Parser) -> None:
+    parser.add_argument(
+        "--study",
+        metavar="NAME|FILE",
+        help=f"shipped study ({', '.join(shipped_studies())}) or path of a study file "
+        f"(default: {STUDY})",
+    )
+    parser.add_argument(
+        "--trials",
+        type=int,
+        metavar="N",
+        help="number of trials, in place of the study's budget of trials and evaluations",
+    )
+    parser.add_argument(
+        "--evaluations",
+        type=int,
+        metavar="N",
+        help="number of evaluations of all trials, in place of the study's budget",
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="N", help="seed of everything random (default: the study's)"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help=f"where run folders are created (default: {RUNS})",
+    )
+
+
+def _add_record(parser: Parser) -> None:
+    parser.add_argument(
+        "--record",
+        type=Policy,
+        choices=tuple(Policy),
+        metavar="{" + ",".join(Policy) + "}",
+        help="bags of trials to keep, on ROS: all, none, or notable ones, which were the best so "
+        "far, are the worst one, or failed (default: notable)",
+    )
+    parser.add_argument(
+        "--record-limit",
+        type=_megabytes,
+        default=RecordOptions.limit,
+        metavar="MB",
+        help="total size of all bags; beyond it the oldest are deleted, but never the best one's "
+        f"(default: {RecordOptions.limit // MEGABYTE})",
+    )
+
+
+def _add_known(parser: Parser) -> None:
+    """Add the options that name what is known before: a run, or parameter sets."""
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="resume the interrupted run in this folder; recorded evaluations are not repeated; "
+        "with --trials N or --evaluations N larger than before, the run continues to N",
+    )
+    parser.add_argument(
+        "--start",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="parameter sets to try first, after those that the study names (the default unless "
+        "it says otherwise): YAML files of values by name, or parameter files of nodes; what a "
+        "file leaves out has its default",
+    )
+    parser.add_argument(
+        "--from",
+        type=Path,
+        dest="earlier",
+        metavar="RUN",
+        help="begin with the trials of an earlier run of the same study, which stays as it is; "
+        "with --trials N, N trials in all",
+    )
+
+
+def _add_running_nodes(parser: Parser) -> None:
+    """Add the options for a study that is written, or tried, on running nodes."""
+    parser.add_argument(
+        "--check",
+        metavar="NAME|FILE",
+        help="hold a study against the nodes that are running, name every mistake in parameters "
+        "and signals, try two runs of the default, and say how long the study would take; nothing "
+        "is recorded, and the nodes get back their values",
+    )
+    parser.add_argument(
+        "--init",
+        type=Path,
+        nargs="?",
+        const=FIRST_STUDY,
+        metavar="FILE",
+        help="look at the nodes that are running and write a first study for them, with comments, "
+        f"to a new file (default: {FIRST_STUDY}); asks on a terminal what to take of them",
+    )
+    for option, what in (
+        ("--nodes", "nodes to tune"),
+        ("--parameters", "parameters to tune, such as gain or node:gain"),
+        ("--signals", "signals to record, such as /topic or /topic:field"),
+    ):
+        parser.add_argument(
+            option, nargs="+", metavar="NAME", help=f"with --init: {what}, instead of being asked"
+        )
+
+
+def _add_output(parser: Parser) -> None:
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument(
+        "--quiet",
+        dest="output_mode",
+        action="store_const",
+        const=Output.QUIET,
+        default=Output.PROGRESS,
+        help="show only the result and warnings",
+    )
+    shown.add_argument(
+        "--json-lines",
+        dest="output_mode",
+        action="store_const",
+        const=Output.JSON_LINES,
+        help="write each event as one line of JSON to stdout, for other programs",
+    )
+
+
+def _add_web(parser: Parser) -> None:
+    parser.add_argument(
+        "--web",
+        type=_port,
+        nargs="?",
+        const=0,
+        metavar="PORT",
+        help="serve the report of the run in progress, read-only, on this machine only, at an "
+        "address with a token that is printed (default port: any that is free); it lists and "
+        "compares the other runs in the same folder, too",
+    )
+    parser.add_argument(
+        "--web-control",
+        action="store_true",
+        help="with --web: the page may pause, continue and end the run",
+    )
+
+
+def _port(text: str) -> int:
+    """Read the number of a port; 0 stands for any."""
+    if not text.isdecimal() or int(text) > LARGEST_PORT:
+        raise argparse.ArgumentTypeError(f"{text}: expected a port, 0 to {LARGEST_PORT}")
+    return int(text)
+
+
+def _megabytes(text: str) -> int:
+    """Read a size [MB] as bytes."""
+    try:
+        size = float(text)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < size <= maxima.MEGABYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected a positive number of at most {maxima.MEGABYTES} megabytes"
+        )
+    return round(size * MEGABYTE)

@@ -1,0 +1,125 @@
+"""The references between the parts of a study; a study checks them when it is made.
+
+Each function raises `StudyError` with the key path in the study file.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+
+from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study import checks, maxima
+from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
+from bo_tuner.study.run import Run
+from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+
+
+def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) -> None:
+    """Refuse objectives without a metric, too many, or two of one metric."""
+    checks.reference(objectives[0].metric, "metric", metrics, "objective", "metric")
+    if len(objectives) > maxima.OBJECTIVES:
+        raise StudyError(
+            f"expected at most {maxima.OBJECTIVES} objectives in all, found {len(objectives)}",
+            ("further_objectives",),
+        )
+    taken = [objectives[0].metric]
+    for index, item in enumerate(objectives[1:]):
+        path = ("further_objectives", index, "metric")
+        checks.reference(item.metric, "metric", metrics, *path)
+        if item.metric in taken:
+            raise StudyError(
+                f"expected another metric, found '{item.metric}' again; each objective has a "
+                "metric of its own",
+                path,
+            )
+        taken.append(item.metric)
+
+
+def check_run(
+    trigger: Trigger | None,
+    run: Run | None,
+    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric],
+    signals: Mapping[str, Signal],
+    nodes: Mapping[str, NodeSpec],
+) -> None:
+    """Refuse a run that does not give the metrics, or that is described twice."""
+    if trigger is None and run is None:
+        raise StudyError("missing; expected trigger, or run with signals", ("trigger",))
+    if trigger is not None and run is not None:
+        raise StudyError("a study has either trigger or run; leave one out", ("run",))
+    reporting = {}
+    for name, metric in metrics.items():
+        here = ("metrics", name)
+        if not isinstance(metric, ReportedMetric):
+            if run is None:
+                raise StudyError("signals are recorded in a run; add run", here)
+            if isinstance(metric, PythonMetric):
+                continue
+            try:
+                metric.check_signals(signals)
+            except StudyError as error:
+                raise error.under(*here) from None
+        elif run is not None:
+            raise StudyError(
+                "is reported by a node that is triggered; with run, write of and measure",
+                (*here, "node"),
+            )
+        else:
+            reporting[metric.node] = f"metric '{name}'"
+    if trigger is not None:
+        reporting[trigger.node] = "the trigger"
+    for node, needed_by in reporting.items():
+        if not nodes[node].result:
+            raise StudyError(f"missing; {needed_by} needs it", ("nodes", node, "result"))
+    if run is not None:
+        run.check_references(signals, nodes)
+    elif signals:
+        raise StudyError("signals are recorded in a run; add run", ("signals",))
+
+
+def check_targets(
+    nodes: Mapping[str, NodeSpec],
+    parameters: Mapping[str, Parameter],
+    contexts: Mapping[str, ContextVariable],
+    seed: SeedParameter | None,
+) -> None:
+    """Refuse two sources for one parameter of a node, and items of an array that is not there."""
+    sources: dict[tuple[str, str], str] = {}
+    arrays = {(item.node, item.array) for item in parameters.values() if item.array}
+    for name, item in parameters.items():
+        if item.array:
+            _check_item(name, item, nodes)
+    for key, node in nodes.items():
+        for name in (*node.parameters, *node.inprocess_parameters):
+            if (key, name) not in arrays:
+                sources[key, name] = f"nodes.{key}"
+    targets: list[tuple[KeyPath, str, str]] = [
+        ((section, name), item.node, item.parameter)
+        for section, items in (("parameters", parameters), ("contexts", contexts))
+        for name, item in items.items()
+    ]
+    if seed is not None:
+        targets.append((("seed_parameter",), seed.node, seed.parameter))
+    for path, node_key, parameter in targets:
+        here = ".".join(map(str, path))
+        other = sources.setdefault((node_key, parameter), here)
+        if other != here:
+            raise StudyError(
+                f"parameter '{parameter}' of node '{node_key}' is already set by {other}", path
+            )
+
+
+def _check_item(name: str, item: Parameter, nodes: Mapping[str, NodeSpec]) -> None:
+    """Refuse an item of an array that the study does not have, or not with such an item."""
+    path = ("nodes", item.node, "parameters", item.array)
+    if item.array not in nodes[item.node].parameters:
+        raise StudyError(f"missing; expected the array of which '{name}' is an item", path)
+    array = nodes[item.node].parameters[item.array]
+    if not isinstance(array, tuple):
+        raise StudyError(f"expected an array, found {checks.show(array)}", path)
+    if item.item >= len(array):
+        raise StudyError(f"has {len(array)} items, so that there is no '{item.parameter}'", path)
+    try:
+        item.checked(array[item.item])
+    except StudyError as error:
+        raise error.under(*path, item.item) from None
