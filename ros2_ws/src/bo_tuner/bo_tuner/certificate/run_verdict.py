@@ -113,18 +113,32 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=f"{'' if default is None else 'the same '}{draws} fresh draws of context and "
-        f"noise; each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
-        f"certify this run have {100.0 * overall:.4g} % together"
-        + ("; the default is in the draws of the validation" if default is None else ""),
+        evidence=_evidence(draws, default is not None, by_validation),
         reasons=reasons,
         default_reasons=default_reasons,
         quantities=numbers,
         choice="" if by_validation is None else by_validation.choice,
-        remarks=tuple(remarks),
+        remarks=(
+            f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
+            f"certify this run have {100.0 * overall:.4g} % together.",
+            *remarks,
+        ),
         observed=observed,
         default_certified=default is not None,
         apply_refuses=bool(problem),
+    )
+
+
+def _evidence(draws: int, with_default: bool, by_validation: Verdict | None) -> str:
+    """Return what the verdict rests on, in a few words."""
+    fresh = f"{draws} fresh draws of context and noise"
+    if with_default:
+        return f"the same {fresh}"
+    if by_validation is None or not by_validation.observed:
+        return f"{fresh}, without the default"
+    return (
+        f"{fresh} and the {by_validation.observed[0].draws} draws of the validation, which alone "
+        "have the default"
     )
 
 

@@ -234,6 +234,15 @@ class Verdict:
             found.append("Tuning gained nothing that can be told from chance.")
         return found
 
+    @property
+    def draws_in_words(self) -> tuple[str, ...]:
+        """From how many draws the numbers are where that differs, those alike in a line."""
+        by_draws: dict[str, list[str]] = {}
+        for quantity in self.quantities:
+            if quantity.draws:
+                by_draws.setdefault(quantity.draws, []).append(quantity.label)
+        return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
+
     def to_mapping(self) -> dict[str, object]:
         """Return the verdict as it stands in files and events; a number not known is None."""
         return {
