@@ -201,6 +201,37 @@ def live_section(result: Result) -> str:
     )
 
 
+def time_left_section(result: Result) -> str:
+    """Errors of the announced time left."""
+    rows = []
+    for name, case in result["cases"].items():
+        s = case["summary"]
+        loads = [load for run in case["runs"] for load in run["load_average"]]
+        rows.append(
+            [
+                name,
+                len(case["runs"]),
+                f"{min(loads):.1f} … {max(loads):.1f}",
+                f"{s['within_a_fifth']} of {s['points']}",
+                f"{s['median']:.0%}",
+                f"{s['largest']:.0%}",
+                f"{s['bias']:+.0%}",
+            ]
+        )
+    header = ["runs", "number", "load average", "within 20 %", "median", "largest", "bias"]
+    return "\n\n".join(
+        [
+            "## Time left",
+            origin(result),
+            f"Error of the time left, relative to what was left in truth: runs of the study "
+            f"`{result['study']}`, after each trial from a third on and at the beginning of check "
+            "and validation. Where the load comes or goes, two processes that compute all the time "
+            "begin or end after a quarter of the trials. The bias is the median with its sign.",
+            table(header, rows),
+        ]
+    )
+
+
 def unchanged_section(result: Result) -> str:
     """Lay out what it takes to tune a system that knows nothing of the tuner."""
     runs, slowest = result["runs"], result["slowest_metric"]
@@ -247,6 +278,7 @@ def main() -> None:
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),
         ("live_overhead.json", live_section),
+        ("time_left.json", time_left_section),
         ("unchanged_system.json", unchanged_section),
         ("report.json", report_section),
         ("soak.json", soak_section),

@@ -134,6 +134,12 @@ def test_a_wide_table_says_on_a_phone_that_it_scrolls(chromium, feed_axis_page):
         s.previousElementSibling?.matches('.cue:not([hidden])') ?? false])"""
     browser.wait_for(f"{cues}.every(([wide, cue]) => wide === cue)")
     assert any(wide for wide, _ in browser.evaluate(cues))
+    # What a table is about is read without scrolling it.
+    ends = browser.evaluate(
+        "[...document.querySelectorAll('caption:not(.hidden)')]"
+        ".map(c => c.getBoundingClientRect().right)"
+    )
+    assert max(ends) <= 390
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
 
 

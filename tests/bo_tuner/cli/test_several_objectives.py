@@ -1,5 +1,6 @@
 """A study with two objectives by the commands: the front is found, shown, and chosen from."""
 
+import dataclasses
 import json
 import re
 import shutil
@@ -9,11 +10,13 @@ import pytest
 from axis import node, write_study
 from commands import Fork, finish
 
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.tuning.summary import with_summary
+from bo_tuner.verdict.verdict import PASS
 
 CHANCE = {"peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probability": 0.9}}
 AXIS = {"node": "axis"}
@@ -92,6 +95,10 @@ def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
         assert [float(cell) for cell in row[3:5]] == pytest.approx(
             [mean["value"], mean["error"]], rel=1e-3
         )
+    assert "The result is the compromise" in found["front"].lead
+    going_on = sections(Analysis(dataclasses.replace(record, summary=None)))
+    (of_run,) = [section for section in going_on if section.name == "front"]
+    assert "The result" not in of_run.lead
     (figure,) = found["front"].figures
     assert len(figure.panels) == 1
     assert all(name in found["trials"].tables[0].header for name in ("mean error", "mean peak"))
@@ -112,6 +119,30 @@ def test_any_point_can_be_certified(runs):
     assert code == 0, err
     code, _, err = runs.run("apply", "runs/latest", "--trial", "99", "--yes")
     assert (code, "no trial 99" in err) == (2, True)
+
+
+def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
+    shutil.copytree(runs.latest, tmp_path / "run")
+    shutil.copy(runs.folder / "front_axis.py", tmp_path)
+    result = json.loads((tmp_path / "run" / "summary.json").read_text())["trial"]
+    other = next(point["trial"] for point in runs.front if point["trial"] != result)
+
+    def validate(trial):
+        arguments = ("validate", "run", "--trial", trial, "--draws", "80")
+        code, out, err = finish(Fork(*arguments, folder=tmp_path))
+        assert code == 0, err
+        return out
+
+    assert "it is the compromise" not in validate(other)
+    assert "it is the compromise" in validate(result)
+    verdict = run_verdict(read_run(tmp_path / "run"))
+    assert verdict.certificate == PASS
+    assert any("it is the compromise" in sentence for sentence in verdict.sentences)
+    bundle, summary = (
+        json.loads((tmp_path / "run" / name).read_text())["verdict"]
+        for name in ("deploy/provenance.json", "summary.json")
+    )
+    assert bundle == summary == verdict.to_mapping()
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,15 @@ def test_limits_on_a_log_axis_are_its_exponents():
     assert layout["yaxis"]["range"] == [1.0, 100.0]
 
 
+@pytest.mark.parametrize(("low", "dtick"), [(0.14, None), (0.01, "D2")])
+def test_a_log_axis_has_ticks_however_little_it_shows(low, dtick):
+    """Steps of 1, 2, 5 leave one tick or none between 0.14 and 0.25."""
+    axis = Axis(label="y", scale=Scale.LOG)
+    line = Line(x=[1, 2, 3], y=[low, math.nan, 0.25])
+    layout = panel_data(Panel(x=Axis(label="x"), y=axis, elements=[line]), 300)["layout"]
+    assert layout["yaxis"].get("dtick") == dtick
+
+
 def stops_of(scale):
     points = Points(x=[0], y=[0], values=[scale.low], colors=scale)
     (trace,) = panel_data(panel_of(points), 300)["data"]

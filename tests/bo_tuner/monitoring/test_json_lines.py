@@ -53,6 +53,10 @@ class TestRun:
         code, events, err = ended(tune(*NEW, "--json-lines"))
         assert (code, err) == (0, "")
         assert [event["event"] for event in events[:2]] == ["run", "phase"]
+        left = [event["time_left"] for event in events if event["event"] == "phase"]
+        assert left[0] is None
+        assert len(left) == 3
+        assert min(left[1:]) > 0.0
         # Report and bundle are shown as messages.
         ends = ["result", "message", "message", "end"]
         assert [event["event"] for event in events[-4:]] == ends

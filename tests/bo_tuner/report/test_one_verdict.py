@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from html import unescape
+from math import isfinite
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -226,9 +227,22 @@ def test_each_number_tells_its_draws_where_they_differ(tuned, tmp_path, with_def
     lines = on_terminal(run, verdict).splitlines()
     assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
     assert (told in on_page(run)) if told else ("tuned in" not in on_page(run))
-    assert "97.5 % confidence, so that all attempts to certify this run have 95 % together" in (
-        verdict.evidence
+    assert verdict.evidence == (
+        "the same 40 fresh draws of context and noise"
+        if with_default
+        else "40 fresh draws of context and noise and the 5 draws of the validation, which alone "
+        "have the default"
     )
+    assert verdict.remarks[0] == (
+        "Each bound has 97.5 % confidence, so that all attempts to certify this run have 95 % "
+        "together."
+    )
+    # What the limit is on, also where only the tuned parameter set was searched for it.
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.holds is not None]
+    assert worst.label == "worst-case peak"
+    assert worst.tuned == 0.5
+    assert isfinite(worst.default) is with_default
+    assert ("was not searched" in worst.remark) is not with_default
 
 
 def test_apply_is_no_next_step_where_it_refuses(tuned, tmp_path, monkeypatch):

@@ -75,7 +75,7 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     Raises
     ------
     RunRecordError
-        If the certificate cannot be read.
+        If the certificate cannot be read, or the summary of the run is not one of `tune`.
     """
     content = read_certificate(path)
     remarks = []
@@ -83,7 +83,9 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
         rows = read_evaluations(path)
     except RunRecordError as error:
         rows, remarks = [], [f"{error}."]
-    study = record.study
+    study, by_validation = record.study, _by_validation(record)
+    if by_validation is not None and by_validation.trial != trial.number:
+        by_validation = None
     passed = content["verdict"] == PASS
     problem = certificate_problem(record, trial) if passed else ""
     if problem:
@@ -96,7 +98,7 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
         of_tuned = {c["name"]: c for c in tuned["constraints"]}
         of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
         if default is None:
-            observed, default_reasons = _beside_validation(record, trial, of_trial)
+            observed, default_reasons = _beside_validation(by_validation, of_trial)
         else:
             observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
             default_reasons = _reasons(default)
@@ -111,30 +113,44 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=f"{'' if default is None else 'the same '}{draws} fresh draws of context and "
-        f"noise; each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
-        f"certify this run have {100.0 * overall:.4g} % together"
-        + ("; the default is in the draws of the validation" if default is None else ""),
+        evidence=_evidence(draws, default is not None, by_validation),
         reasons=reasons,
         default_reasons=default_reasons,
         quantities=numbers,
-        remarks=tuple(remarks),
+        choice="" if by_validation is None else by_validation.choice,
+        remarks=(
+            f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
+            f"certify this run have {100.0 * overall:.4g} % together.",
+            *remarks,
+        ),
         observed=observed,
         default_certified=default is not None,
         apply_refuses=bool(problem),
     )
 
 
+def _evidence(draws: int, with_default: bool, by_validation: Verdict | None) -> str:
+    """Return what the verdict rests on, in a few words."""
+    fresh = f"{draws} fresh draws of context and noise"
+    if with_default:
+        return f"the same {fresh}"
+    if by_validation is None or not by_validation.observed:
+        return f"{fresh}, without the default"
+    return (
+        f"{fresh} and the {by_validation.observed[0].draws} draws of the validation, which alone "
+        "have the default"
+    )
+
+
 def _beside_validation(
-    record: RunRecord, trial: Trial, tuned: Observed
+    by_validation: Verdict | None, tuned: Observed
 ) -> tuple[tuple[Observed, Observed], tuple[str, ...]]:
     """Return what was observed of both sides if the certificate leaves the default out.
 
     The pairs are those of the validation of `tune`, with negative numbers. Also returns why the
     default was not feasible there.
     """
-    by_validation = _by_validation(record)
-    if by_validation is None or by_validation.trial != trial.number or not by_validation.observed:
+    if by_validation is None or not by_validation.observed:
         return (Observed({}, 0), tuned), ("it was not evaluated",)
     default, own = by_validation.observed
     before = {-1 - k: metrics for k, metrics in own.drawn.items()}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bo_tuner.figures.figure import (
+    Bars,
     Color,
     ColorScale,
     Contour,
@@ -26,7 +27,7 @@ STOPS = 33
 
 @dataclass(frozen=True)
 class LegendEntry:
-    """The entry for all elements of one name; ``kind`` is line, area or a marker's name."""
+    """The entry for all elements of one name; ``kind`` is line, bar, area or a marker's name."""
 
     name: str
     kind: str
@@ -60,6 +61,8 @@ def legend(figure: Figure) -> list[LegendEntry]:
             case Points():
                 color = element.color if element.values is None else Color.INK
                 entry = LegendEntry(name, element.marker, color, filled=element.filled)
+            case Bars():
+                entry = LegendEntry(name, "bar", element.color)
             case _:
                 entry = LegendEntry(name, "area", element.color)
         # In the legend, black elements are on the background of the page, not on a heatmap.

@@ -10,7 +10,7 @@ they belong to all panels of a figure.
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bo_tuner.figures.figure import Axis, Bars, Color, Limit, Panel, Scale
@@ -21,6 +21,9 @@ CHARACTER = 7.0
 
 LONG = 80
 """Tick labels with more characters in total do not fit side by side."""
+
+LITTLE = 5.0
+"""Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
 
 MARGINS = 78
 """Margins above and below a panel [px]."""
@@ -49,8 +52,9 @@ def panel_data(panel: Panel, height: int) -> dict[str, Any]:
         "bargap": 0.2,
         "dragmode": "zoom",
         "shapes": shapes,
-        "xaxis": _axis(panel.x) | {"title": {"text": text_of(panel.x.title), "standoff": 4}},
-        "yaxis": _axis(panel.y),
+        "xaxis": _axis(panel.x, _values(drawn, shapes, "x"))
+        | {"title": {"text": text_of(panel.x.title), "standoff": 4}},
+        "yaxis": _axis(panel.y, _values(drawn, shapes, "y")),
     }
     title, label = text_of(panel.title), text_of(panel.y.title)
     if len(panel.y.title) * CHARACTER > height - MARGINS:
@@ -77,7 +81,15 @@ def resolve(data: Mapping[str, Any], shades: Mapping[Color, str]) -> dict[str, A
     return resolved
 
 
-def _axis(axis: Axis) -> dict[str, Any]:
+def _values(
+    drawn: Sequence[Trace], shapes: Sequence[Mapping[str, Any]], letter: str
+) -> list[float]:
+    """Return all that an axis shows."""
+    found = [v for trace in drawn for v in trace.get(letter, ()) if v is not None]
+    return found + [shape[f"{letter}0"] for shape in shapes if shape.get(f"{letter}ref") != "paper"]
+
+
+def _axis(axis: Axis, shown: Sequence[float]) -> dict[str, Any]:
     layout: dict[str, Any] = {
         "type": axis.scale.value,
         "automargin": True,
@@ -87,8 +99,11 @@ def _axis(axis: Axis) -> dict[str, Any]:
         "hoverformat": ".4g",
     }
     if axis.scale is Scale.LOG:
-        # 1, 2 and 5 of each decade, in full.
-        layout |= {"dtick": "D2", "tickformat": "~g"}
+        layout["tickformat"] = "~g"
+        if not shown or max(shown) > LITTLE * min(shown):
+            # 1, 2 and 5 of each decade, in full. Fewer than two of them would be seen on less than
+            # that, where Plotly's own choice is as on a linear axis.
+            layout["dtick"] = "D2"
     if axis.limits is not None:
         ends = [math.log10(v) if axis.scale is Scale.LOG else v for v in axis.limits]
         layout["range"] = ends

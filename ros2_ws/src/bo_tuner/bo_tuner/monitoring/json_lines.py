@@ -60,7 +60,7 @@ class JsonLines(Display):
 
     def begin(self, phase: str, total: int) -> None:
         """Write the event ``phase``."""
-        self._write("phase", phase=phase, total=total)
+        self._write("phase", phase=phase, total=total, time_left=self._status.now.time_left)
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Write an event ``trial`` for each recorded trial."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle, product
+from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Figure, Line, Panel, Scale
@@ -16,13 +16,13 @@ from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.limits import tightest
 from bo_tuner.verdict.verdict import Quantity, Status
 
-LINES = tuple(
-    product(
-        (Dash.SOLID, Dash.DASHED, Dash.DOTTED),
-        (Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE, Color.INK),
-    )
-)
-"""Dash and colour of the lines of one run after the other."""
+DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
+COLORS = (Color.INK, Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE)
+LINES = tuple(islice(zip(cycle(DASHES), cycle(COLORS), strict=False), len(DASHES) * len(COLORS)))
+"""Dash and colour of the lines of one run after the other.
+
+Of the first eight, colours that look alike to some readers have different dashes.
+"""
 
 NOMINAL, WORST = "nominal context", "own worst context"
 MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}

@@ -77,22 +77,29 @@ def _of_constraint(
     holds: bool,
     remark: str,
 ) -> Quantity:
-    """Return the worst case if it was searched, or else the extreme value in the draws."""
+    """Return the worst case if that of the tuned parameter set was searched, or else the extreme.
+
+    The extreme value is that in the draws.
+    """
     metric, name = constraint.metric, constraint.name
     label = f"{constraint.extreme} {metric}"
     values = tuple(constraint.farthest(side.values(metric)) for side in (default, tuned))
     difference: Difference | None = None
     change, bound = Change.UNKNOWN, nan
-    if constraint.kind == WORST_CASE and name in default.worst and name in tuned.worst:
-        theirs, ours = default.worst[name], tuned.worst[name]
+    draws = _draws(default, tuned, metric, None)
+    if constraint.kind == WORST_CASE and name in tuned.worst:
+        theirs, ours = default.worst.get(name), tuned.worst[name]
         label = f"worst-case {constraint.limited}"
-        values = theirs.value, ours.value
-        bound = ours.bound
-        difference = unpaired(
-            (theirs.value, theirs.standard_error, theirs.count),
-            (ours.value, ours.standard_error, ours.count),
-        )
-        change = difference.change(constraint.sign)
+        values = nan if theirs is None else theirs.value, ours.value
+        bound, draws = ours.bound, ""
+        if theirs is None:
+            remark = f"the default's worst context was not searched; {remark}"
+        else:
+            difference = unpaired(
+                (theirs.value, theirs.standard_error, theirs.count),
+                (ours.value, ours.standard_error, ours.count),
+            )
+            change = difference.change(constraint.sign)
     on_record = tuned.on_record(metric)
     parts = [remark] if remark else []
     if on_record:
@@ -110,7 +117,7 @@ def _of_constraint(
         bound=bound,
         holds=holds,
         remark="; ".join(parts),
-        draws=_draws(default, tuned, metric, None) if difference is None else "",
+        draws=draws,
     )
 
 

@@ -73,9 +73,7 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
 
 def verdict_notes(verdict: Verdict) -> Iterator[str]:
     """Yield what the table needs to be read: the limits in detail, and what ± means."""
-    for draws in dict.fromkeys(q.draws for q in verdict.quantities if q.draws):
-        labels = [q.label for q in verdict.quantities if q.draws == draws]
-        yield f"{', '.join(labels)}: {draws}"
+    yield from verdict.draws_in_words
     for quantity in verdict.quantities:
         if quantity.remark:
             bound = quantity.bound

@@ -85,7 +85,8 @@ def validated(
                 for name, sample in tuned.constraints.items()
             },
         ),
-        remarks=(*_choice(study), *_load(study, tuned)),
+        choice="" if doubt else _choice(study),
+        remarks=_load(study, tuned),
         observed=observed_sides,
     )
 
@@ -173,14 +174,14 @@ def _broken(study: Study, sample: Sample) -> str:
     return f"{sample.name}: {sample.violations} of {sample.count} draws {constraint.beyond} {limit}"
 
 
-def _choice(study: Study) -> tuple[str, ...]:
-    """Return a remark on how the result was chosen among those of several objectives."""
+def _choice(study: Study) -> str:
+    """Return how the result was chosen among those of several objectives; empty for one."""
     if len(study.objectives) == 1:
-        return ()
+        return ""
     names = [objective.metric for objective in study.objectives]
     return (
         f"Of {', '.join(names[:-1])} and {names[-1]} it is {RULE}. Choose another point for "
-        "validate, and then for apply, with --trial N.",
+        "validate, and then for apply, with --trial N."
     )
 
 

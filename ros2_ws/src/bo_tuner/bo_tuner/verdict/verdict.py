@@ -113,6 +113,8 @@ class Verdict:
         The same for the default.
     quantities
         The numbers, those with a limit first, then recorded ones, then the objective.
+    choice
+        How the result was chosen among those of several objectives; empty for one objective.
     remarks
         What else to know, in sentences.
     observed
@@ -129,6 +131,7 @@ class Verdict:
     reasons: tuple[str, ...] = ()
     default_reasons: tuple[str, ...] = ()
     quantities: tuple[Quantity, ...] = ()
+    choice: str = ""
     remarks: tuple[str, ...] = ()
     observed: tuple[Observed, Observed] | None = None
     default_certified: bool = True
@@ -192,6 +195,8 @@ class Verdict:
             found.append("best.yaml holds the least violating parameter set; do not use it.")
         found.append(self.default_in_words)
         found += self._changes()
+        if self.choice:
+            found.append(self.choice)
         return (*found, *self.remarks)
 
     @property
@@ -228,6 +233,15 @@ class Verdict:
         if self.feasible and not self.gained:
             found.append("Tuning gained nothing that can be told from chance.")
         return found
+
+    @property
+    def draws_in_words(self) -> tuple[str, ...]:
+        """From how many draws the numbers are where that differs, those alike in a line."""
+        by_draws: dict[str, list[str]] = {}
+        for quantity in self.quantities:
+            if quantity.draws:
+                by_draws.setdefault(quantity.draws, []).append(quantity.label)
+        return tuple(f"{', '.join(labels)}: {draws}" for draws, labels in by_draws.items())
 
     def to_mapping(self) -> dict[str, object]:
         """Return the verdict as it stands in files and events; a number not known is None."""

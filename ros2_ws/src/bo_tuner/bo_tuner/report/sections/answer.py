@@ -57,6 +57,8 @@ class Answer:
         Names of the files and folders of the run that exist, with their content.
     table
         Default and tuned parameter set, side by side.
+    notes
+        What else the table needs to be read.
     """
 
     verdict: Verdict
@@ -65,6 +67,7 @@ class Answer:
     steps: Sequence[Step]
     files: Sequence[tuple[str, str]]
     table: Table
+    notes: Sequence[str]
 
 
 def answer(analysis: Analysis) -> Answer:
@@ -84,6 +87,7 @@ def answer(analysis: Analysis) -> Answer:
         steps=next_steps(verdict, f"runs/{record.path.resolve().name}"),
         files=[(name, what) for name, what in FILES if (record.path / name).exists()],
         table=table,
+        notes=[f"{line}." for line in verdict.draws_in_words],
     )
 
 
@@ -162,18 +166,14 @@ def _comparison(analysis: Analysis) -> Table:
                 quantity.change_in_words,
                 str(quantity.change) if quantity.difference is not None else "",
                 "" if isnan(quantity.limit) else number(quantity.limit),
-                quantity.draws,
             ]
         )
     both = ("yes" if keeps else "no" for keeps in (verdict.default_keeps, verdict.feasible))
-    rows.append(["keeps all limits", *both, *[""] * 5])
-    header = ["", "default", "tuned", "unit", "difference", "", "limit", "draws"]
-    if not any(quantity.draws for quantity in verdict.quantities):
-        header, rows = header[:-1], [row[:-1] for row in rows]
+    rows.append(["keeps all limits", *both, *[""] * 4])
     return Table(
         caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
         f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval",
-        header=header,
+        header=["", "default", "tuned", "unit", "difference", "", "limit"],
         rows=rows,
         numeric=[1, 2, 4, 6],
     )
@@ -182,7 +182,7 @@ def _comparison(analysis: Analysis) -> Table:
 def _parameter_rows(analysis: Analysis) -> list[list[str]]:
     parameters = analysis.answer.parameters if analysis.answer is not None else {}
     return [
-        [name, number(value), number(parameters.get(name)), item.unit, *[""] * 4]
+        [name, number(value), number(parameters.get(name)), item.unit, *[""] * 3]
         for (name, value), item in zip(
             analysis.defaults.items(), analysis.study.parameters.values(), strict=True
         )

@@ -7,10 +7,8 @@ import numpy as np
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, Line, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
+from bo_tuner.report.sections.trajectories import LOOKS
 from bo_tuner.study.parts import Constraint
-
-LOOKS = (("default", Color.ORANGE, Dash.DASHED), ("tuned", Color.BLUE, Dash.SOLID))
-"""As in the trajectories."""
 
 
 def draws(analysis: Analysis) -> Section | None:
@@ -58,7 +56,7 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
                     dash=Dash.DOTTED,
                 )
             )
-    for (name, color, dash), found in zip(LOOKS, verdict.observed or (), strict=True):
+    for (name, (color, dash)), found in zip(LOOKS.items(), verdict.observed or (), strict=True):
         values = np.sort([m[metric.name] for m in found.drawn.values() if metric.name in m])
         if not len(values) or isnan(values[0]):
             continue

@@ -35,12 +35,14 @@ def front(analysis: Analysis) -> Section | None:
         return None
     answer = analysis.answer
     result = None if answer is None else answer.number
+    # A run that found no feasible parameter set has a result that was not chosen from the front.
+    chosen = any(point.trial == analysis.verdict.trial for point in points)
+    rule = f" The result is {RULE}." if chosen else ""
     return Section(
         name="front",
         title="Pareto front",
         lead=f"{len(points)} parameter sets that are believed to keep all limits are on the front: "
-        "no other such trial has better means of all objectives. The result is "
-        f"{RULE}.",
+        f"no other such trial has better means of all objectives.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
         notes=[

@@ -117,9 +117,12 @@ def _curve(grid: ParameterGrid, line: Array, low: Array, high: Array) -> list[El
     # NaN would break the outline of the band, so it covers the permitted values only.
     kept = np.isfinite(line)
     return [
-        Band(x=grid.values[kept], lower=low[kept], upper=high[kept], name="two sigma"),
-        Line(x=grid.values, y=line, name="posterior mean"),
-    ]
+        Band(
+            x=grid.values[kept], lower=low[kept], upper=high[kept], name="two sigma",
+            color=Color.GRAY,
+        ),
+        Line(x=grid.values, y=line, name="posterior mean", color=Color.INK),
+    ]  # fmt: skip
 
 
 def _near_points(
@@ -144,7 +147,7 @@ def _markers(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Ele
         ),
         Limit(
             value=float(answer.parameters[grid.name]), name="tuned", vertical=True,
-            color=Color.GREEN, dash=Dash.SOLID,
+            color=Color.BLUE, dash=Dash.SOLID,
         ),
     ]  # fmt: skip
 

@@ -1,0 +1,190 @@
+"""The time left, by a clock of our own that only the steps of a run advance."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from bo_tuner.monitoring.time_left import TimeLeft
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.trials import Stage
+from bo_tuner.tuning.observer import Phase
+
+
+class Machine:
+    """Takes the time of evaluations, proposals and rankings, and tells of them."""
+
+    def __init__(self, study, algorithm, make_trial):
+        self.now = 0.0
+        self.slowdown = 1.0
+        self.left = TimeLeft(study, ALGORITHMS[algorithm], lambda: self.now)
+        self._make_trial = make_trial
+        self._number = 0
+
+    def pass_time(self, seconds):
+        self.now += self.slowdown * seconds
+
+    def trial(self, evaluations=2, *, proposal=0.0, evaluation=1.0, ranking=0.0, search=0.0):
+        """A trial; half of its evaluations are of a search, each after a decision."""
+        trial = self._make_trial(self._number, {"gain": 0.5}, [1.0] * evaluations)
+        self._number += 1
+        self.pass_time(proposal)
+        done = []
+        for item in trial.evaluations:
+            searched = 2 * item.index >= evaluations > 2
+            self.pass_time(evaluation + (search if searched else 0.0))
+            stage = Stage.SEARCH if searched else item.stage
+            seconds = self.slowdown * evaluation
+            done.append(dataclasses.replace(item, stage=stage, seconds=seconds))
+            self.left.evaluation(done[-1])
+        self.pass_time(ranking)
+        trial = dataclasses.replace(
+            trial,
+            evaluations=tuple(done),
+            seconds=self.slowdown * proposal,
+            origin="acquisition" if proposal else "initial",
+        )
+        self.left.trial(trial)
+        return trial
+
+    def evaluations(self, count, evaluation=1.0):
+        """Evaluations of another phase than the tuning."""
+        for item in self._make_trial(0, {"gain": 0.5}, [1.0] * count).evaluations:
+            self.pass_time(evaluation)
+            self.left.evaluation(dataclasses.replace(item, seconds=self.slowdown * evaluation))
+
+
+@pytest.fixture
+def machine(make_study, make_trial):
+    """Function for a machine; of a study with 5 trials unless the budget is changed."""
+
+    def make(algorithm, **budget):
+        study = make_study()
+        return Machine(study.replace(**budget) if budget else study, algorithm, make_trial)
+
+    return make
+
+
+def test_all_that_is_to_come_counts(machine):
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    assert run.left.estimate() is None
+    run.trial()
+    # 4 trials of 2 evaluations; 2 checks of 20 evaluations, and 2 x 5 of the validation, 1 s each.
+    assert run.left.estimate() == 4 * 2.0 + 40.0 + 10.0
+    run.trial(proposal=4.0)
+    assert run.left.estimate() == 3 * (4.0 + 2.0) + 40.0 + 10.0
+    run.left.begin(Phase.CHECKING)
+    assert run.left.estimate() == 40.0 + 10.0
+    run.evaluations(24)
+    assert run.left.estimate() == 16.0 + 10.0
+    # One has not passed: as many are to come as after the first one.
+    run.left.step()
+    assert run.left.estimate() == 36.0 + 10.0
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(4)
+    assert run.left.estimate() == 6.0
+
+
+def test_without_a_check_there_is_none_to_wait_for(machine):
+    run = machine("I")
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    assert run.left.estimate() == 4 * 2.0 + 10.0
+
+
+def test_a_budget_of_evaluations_ends_the_trials_sooner(machine):
+    run = machine("I", evaluations=6)
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    # 4 evaluations are left of the budget, which are 2 of the 4 trials.
+    assert run.left.estimate() == 2 * 2.0 + 10.0
+
+
+def test_rankings_count_between_repetitions(machine):
+    run = machine("boundary")
+    run.left.begin(Phase.TUNING)
+    for _ in range(5):
+        run.trial(ranking=3.0)
+    # 20 repetitions as the least, and 10 of the validation; 2 sqrt(20) rankings.
+    assert run.left.estimate() == pytest.approx(20.0 + 2.0 * math.sqrt(20) * 3.0 + 10.0)
+
+
+def test_what_a_phase_takes_shows_in_it(machine):
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    for _ in range(5):
+        run.trial()
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(5, evaluation=7.0)
+    # 5 to come; ten of 1 s were expected, five of 7 s are known.
+    assert run.left.estimate() == pytest.approx(5 * (10 * 1.0 + 5 * 7.0) / 15)
+
+
+def test_a_pause_is_no_time_of_the_run(machine):
+    runs = [machine("IV"), machine("IV")]
+    for run in runs:
+        run.left.begin(Phase.TUNING)
+        run.trial()
+        if run is runs[1]:
+            run.left.pause()
+            run.now += 1000.0
+            run.left.pause()
+        run.trial(proposal=4.0, ranking=1.0)
+    assert runs[0].left.estimate() == runs[1].left.estimate()
+
+
+def test_trials_on_record_count_as_if_just_run(machine):
+    one, other = machine("IV"), machine("IV")
+    for run in (one, other):
+        run.left.begin(Phase.TUNING)
+    trials = [one.trial(), one.trial(proposal=4.0), one.trial(proposal=5.0)]
+    other.left.recall(trials)
+    assert other.left.estimate() == one.left.estimate()
+
+
+def whole_run(run, trials, growth, rng, *, checks, change=None, slowdown=1.0):
+    """What was announced after each trial, with the time since, and the end."""
+    initial, told = trials // 6, []
+    run.left.begin(Phase.TUNING)
+    for k in range(trials):
+        if k == change:
+            run.slowdown = slowdown
+        proposal = 0.0 if k < initial else 1.0 + growth * (k - initial)
+        evaluations = int(rng.integers(4, 9))
+        run.trial(evaluations, proposal=proposal, evaluation=0.5, ranking=0.3, search=0.1)
+        told.append((k + 1, run.now, run.left.estimate()))
+    run.left.begin(Phase.CHECKING)
+    for _ in range(checks):
+        run.evaluations(20, evaluation=0.5)
+        run.pass_time(0.3)
+        run.left.step()
+    told.append((trials, run.now, None))
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(60, evaluation=0.5)
+    return told[:-1], run.now
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("growth", [0.0, 0.05, 0.2])
+@pytest.mark.parametrize("trials", [30, 90])
+def test_it_is_right_to_a_fifth_from_a_third_on(machine, trials, growth, seed):
+    """Where as many candidates are checked as expected."""
+    run = machine("IV", trials=trials, initial_trials=trials // 6, validation_draws=30)
+    told, end = whole_run(run, trials, growth, np.random.default_rng(seed), checks=2)
+    for done, at, left in told:
+        if 3 * done >= trials:
+            assert left == pytest.approx(end - at, rel=0.2), done
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("slowdown", [0.4, 2.5])
+def test_it_follows_a_change_of_the_load(machine, slowdown, seed):
+    """Ten trials after the change, at an eighth of the run."""
+    run = machine("IV", trials=80, initial_trials=13, validation_draws=30)
+    rng = np.random.default_rng(seed)
+    told, end = whole_run(run, 80, 0.0, rng, checks=2, change=10, slowdown=slowdown)
+    for done, at, left in told:
+        if done >= 27:
+            assert left == pytest.approx(end - at, rel=0.2), done
