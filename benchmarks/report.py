@@ -1,8 +1,9 @@
-"""The report of a run: its size, how long it takes to write and to open, and what axe-core finds.
+"""The pages of a long run: size, how long they take to open and to follow, what axe-core finds.
 
 A page is opened in a new headless Chromium with an empty profile, as by a click on the file.
 Opened means that all text is there and the first figure is drawn; the figures below the window
-follow. Times are those of the browser's own clock, from the start of the navigation on.
+follow. Times are those of the browser's own clock, from the start of the navigation on. Before the
+report is written, the run finishes with a live page (`long_run`).
 """
 
 import argparse
@@ -10,21 +11,16 @@ import importlib.util
 import os
 import re
 import statistics
-import sys
 import tempfile
 import time
 from pathlib import Path
 
-from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from common import RESULTS, provenance, table, write_result
+from long_run import Chromium, finish_live, make_run
+from threadpoolctl import threadpool_limits
 
-from bo_tuner.cli import tune
-from bo_tuner.interruption import Interruption
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import read_run
-
-# The browser is driven as in the tests.
-sys.path.append(str(BENCHMARKS.parent / "tests" / "browser"))
-from chromium import Chromium
 
 DRAWN = "document.documentElement.dataset.drawn === 'all'"
 TIMES = """
@@ -75,7 +71,10 @@ def main() -> None:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--study", default="full", help="(default: %(default)s)")
-    parser.add_argument("--trials", type=int, default=100, help="(default: %(default)s)")
+    parser.add_argument("--trials", type=int, default=1000, help="(default: %(default)s)")
+    parser.add_argument(
+        "--updates", type=int, default=5, help="trials with a live page (default: %(default)s)"
+    )
     parser.add_argument("--opens", type=int, default=10, help="(default: %(default)s)")
     parser.add_argument("--result", type=Path, default=RESULTS / "report.json")
     arguments = parser.parse_args()
@@ -84,11 +83,13 @@ def main() -> None:
         raise SystemExit("error: axe-core-python is not installed")
     axe = Path(spec.origin).with_name("axe.min.js").read_text(encoding="utf-8")
     about = provenance(("plotly", "Jinja2", "axe-core-python"))
-    with tempfile.TemporaryDirectory() as name:
+    # As in the commands, where threads only slow down small matrices.
+    with tempfile.TemporaryDirectory() as name, threadpool_limits(1):
         folder = Path(name)
-        chosen = ["--study", arguments.study, "--trials", str(arguments.trials)]
-        tune.run([*chosen, "--backend", "inprocess", "--output", str(folder)], Interruption())
-        record = read_run((folder / "latest").resolve())
+        before = arguments.trials - arguments.updates
+        run = make_run(folder, arguments.study, before, arguments.updates)
+        live = finish_live(run, before)
+        record = read_run(run)
         page = folder / "report.html"
         writing = []
         for _ in range(3):
@@ -111,6 +112,7 @@ def main() -> None:
         "seconds_to_draw_all": drawn,
         "processor_seconds_of_the_page": thread,
         "load_average": os.getloadavg(),
+        "live": live,
         "axe_version": version.group(1) if version else "unknown",
         "axe_findings": findings,
     }
@@ -120,6 +122,8 @@ def main() -> None:
         "open": opened,
         "draw all figures": drawn,
         "processor time of the page": thread,
+        "live page: state after a trial": live["delay_of_state"],
+        "live page: table after a trial": live["delay_of_table"],
     }
     rows = [(what, statistics.median(s), min(s), max(s)) for what, s in measured.items()]
     print(table(("report", "median [s]", "min", "max"), rows))
@@ -127,6 +131,8 @@ def main() -> None:
         f"{len(record.trials)} trials, {size / 1e6:.2f} MB; axe-core {result['axe_version']}: "
         f"{len(findings)} findings, {len(serious)} of them serious"
     )
+    parts = [f"{part} {live[f'seconds_to_{part}']:.2f} s" for part in ("load", "table", "answer")]
+    print(f"live page: {', '.join(parts)}")
 
 
 if __name__ == "__main__":

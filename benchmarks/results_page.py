@@ -175,6 +175,21 @@ def report_section(result: Result) -> str:
             ("write", "seconds_to_write"),
         )
     ]  # fmt: skip
+    if live := result.get("live"):
+        rows += [
+            [f"live page: {what}", f"{live[key]:.2f}", "", ""]
+            for what, key in (
+                ("loaded", "seconds_to_load"),
+                ("table of all trials there", "seconds_to_table"),
+                ("answer there", "seconds_to_answer"),
+            )
+        ]
+        rows += [
+            [f"live page: {what} after a trial", f"{statistics.median(live[key]):.2f}",
+             f"{min(live[key]):.2f}", f"{max(live[key]):.2f}"]
+            for what, key in (("state", "delay_of_state"), ("table", "delay_of_table"))
+            if live[key]
+        ]  # fmt: skip
     return "\n\n".join(
         [
             "## The report",

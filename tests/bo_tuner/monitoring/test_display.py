@@ -1,6 +1,8 @@
 """The table at the end: everything in it, on narrow terminals too."""
 
+import dataclasses
 import io
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -8,12 +10,25 @@ from rich.console import Console
 from bo_tuner.study.study_file import load_study
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.table import print_verdict, verdict_table
+from bo_tuner.verdict.table import (
+    print_line,
+    print_next_steps,
+    print_verdict,
+    verdict_notes,
+    verdict_table,
+)
 from bo_tuner.verdict.verdict import State, Verdict
 
 
-def console(width=80):
-    return Console(file=io.StringIO(), width=width, markup=False, emoji=False, highlight=False)
+def console(width=80, terminal=False):
+    return Console(
+        file=io.StringIO(),
+        width=width,
+        force_terminal=terminal,
+        markup=False,
+        emoji=False,
+        highlight=False,
+    )
 
 
 def text(of):
@@ -70,6 +85,33 @@ class TestTable:
         out = console(width=40)
         out.print(verdict_table(study, verdict(study), study.search_space().defaults))
         assert max(map(len, text(out).splitlines())) <= 40
+        assert "prediction_horizon" in text(out)
+
+    @pytest.mark.parametrize("width", [60, 80, 120])
+    def test_no_word_is_broken_on_a_terminal(self, width):
+        study = load_study("benchmark")
+        found = dataclasses.replace(verdict(study), reasons=("overshoot: " + "a reason " * 20,))
+        shown, whole = console(width, terminal=True), console(10_000)
+        for out in (shown, whole):
+            for line in verdict_notes(found):
+                print_line(out, line, "  ")
+            for sentence in found.sentences:
+                print_line(out, sentence, "  ")
+        assert max(map(len, text(shown).splitlines())) <= width
+        assert text(shown).split() == text(whole).split()
+
+    def test_next_steps_on_a_narrow_terminal_keep_their_commands_whole(self):
+        found = verdict(load_study("benchmark"))
+        for width, together in ((60, False), (120, True)):
+            out = console(width, terminal=True)
+            print_next_steps(out, found, Path("runs/benchmark-20261122-113926"))
+            lines = [line.strip() for line in text(out).splitlines()]
+            assert max(map(len, lines)) <= width
+            assert ("validate runs/benchmark-20261122-113926" in lines) is not together
+        out = console(60)
+        print_next_steps(out, found, Path("runs/a"))
+        # What reads a pipe gets a step in each line.
+        assert len(text(out).splitlines()) == 3
 
     def test_a_difference_has_half_of_its_interval(self):
         study = load_study("benchmark")

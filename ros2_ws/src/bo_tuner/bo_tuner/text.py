@@ -1,5 +1,7 @@
 """Text of others, such as names in a study and what nodes say, made fit to be shown."""
 
+import textwrap
+
 MOST_SAID = 500
 """Characters that are kept of a reason, or of a value, that a node gives."""
 
@@ -18,6 +20,13 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """Make text fit for a single line of a terminal."""
     return printable(" ".join(text.split()))
+
+
+def wrapped(text: str, width: int, indent: str = "") -> str:
+    """Break a line between words, never in one; all lines but the first begin with `indent`."""
+    return textwrap.fill(
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def brief(said: str) -> str:

@@ -1,6 +1,5 @@
 """Live progress of a run in the terminal."""
 
-import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Self
@@ -15,7 +14,7 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable, shown
+from bo_tuner.text import printable, shown, wrapped
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.limits import violated
 
@@ -92,9 +91,9 @@ class RunProgress(Display):
         mark = ""
         if incumbent is not None and incumbent.trial.number == trial.number:
             mark = "best" if incumbent.believed_feasible else ""
-        self.tell(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}")
+        self._tell(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}", INDENT)
         for warning in trial.warnings:
-            self.tell(f"           warning: {warning}")
+            self._tell(f"           warning: {warning}", INDENT)
 
     def advise(self, advice: StopAdvice) -> None:
         """Show the advice to stop."""
@@ -107,8 +106,11 @@ class RunProgress(Display):
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""
+        self._tell(text, "  ")
+
+    def _tell(self, text: str, indent: str) -> None:
         if self._console.is_terminal:
-            text = _wrapped(text, self._console.width)
+            text = wrapped(text, self._console.width, indent)
         self._console.print(text.replace(JOIN, " "), soft_wrap=True)
 
     def _show(self, steps: int = 0) -> None:
@@ -183,13 +185,6 @@ def duration(seconds: float) -> str:
     """Format a time [s] in hours, minutes and seconds, such as 0:01:40."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
-
-
-def _wrapped(text: str, width: int) -> str:
-    """Break a line between words, and never between a name and its number."""
-    return textwrap.fill(
-        text, width, subsequent_indent=INDENT, break_long_words=False, break_on_hyphens=False
-    )
 
 
 def _pair(name: str, value: Value) -> str:

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from bo_tuner import text
 from bo_tuner.study.study import Study
+from bo_tuner.text import wrapped
 from bo_tuner.trials import Value
 from bo_tuner.verdict.differences import CONFIDENCE
 from bo_tuner.verdict.next_steps import next_steps
@@ -32,24 +33,36 @@ def print_verdict(
     """
     console.print(verdict.headline)
     for sentence in verdict.sentences:
-        console.print(f"  {sentence}", soft_wrap=True)
+        print_line(console, f"  {sentence}", "  ")
     console.print(verdict_table(study, verdict, tuned))
     for line in verdict_notes(verdict):
-        console.print(line, soft_wrap=True)
+        print_line(console, line, "  ")
 
 
 def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
-    """Print the commands that come next, aligned."""
+    """Print the commands that come next, aligned; on a narrow terminal each above its purpose."""
     steps = next_steps(verdict, str(run))
     width = max((len(step.command) for step in steps), default=0)
-    for step in steps:
-        console.print(f"  {step.command:<{width}}  {step.purpose}", soft_wrap=True)
+    lines = [f"  {step.command:<{width}}  {step.purpose}" for step in steps]
+    if console.is_terminal and max(map(len, lines), default=0) > console.width:
+        lines = [line for step in steps for line in (f"  {step.command}", f"      {step.purpose}")]
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
+def print_line(console: Console, text: str, indent: str) -> None:
+    """Print a sentence, on a terminal broken between words."""
+    if console.is_terminal:
+        text = wrapped(text, console.width, indent)
+    console.print(text, soft_wrap=True)
 
 
 def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:
     """Make a table of the parameters and of the numbers of a verdict."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
-    table.add_column("")
+    names = [*study.parameters, *(quantity.label for quantity in verdict.quantities)]
+    # A name is never cut, however narrow the terminal is.
+    table.add_column("", min_width=max(len(word) for name in names for word in name.split()))
     for name in ("default", "tuned", "difference", "limit"):
         table.add_column(name, justify="right")
     defaults = study.search_space().defaults

@@ -159,7 +159,7 @@ def _doubts(study: Study, found: Validation) -> list[str]:
     Nobody searched for the default's worst context, so nothing else speaks for it.
     """
     return [
-        f"{_broken(study, sample)}, its worst context was not searched"
+        f"{_broken(study, sample)} (its worst context was not searched)"
         for sample in found.constraints.values()
         if sample.holds and sample.violations and study.constraints[sample.name].kind == WORST_CASE
     ]
