@@ -267,8 +267,10 @@ class TestWhatItShows:
         now = found[-1]["now"]
         assert (now["phase"], now["done"], now["total"], now["trials"]) == ("tuning", 2, 5, 2)
         assert re.fullmatch(r"\d+:\d\d:\d\d", now["time_left"])
-        assert now["texts"]["latest trial"].startswith("trial 1: gain ")
-        assert now["texts"]["running"].startswith("trial 2, ")
+        # Names and values are told apart, also without the columns of a terminal.
+        latest = now["texts"]["latest trial"]
+        assert re.match(r"trial 1: gain \S+, error \S+, worst peak \S+, limit 1, ", latest)
+        assert re.match(r"trial 2, (no|1) evaluation finished", now["texts"]["running"])
 
     def test_a_failure_with_its_reason_and_its_page(self, held):
         run = held(3, FAILING="1000")

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import select
 import subprocess
 import sys
@@ -33,6 +34,8 @@ from bo_tuner.web.request import Request
 
 PERIOD = 0.2
 """Shortest time [s] between two messages on evaluations."""
+COLUMNS = re.compile(f"[ {JOIN}]{{2,}}")
+"""Between two columns of a terminal's line."""
 LONGEST_TEXT = 600
 """Characters of a text in a message."""
 PATIENCE = 25.0
@@ -208,7 +211,8 @@ class LivePage(RunObserver):
                 "ended": ended,
                 "verdict": "" if now.verdict is None else now.verdict.headline,
                 "texts": {
-                    name: " ".join(text.replace(JOIN, " ").split())[:LONGEST_TEXT]
+                    # What the terminal aligns in columns is a sentence here.
+                    name: COLUMNS.sub(", ", text).replace(JOIN, " ")[:LONGEST_TEXT]
                     for name, text in texts.items()
                     if text
                 },
@@ -220,8 +224,8 @@ class LivePage(RunObserver):
         now = self._status.now
         what = f"trial {now.trials}" if now.phase == "tuning" else now.phase
         if not self._running:
-            return f"{what}, no evaluation of it is finished yet"
-        return f"{what}, {self._running} evaluations of it are finished"
+            return f"{what}, no evaluation finished yet"
+        return f"{what}, {self._running} evaluation{'s' * (self._running > 1)} finished"
 
     def _send(self, message: dict[str, object]) -> None:
         line = json.dumps(message, ensure_ascii=False).encode() + b"\n"

@@ -79,7 +79,8 @@ def answer(analysis: Analysis) -> Answer:
     else:
         tiles, table = [], _parameters(analysis)
         leader = analysis.ranked[0] if analysis.ranked else None
-        sentences.append(f"So far: {incumbent_in_words(leader, analysis.study)}.")
+        found = incumbent_in_words(leader, analysis.study)
+        sentences.append(f"{found[0].upper()}{found[1:]}.")
     return Answer(
         verdict=verdict,
         sentences=sentences,

@@ -20,7 +20,7 @@
 
     const line = document.createElement("p");
     line.className = "filter";
-    line.innerHTML = '<label>Filter <input type="search" placeholder="such as: within"></label><output></output>';
+    line.innerHTML = '<label>Filter <input type="search" placeholder="words in a row"></label><output></output>';
     const [input, count] = [line.querySelector("input"), line.querySelector("output")];
     input.addEventListener("input", () => {
       const words = input.value.toLowerCase().split(/\s+/);
