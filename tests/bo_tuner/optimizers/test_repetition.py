@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.repetition import OWN_RUNS, next_repetition
+from bo_tuner.trials import Stage
 
 SPREAD = 0.05
 
@@ -70,15 +72,22 @@ def test_without_an_answer_the_most_provable_one_is_run_again(study, candidate):
     assert next_repetition(study, surrogates, open_ones, 40).trial.number == 1
 
 
-@pytest.mark.parametrize(("limit", "runs"), [(1.03, OWN_RUNS), (5.0, 0)])
-def test_an_answer_without_doubt_needs_no_runs_of_its_own(study, candidate, limit, runs):
-    """Far from the limit, four runs in the most doubtful context would tell nothing."""
+@pytest.mark.parametrize(("done", "runs"), [(0, OWN_RUNS), (3, 1), (4, 0)])
+def test_an_answer_has_runs_of_its_own_and_no_more(study, candidate, done, runs):
+    """Also far from the limit: a model can be wrong. Its most doubtful context may move then."""
     rng = np.random.default_rng(0)
-    dimension = study.context_space().dimension
-    x, c = rng.random((60, 1)), rng.random((60, dimension))
+    contexts = study.context_space()
+    x, c = rng.random((60, 1)), rng.random((60, contexts.dimension))
     y = x[:, 0] + rng.normal(0.0, 0.1, 60)
     process = JointProcess.fit(x, c, y, coding=Coding((0,)), rng=rng)
-    constraint = EveryContext(process, limit, study.context_space().candidates())
+    constraint = EveryContext(process, 5.0, contexts.candidates())
     surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
-    found = next_repetition(study, surrogates, [candidate(0, 0.95, 0.98)], 40)
+    best = candidate(0, 0.95, 0.98)
+    (evaluation,) = best.trial.evaluations
+    (row,), _ = constraint.most_doubtful(np.array([[0.95]]))
+    far = 1.0 - contexts.candidates()[row]
+    elsewhere = contexts.to_dict(contexts.to_contexts(far[None])[0])
+    check = replace(evaluation, stage=Stage.CHECK_WORST, context=elsewhere)
+    trial = replace(best.trial, evaluations=(check,) * done)
+    found = next_repetition(study, surrogates, [replace(best, trial=trial)], 40)
     assert (0 if found is None else found.runs) == runs

@@ -24,13 +24,14 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.optimizers.ranking import Candidate, looks, required_after, runs_until
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial
+from bo_tuner.trials import EvaluationState, Stage, Trial
 
 OWN_RUNS = 4
-"""Runs of its own that the answer must have where each limit is most doubtful."""
+"""Runs of its own that the answer must have where each limit is most doubtful.
 
-NO_DOUBT = 1e-3
-"""Probability that a limit is exceeded below which the answer needs no runs of its own there."""
+Far from a limit the most doubtful context moves with each run; so many repetitions in such contexts
+are enough, too.
+"""
 
 NEAR = 0.15
 """Distance in every coordinate of the unit cube up to which contexts count as the same."""
@@ -79,16 +80,19 @@ def next_repetition(
     """
     best = candidates[0] if candidates and candidates[0].believed_feasible else None
     if best is not None:
-        for probability, context in _doubtful(study, surrogates, best.trial):
-            if context is None or probability >= 1.0 - NO_DOUBT:
-                continue
-            lacking = OWN_RUNS - _own_runs(study, best.trial, context)
+        doubtful = _doubtful(study, surrogates, best.trial)
+        contexts = [context for context in doubtful if context is not None]
+        made = sum(e.stage is Stage.CHECK_WORST for e in best.trial.evaluations)
+        for context in contexts:
+            lacking = min(
+                OWN_RUNS - _own_runs(study, best.trial, context), OWN_RUNS * len(contexts) - made
+            )
             if lacking > 0:
                 return Repetition(best.trial, context, lacking)
     chosen = _challenger(study, surrogates, candidates, best, left)
     if chosen is None:
         return None
-    _, context = _doubtful(study, surrogates, chosen.trial)[0]
+    context = _doubtful(study, surrogates, chosen.trial)[0]
     return Repetition(chosen.trial, context, runs_until(chosen.trial, looks(chosen.trial) + 1))
 
 
@@ -144,10 +148,10 @@ def _plan(surrogates: Surrogates, x: Array, candidate: Candidate, left: int) -> 
 
 def _doubtful(
     study: Study, surrogates: Surrogates, trial: Trial
-) -> list[tuple[float, Mapping[str, float] | None]]:
-    """Return the probability of each limit where it is most doubtful, the lowest first, and where.
+) -> list[Mapping[str, float] | None]:
+    """Return where each limit of a parameter set is most doubtful, the least probable one first.
 
-    The context is None for a limit on runs in drawn contexts.
+    That is None for a limit on runs in drawn contexts.
     """
     space, contexts = study.search_space(), study.context_space()
     x = space.to_cube(trial.parameters)[None]
@@ -159,8 +163,8 @@ def _doubtful(
             context = contexts.to_dict(contexts.to_contexts(constraint.contexts[row])[0])
         else:
             log_probability = constraint.log_probability(x)
-        found.append((float(np.exp(log_probability[0])), context))
-    return sorted(found, key=lambda pair: pair[0])
+        found.append((float(log_probability[0]), context))
+    return [context for _, context in sorted(found, key=lambda pair: pair[0])]
 
 
 def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:
