@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from common import RESULTS, provenance, table, write_result
 
@@ -107,7 +108,7 @@ def main() -> None:
         "--seeds", type=int, default=2, help="runs of a case (default: %(default)s)"
     )
     parser.add_argument("--cases", nargs="+", choices=[case.name for case in CASES], metavar="CASE")
-    parser.add_argument("--result", default=RESULTS / "time_left.json")
+    parser.add_argument("--result", type=Path, default=RESULTS / "time_left.json")
     arguments = parser.parse_args()
     about = provenance()
     chosen = [case for case in CASES if case.name in (arguments.cases or [c.name for c in CASES])]

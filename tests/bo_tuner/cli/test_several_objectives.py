@@ -65,7 +65,7 @@ def test_the_front_is_printed_with_a_mark_on_the_result(runs):
     shown = [line.split() for line in lines[head:] if re.match(r" *\d+ .*±", line)]
     assert [int(words[0]) for words in shown] == [point["trial"] for point in runs.front]
     assert [int(words[0]) for words in shown if words[-1] == "result"] == [result]
-    assert "it is the compromise" in runs.out
+    assert "the tuned parameter set is the compromise" in runs.out
 
 
 def test_the_front_goes_from_one_optimum_to_the_other(runs):
@@ -133,11 +133,13 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
         assert code == 0, err
         return out
 
-    assert "it is the compromise" not in validate(other)
-    assert "it is the compromise" in validate(result)
+    assert "the tuned parameter set is the compromise" not in validate(other)
+    assert "the tuned parameter set is the compromise" in validate(result)
     verdict = run_verdict(read_run(tmp_path / "run"))
     assert verdict.certificate == PASS
-    assert any("it is the compromise" in sentence for sentence in verdict.sentences)
+    assert any(
+        "the tuned parameter set is the compromise" in sentence for sentence in verdict.sentences
+    )
     bundle, summary = (
         json.loads((tmp_path / "run" / name).read_text())["verdict"]
         for name in ("deploy/provenance.json", "summary.json")

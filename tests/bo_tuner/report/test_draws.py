@@ -1,9 +1,12 @@
 """The draws of the verdict as empirical distributions."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from bo_tuner.figures.figure import Limit, Line
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.draws import draws
 from bo_tuner.trials import Stage
 
@@ -27,3 +30,12 @@ def test_the_share_above_the_limit_is_that_of_the_record(analysis):
         share = within[-1] if len(within) else 0.0
         budget = analysis.study.budget.validation_draws
         assert share == pytest.approx(100.0 * sum(v <= 1.0 for v in values) / budget)
+
+
+def test_a_bound_is_explained_where_one_is_drawn(analysis):
+    assert "bound" not in draws(analysis).figures[0].caption
+    of_its_own = Analysis(analysis.record)
+    verdict = of_its_own.verdict
+    found = tuple(dataclasses.replace(q, bound=0.7) for q in verdict.quantities)
+    vars(of_its_own)["verdict"] = dataclasses.replace(verdict, quantities=found)
+    assert "Dotted: confidence bound" in draws(of_its_own).figures[0].caption

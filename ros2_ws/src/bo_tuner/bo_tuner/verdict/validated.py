@@ -180,8 +180,8 @@ def _choice(study: Study) -> str:
         return ""
     names = [objective.metric for objective in study.objectives]
     return (
-        f"Of {', '.join(names[:-1])} and {names[-1]} it is {RULE}. Choose another point for "
-        "validate, and then for apply, with --trial N."
+        f"Between {', '.join(names[:-1])} and {names[-1]} the tuned parameter set is {RULE}. For "
+        "another point of the front use validate and then apply with --trial N."
     )
 
 

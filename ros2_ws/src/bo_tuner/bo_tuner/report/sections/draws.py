@@ -21,6 +21,9 @@ def draws(analysis: Analysis) -> Section | None:
     sentences = [
         f"{q.label}: {q.remark}" for q in verdict.quantities if q.holds is not None and q.remark
     ]
+    bound = ""
+    if any(isfinite(quantity.bound) for quantity in verdict.quantities):
+        bound = " Dotted: confidence bound of the tuned worst-case mean, by the certificate."
     return Section(
         name="draws",
         title="The draws against each limit",
@@ -31,8 +34,7 @@ def draws(analysis: Analysis) -> Section | None:
                 title="Share of the draws up to each value",
                 caption="A line that reaches 100 % left of an upper limit kept it in all draws; so "
                 "did one that leaves 0 % right of a lower limit. The part beyond is the share that "
-                "violated it. Dotted: confidence bound of the tuned worst-case mean, by the "
-                "certificate.",
+                f"violated it.{bound}",
                 alternative="; ".join(sentences) or "Empirical distributions of the draws.",
                 panels=panels,
                 columns=min(2, len(panels)),
