@@ -239,10 +239,20 @@ class Drive:
         self.peer.spin_until(answers, f"the command for {time_ns}")
         return answers()[0].velocity[0]
 
-    def result(self):
-        """Wait for one result; its values, level and message."""
-        self.peer.spin_until(lambda: bool(self.results), "the controller's result")
-        message = self.results.pop(0)
+    def result(self, start=None):
+        """Wait for one result, of the cut with a start if one is named; values, level, message.
+
+        A reference of a test before, which was refused, has a result, too, and it may come late.
+        """
+        from feed_axis_common.ros.messages import cut_identifier
+
+        def found():
+            cut = None if start is None else cut_identifier(start)
+            return [m for m in self.results if cut is None or values_of(m)["cut"] == cut]
+
+        self.peer.spin_until(found, "the controller's result")
+        message = found()[0]
+        self.results.remove(message)
         return values_of(message), message.status[0].level, message.status[0].message
 
 

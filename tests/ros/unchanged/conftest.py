@@ -9,6 +9,7 @@ import pytest
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from servo import System, study
@@ -34,8 +35,8 @@ def machine():
 
     def spin():
         while not stop.is_set():
-            # An answer to a client that has gone is an error to rclpy.
-            with contextlib.suppress(RCLError):
+            # To rclpy it is an error if a client or a node has left in this moment.
+            with contextlib.suppress(RCLError, InvalidHandle):
                 executor.spin_once(timeout_sec=0.05)
 
     thread = threading.Thread(target=spin)
