@@ -92,8 +92,8 @@ def next_repetition(
     chosen = _challenger(study, surrogates, candidates, best, left)
     if chosen is None:
         return None
-    context = _doubtful(study, surrogates, chosen.trial)[0]
-    return Repetition(chosen.trial, context, runs_until(chosen.trial, looks(chosen.trial) + 1))
+    runs = runs_until(chosen.trial, looks(chosen.trial) + 1)
+    return Repetition(chosen.trial, _doubtful(study, surrogates, chosen.trial)[0], runs)
 
 
 def _challenger(
