@@ -32,6 +32,8 @@ DESIGN_WEIGHT = 3
 """The initial design counts as so many of the proposed trials that it precedes."""
 CANDIDATES = 2
 """Candidates that are checked, as if every other one passed."""
+SETTLED = 0.5
+"""Part of the repetitions that are left after which it is settled what the answer is."""
 EXPECTED_WEIGHT = 10
 """What is expected of an evaluation counts as so many that were measured in the phase."""
 
@@ -121,12 +123,11 @@ class TimeLeft:
             count, evaluations = self._trials_to_come()
             seconds = count * evaluations * self._recent_evaluation()
             seconds += count * self._beside_evaluations(count)
-            checks, cost = self._checks(self._evaluations + round(count * evaluations))
+            checks, cost = self._checks(self._evaluations + round(count * evaluations), 0)
             return seconds + checks * cost + draws * self._plain_evaluation()
         if self._phase == Phase.CHECKING:
-            checks, cost = self._checks(self._evaluations - self._in_phase)
-            left = max(0, checks - self._in_phase) * self._measured(cost)
-            return left + draws * self._plain_evaluation()
+            checks, cost = self._checks(self._evaluations - self._in_phase, self._in_phase)
+            return checks * self._measured(cost) + draws * self._plain_evaluation()
         return max(0, draws - self._in_phase) * self._measured(self._plain_evaluation())
 
     def _take(self, trial: Trial, other: float, ranking: float) -> None:
@@ -173,21 +174,23 @@ class TimeLeft:
         ahead = len(self._trials) + 0.5 * (count - 1) - middle
         return mean + max(slope, 0.0) * ahead
 
-    def _checks(self, evaluations: int) -> tuple[int, float]:
-        """Return the evaluations of the check after trials with so many, and the time [s] of each.
+    def _checks(self, evaluations: int, done: int) -> tuple[float, float]:
+        """Return the evaluations that are left of the check, and the time [s] of each.
 
-        The check has begun if its phase is the present one.
+        The check follows trials with so many evaluations; if it has begun, its phase is the present
+        one.
         """
         if self._algorithm.models.pooled:
             most = most_repetitions(self._study, evaluations)
             # A ranking follows the first 2 repetitions of a candidate, and each doubling: log2 n
             # in all if they are of one candidate, n / 2 if each candidate has 2 of them.
             rankings = 2.0 * math.sqrt(most)
-            return most, self._plain_evaluation() + self._ranking() * rankings / most
+            cost = self._plain_evaluation() + self._ranking() * rankings / most
+            return SETTLED * max(0, most - done), cost
         size = most_check_evaluations(self._study)
         checked = self._steps if self._phase == Phase.CHECKING else 0
         count = min(checked + CANDIDATES, self._algorithm.most_checked)
-        return size * count, self._plain_evaluation() + self._ranking() / size
+        return max(0, size * count - done), self._plain_evaluation() + self._ranking() / size
 
     def _measured(self, expected: float) -> float:
         """Return the time [s] of an evaluation of the phase, by what was expected and measured."""
