@@ -311,7 +311,7 @@ class TestChance:
         constraint = self.constraint(self.process(rng, slope=0.2), 0.9)
         runs = 0.2 * rng.random((4000, 200)) + rng.normal(0.0, 0.1, (4000, 200))
         estimates = runs.mean(axis=1) + norm.ppf(0.9) * runs.std(axis=1, ddof=1)
-        (variance,) = constraint.run_variance(np.array([[0.5]]))
+        _, _, (variance,) = constraint.forecast(np.array([[0.5]]))
         assert variance == pytest.approx(200.0 * estimates.var(), rel=0.35)
 
 
@@ -323,10 +323,10 @@ class Known(PooledResponse):
         self._mean, self._variance, self._run = mean, variance, run
 
     def predict(self, x):
-        return np.full(len(x), self._mean), np.full(len(x), self._variance)
+        return self.forecast(x)[:2]
 
-    def run_variance(self, x):
-        return np.full(len(x), self._run)
+    def forecast(self, x):
+        return tuple(np.full(len(x), v) for v in (self._mean, self._variance, self._run))
 
 
 class TestFutureBound:
@@ -354,7 +354,7 @@ class TestFutureBound:
         process = fitted(*scattered(400, sd=lambda c: 0.01 if c < 0.5 else 0.05))
         z = float(norm.ppf(0.9))
         x = np.array([[0.5]])
-        of_mean = EveryContext(process, 1.5, CORNERS).run_variance(x)
-        of_runs = EveryContext(process, 1.5, CORNERS, z).run_variance(x)
+        _, _, of_mean = EveryContext(process, 1.5, CORNERS).forecast(x)
+        _, _, of_runs = EveryContext(process, 1.5, CORNERS, z).forecast(x)
         assert of_mean == pytest.approx([0.05**2], rel=0.5)
         assert of_runs / of_mean == pytest.approx([1.0 + z**2 / 2.0])

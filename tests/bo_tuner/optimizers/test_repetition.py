@@ -20,10 +20,10 @@ class Stress(PooledResponse):
     limit, sign = 1.0, 1.0
 
     def predict(self, x):
-        return x[:, 0], np.full(len(x), SPREAD**2)
+        return self.forecast(x)[:2]
 
-    def run_variance(self, x):
-        return np.full(len(x), SPREAD**2)
+    def forecast(self, x):
+        return x[:, 0], np.full(len(x), SPREAD**2), np.full(len(x), SPREAD**2)
 
 
 class Cost:

@@ -33,8 +33,14 @@ class LimitedResponse(ABC):
         -------
         ndarray, shape (m,)
         """
-        mean, variance = self.predict(x)
-        return log_probability_below(self.sign * self.limit, self.sign * mean, variance)
+        return self.log_kept(*self.predict(x))
+
+    def log_kept(self, mean: Array, variance: Array) -> Array:
+        """Return the log probability (m,) that normal responses keep the limit."""
+        # Rounding can make the variance zero; the logarithm must still be finite.
+        sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
+        with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
+            return log_normal_cdf((self.sign * self.limit - self.sign * mean) / sd)
 
     def excess(self, x: Array) -> Array:
         """Return by how much the mean response (m,) at x (m, d) violates the limit."""
@@ -43,14 +49,6 @@ class LimitedResponse(ABC):
     def least_log_probability(self, x: Array) -> Array:
         """Return the least `log_probability` (m,) of all contexts that the response knows."""
         return self.log_probability(x)
-
-
-def log_probability_below(limit: float, mean: Array, variance: Array) -> Array:
-    """Return the log probability (m,) that normal values are below `limit`."""
-    # Rounding can make the variance zero; the logarithm must still be finite.
-    sd = np.sqrt(np.maximum(variance, np.finfo(np.float64).tiny))
-    with np.errstate(over="ignore"):  # log Φ accepts an infinite argument
-        return log_normal_cdf((limit - mean) / sd)
 
 
 @dataclass(frozen=True, eq=False)

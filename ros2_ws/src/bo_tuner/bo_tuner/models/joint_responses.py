@@ -1,13 +1,14 @@
 """Objective and worst-case constraint of a parameter set, by processes that include the context."""
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
-from bo_tuner.models.constraints import LimitedResponse, log_probability_below
+from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
@@ -102,8 +103,12 @@ class PooledResponse(LimitedResponse):
     """Limit on a response by the process of all runs, to which a further run can be added."""
 
     @abstractmethod
-    def run_variance(self, x: Array) -> Array:
-        """Return the variance (m,) with which one further run at x (m, d) tells the response."""
+    def forecast(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return what `predict` does, and the variance (m,) with which one further run tells it.
+
+        Runs tell a quantile by their mean plus z times their standard deviation. From n runs whose
+        variance is σ², that has about the variance σ² (1 + z² / 2) / n.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +161,23 @@ class EveryContext(PooledResponse):
         variance = self.process.variances(x, self.contexts, which)
         if self.deviations == 0.0:
             return mean, variance
-        noise, degrees = self.process.noise(x, self.contexts, which)
+        return self._beyond(mean, variance, *self.process.noise(x, self.contexts, which))
+
+    def forecast(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return as `PooledResponse.forecast`, of a run in the worst context."""
+        means = self.process.means(x, self.contexts)
+        rows = (self.sign * means).argmax(axis=1)
+        variance = self.process.variances(x, self.contexts, rows)
+        noise, degrees = self.process.noise(x, self.contexts, rows)
+        mean, variance = self._beyond(means[np.arange(len(x)), rows], variance, noise, degrees)
+        return mean, variance, _variance_of_quantile(noise, self.deviations)
+
+    def _beyond(
+        self, mean: Array, variance: Array, noise: Array, degrees: Array
+    ) -> tuple[Array, Array]:
+        """Add z σ to a mean and its uncertainty to the variance of the mean."""
         margin = self.deviations * np.sqrt(noise)
         return mean + self.sign * margin, variance + margin**2 / (2.0 * degrees)
-
-    def run_variance(self, x: Array) -> Array:
-        """Return the variance (m,) with which a run in the worst context tells the quantile.
-
-        Its estimate from n runs, their mean plus z times their standard deviation, has about the
-        variance σ² (1 + z² / 2) / n.
-        """
-        _, _, noise = self.worst_case(x)
-        return noise**2 * (1.0 + 0.5 * self.deviations**2)
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""
@@ -177,8 +187,7 @@ class EveryContext(PooledResponse):
         """Return the row of the most doubtful context, and the log probability there, (m,) each."""
         found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
         for row in range(len(self.contexts)):
-            mean, variance = self.quantile(x, np.full(len(x), row))
-            here = log_probability_below(self.sign * self.limit, self.sign * mean, variance)
+            here = self.log_kept(*self.quantile(x, np.full(len(x), row)))
             rows[here < found] = row
             found = np.minimum(found, here)
         return rows, found
@@ -215,6 +224,11 @@ class OverContexts(PooledResponse):
 
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile of runs at x (m, d)."""
+        mean, variance, _ = self.forecast(x)
+        return mean, variance
+
+    def forecast(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return as `PooledResponse.forecast`, of a run in a drawn context."""
         mean = self.sign * self.process.means(x, self.contexts)
         noise, degrees = self.process.noise_everywhere(x, self.contexts)
         # A few contexts stand for all: without noise, each also for those next to it.
@@ -234,18 +248,8 @@ class OverContexts(PooledResponse):
         weights /= weights.sum(axis=1, keepdims=True)
         variance = self.process.variance_of_weighted(x, self.contexts, weights)
         margin = (weights * standardised * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
-        return self.sign * upper, variance + margin**2
-
-    def run_variance(self, x: Array) -> Array:
-        """Return the variance (m,) with which a run in a drawn context tells the quantile.
-
-        As of `EveryContext`, with the variance over contexts and noise.
-        """
-        spread = self.process.means(x, self.contexts).var(axis=1)
-        noise, _ = self.process.noise_everywhere(x, self.contexts)
-        factor = 1.0 + 0.5 * float(ndtri(self.probability)) ** 2
-        found: Array = factor * (spread + noise.mean(axis=1))
-        return found
+        of_runs = mean.var(axis=1) + noise.mean(axis=1)
+        return self.sign * upper, variance + margin**2, _variance_of_quantile(of_runs, float(z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +281,18 @@ class FutureBound(LimitedResponse):
 
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the bound at x (m, d)."""
-        mean, variance = self.response.predict(x)
-        run = self.response.run_variance(x)
-        left = variance * run / np.maximum(run + self.runs * variance, np.finfo(np.float64).tiny)
-        z = float(ndtri(self.confidence))
-        return mean + self.response.sign * z * np.sqrt(left), variance - left
+        return bound_after(self.response, self.response.forecast(x), self.runs, self.confidence)
+
+
+def bound_after(
+    response: PooledResponse, forecast: Iterable[Array], runs: int, confidence: float
+) -> tuple[Array, Array]:
+    """Return mean and variance (m,) of a `FutureBound` by a `forecast` of the response."""
+    mean, variance, run = forecast
+    left = variance * run / np.maximum(run + runs * variance, np.finfo(np.float64).tiny)
+    return mean + response.sign * float(ndtri(confidence)) * np.sqrt(left), variance - left
+
+
+def _variance_of_quantile(variance: Array, deviations: float) -> Array:
+    """Return the variance of mean + z σ estimated from one run of the `variance` σ²."""
+    return variance * (1.0 + 0.5 * deviations**2)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.joint_responses import EveryContext, FutureBound, PooledResponse
+from bo_tuner.models.joint_responses import EveryContext, PooledResponse, bound_after
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
@@ -113,7 +113,12 @@ def _challenger(
         _, variance = surrogates.objective.predict(x)
         score = np.array([c.score for c in open_ones])
         gain = log_expected_improvement(score, variance, best.score)
-    plans = [_plan(surrogates, x[[k]], c, left) for k, c in enumerate(open_ones)]
+    limits = [limit for limit in surrogates.limits if isinstance(limit, PooledResponse)]
+    forecasts = [(limit, np.array(limit.forecast(x))) for limit in limits]
+    plans = [
+        _plan(candidate, [(limit, known[:, k]) for limit, known in forecasts], left)
+        for k, candidate in enumerate(open_ones)
+    ]
     runs, log_shown = np.array(plans).T
     chosen = int(np.argmax(gain + log_shown - np.log(runs)))
     value = gain[chosen] + log_shown[chosen]
@@ -122,8 +127,19 @@ def _challenger(
     return open_ones[chosen] if np.isfinite(value) else None
 
 
-def _plan(surrogates: Surrogates, x: Array, candidate: Candidate, left: int) -> tuple[int, float]:
-    """Return how many runs show best for their number that a candidate at x (1, d) is feasible.
+def _plan(
+    candidate: Candidate, forecasts: Sequence[tuple[PooledResponse, Array]], left: int
+) -> tuple[int, float]:
+    """Return how many runs show best for their number that a candidate is feasible.
+
+    Parameters
+    ----------
+    candidate
+        The candidate.
+    forecasts
+        Each limit, with its `forecast` (3,) of the candidate.
+    left
+        Number of runs that are left.
 
     Returns
     -------
@@ -136,12 +152,11 @@ def _plan(surrogates: Surrogates, x: Array, candidate: Candidate, left: int) -> 
     judged = looks(candidate.trial) + 1
     while not plans or runs_until(candidate.trial, judged) <= left:
         runs, required = runs_until(candidate.trial, judged), required_after(judged)
-        bounds = [
-            FutureBound(limit, runs, required)
-            for limit in surrogates.limits
-            if isinstance(limit, PooledResponse)
+        shown = [
+            limit.log_kept(*bound_after(limit, known[:, None], runs, required))[0]
+            for limit, known in forecasts
         ]
-        plans.append((runs, float(sum(bound.log_probability(x)[0] for bound in bounds))))
+        plans.append((runs, float(sum(shown))))
         judged += 1
     return max(plans, key=lambda plan: plan[1] - np.log(plan[0]))
 
