@@ -35,7 +35,7 @@ def run_verdict(record: RunRecord) -> Verdict:
     (trial,) = [trial for trial in record.trials if trial.number == by_validation.trial]
     try:
         path = latest_certificate(record, trial)
-        return by_validation if path is None else certified(record, trial, path)
+        return by_validation if path is None else _certified(record, trial, path, by_validation)
     except RunRecordError as error:
         return replace(by_validation, remarks=(*by_validation.remarks, f"Certificate: {error}."))
 
@@ -77,13 +77,19 @@ def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:
     RunRecordError
         If the certificate cannot be read, or the summary of the run is not one of `tune`.
     """
+    return _certified(record, trial, path, _by_validation(record))
+
+
+def _certified(
+    record: RunRecord, trial: Trial, path: Path, by_validation: Verdict | None
+) -> Verdict:
     content = read_certificate(path)
     remarks = []
     try:
         rows = read_evaluations(path)
     except RunRecordError as error:
         rows, remarks = [], [f"{error}."]
-    study, by_validation = record.study, _by_validation(record)
+    study = record.study
     if by_validation is not None and by_validation.trial != trial.number:
         by_validation = None
     passed = content["verdict"] == PASS
