@@ -1,11 +1,10 @@
 """The table at the end: everything in it, on narrow terminals too."""
 
 import dataclasses
-import io
 from pathlib import Path
 
 import pytest
-from rich.console import Console
+from terminals import console
 
 from bo_tuner.study.study_file import load_study
 from bo_tuner.verdict.observed import Observed
@@ -18,17 +17,6 @@ from bo_tuner.verdict.table import (
     verdict_table,
 )
 from bo_tuner.verdict.verdict import State, Verdict
-
-
-def console(width=80, terminal=False):
-    return Console(
-        file=io.StringIO(),
-        width=width,
-        force_terminal=terminal,
-        markup=False,
-        emoji=False,
-        highlight=False,
-    )
 
 
 def text(of):

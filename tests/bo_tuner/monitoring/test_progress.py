@@ -1,32 +1,21 @@
 """What a run shows: a bar on a terminal, plain lines in a file, the same words in both."""
 
 import dataclasses
-import io
 import itertools
 import re
 
 import pytest
-from rich.console import Console
+from terminals import console
 
-from bo_tuner.monitoring.progress import JOIN, RunProgress, advice_in_words, describe, duration
+from bo_tuner.monitoring.progress import RunProgress, advice_in_words, describe, duration
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.text import JOIN
 from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
-
-
-def console(terminal=False, width=80):
-    return Console(
-        file=io.StringIO(),
-        force_terminal=terminal,
-        width=width,
-        markup=False,
-        emoji=False,
-        highlight=False,
-    )
 
 
 def text(of):
@@ -88,7 +77,7 @@ class TestLines:
         reason = "[/tmp/axis] says [bold]no[/] :warning:"
         trial = dataclasses.replace(make_trial(0, {"gain": 0.5}), reason=reason, warnings=("[/]",))
         for terminal in (False, True):
-            out = console(terminal, 200)
+            out = console(200, terminal=terminal)
             follow(out, make_study(), [trial], None)
             assert reason in ESCAPE.sub("", text(out))
             assert "warning: [/]" in ESCAPE.sub("", text(out))
@@ -102,7 +91,7 @@ class TestLines:
 class TestTerminal:
     @pytest.mark.parametrize("width", [60, 80, 120])
     def test_no_line_breaks_in_a_word_or_before_a_number(self, make_study, make_trial, width):
-        out = console(True, width)
+        out = console(width, terminal=True)
         follow(out, make_study(), [make_trial(0, {"gain": -0.00123456}, [1.5])], None)
         shown = [line.rstrip() for line in ESCAPE.sub("", text(out)).splitlines()]
         start = next(k for k, line in enumerate(shown) if line.startswith("trial   0"))
@@ -116,7 +105,7 @@ class TestTerminal:
 
     @pytest.mark.parametrize("width", [40, 80, 200])
     def test_shows_count_and_incumbent(self, make_study, make_trial, width):
-        out = console(True, width)
+        out = console(width, terminal=True)
         trial = make_trial(3, {"gain": 0.5}, [1.0])
         follow(out, make_study(), [trial], candidate(trial))
         shown = ESCAPE.sub("", text(out))
@@ -126,7 +115,7 @@ class TestTerminal:
 
     def test_shows_time_left_and_the_optimizer_s_share(self, make_study, make_trial):
         """Trials of 60 s in two runs and 20 s for the proposal: 20 / 80, and 2 of 5 are left."""
-        out = console(True, 80)
+        out = console(80, terminal=True)
         trials = [make_trial(k, {"gain": 0.5}, [1.0, 1.0]) for k in range(3)]
         trials = [
             dataclasses.replace(
@@ -145,7 +134,7 @@ class TestTerminal:
         assert f"3/5 {duration(seconds)} left  optimizer 25%" in ESCAPE.sub("", text(out))
 
     def test_recorded_trials_are_counted_and_not_shown_again(self, make_study, make_trial):
-        out = console(True, 80)
+        out = console(80, terminal=True)
         trials = [make_trial(k, {"gain": 0.5}, [1.0]) for k in range(3)]
         with RunProgress(out, make_study()) as progress:
             progress.begin(Phase.TUNING, 5)
@@ -156,7 +145,7 @@ class TestTerminal:
         assert "gain 0.5" not in shown
 
     def test_the_validation_has_a_bar_of_its_own(self, make_study):
-        out = console(True)
+        out = console(terminal=True)
         with RunProgress(out, make_study()) as progress:
             progress.begin("tuning", 5)
             progress.begin("validation", 3)
@@ -169,7 +158,7 @@ class TestTerminal:
     @pytest.mark.parametrize("width", [20, 40, 80])
     def test_the_bar_fits_its_line(self, make_study, make_trial, width):
         """A bar that wraps would leave a trail of old ones on the screen."""
-        out = console(True, width)
+        out = console(width, terminal=True)
         trial = make_trial(3, {"gain": 0.5}, [1.0])
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
         shown = ESCAPE.sub("", text(out)).splitlines()
@@ -179,18 +168,18 @@ class TestTerminal:
 
     def test_no_incumbent_yet(self, make_study, make_trial):
         trial = make_trial(0, {"gain": 0.5})
-        out = console(True, 200)
+        out = console(200, terminal=True)
         follow(out, make_study(), [trial], None)
         assert "no complete trial yet" in ESCAPE.sub("", text(out))
 
     def test_no_feasible_incumbent(self, make_study, make_trial):
         trial = make_trial(4, {"gain": 0.5}, [1.0])
-        out = console(True, 200)
+        out = console(200, terminal=True)
         follow(out, make_study(), [trial], candidate(trial, feasibility=0.1))
         assert "no feasible point yet (least violating: trial 4)" in ESCAPE.sub("", text(out))
 
     def test_a_fault_puts_the_terminal_back(self, make_study):
-        out = console(True)
+        out = console(terminal=True)
 
         def fail():
             with RunProgress(out, make_study()) as progress:

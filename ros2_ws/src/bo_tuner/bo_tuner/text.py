@@ -2,6 +2,8 @@
 
 import textwrap
 
+JOIN = "\xa0"
+"""In place of a space, between what stays on one line, such as a name and its number."""
 MOST_SAID = 500
 """Characters that are kept of a reason, or of a value, that a node gives."""
 

@@ -14,12 +14,10 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.text import printable, shown, wrapped
+from bo_tuner.text import JOIN, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.limits import violated
-
-JOIN = "\xa0"
-"""Joins words that no line break may separate; shown as a space."""
+from bo_tuner.verdict.table import print_line
 
 NUMBER_WIDTH = 9
 """Width of most numbers with four digits, such as -0.001234."""
@@ -91,9 +89,10 @@ class RunProgress(Display):
         mark = ""
         if incumbent is not None and incumbent.trial.number == trial.number:
             mark = "best" if incumbent.believed_feasible else ""
-        self._tell(f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}", INDENT)
+        line = f"trial {trial.number:3d} {mark:4}  {describe(trial, self._study)}"
+        print_line(self._console, line, INDENT)
         for warning in trial.warnings:
-            self._tell(f"           warning: {warning}", INDENT)
+            print_line(self._console, f"           warning: {warning}", INDENT)
 
     def advise(self, advice: StopAdvice) -> None:
         """Show the advice to stop."""
@@ -106,12 +105,7 @@ class RunProgress(Display):
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""
-        self._tell(text, "  ")
-
-    def _tell(self, text: str, indent: str) -> None:
-        if self._console.is_terminal:
-            text = wrapped(text, self._console.width, indent)
-        self._console.print(text.replace(JOIN, " "), soft_wrap=True)
+        print_line(self._console, text, "  ")
 
     def _show(self, steps: int = 0) -> None:
         parts = []

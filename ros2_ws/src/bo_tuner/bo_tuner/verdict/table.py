@@ -10,7 +10,7 @@ from rich.table import Table
 
 from bo_tuner import text
 from bo_tuner.study.study import Study
-from bo_tuner.text import wrapped
+from bo_tuner.text import JOIN, wrapped
 from bo_tuner.trials import Value
 from bo_tuner.verdict.differences import CONFIDENCE
 from bo_tuner.verdict.next_steps import next_steps
@@ -51,10 +51,10 @@ def print_next_steps(console: Console, verdict: Verdict, run: Path) -> None:
 
 
 def print_line(console: Console, text: str, indent: str) -> None:
-    """Print a sentence, on a terminal broken between words."""
+    """Print a sentence, on a terminal broken between words that no `JOIN` joins."""
     if console.is_terminal:
         text = wrapped(text, console.width, indent)
-    console.print(text, soft_wrap=True)
+    console.print(text.replace(JOIN, " "), soft_wrap=True)
 
 
 def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) -> Table:

@@ -16,7 +16,6 @@ from typing import Self
 
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.progress import (
-    JOIN,
     advice_in_words,
     describe,
     duration,
@@ -27,6 +26,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.run_files import LOGS, open_file
 from bo_tuner.study.study import Study
+from bo_tuner.text import JOIN
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.web.address import Address
