@@ -75,6 +75,7 @@ class GaussianProcess:
         priors: Hyperpriors | None = None,
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
+        restart: bool = False,
     ) -> Self:
         """Fit the hyperparameters by maximum a posteriori and condition on the data.
 
@@ -92,6 +93,8 @@ class GaussianProcess:
             Lower bounds of the length scales, in edges of the unit cube.
         start : sequence of float, length d + 2, optional
             `warm_start` of an earlier fit to similar data.
+        restart : bool
+            Whether the fit also starts as without `start`, see `maximise_posterior`.
 
         Raises
         ------
@@ -113,7 +116,7 @@ class GaussianProcess:
             # The round trip through exp rounds, as it did in recorded runs: without it, the search
             # would start elsewhere and the proposals would differ.
             warm = Hyperparameters.from_log(np.array(start)).to_log()
-        phi, warnings = maximise_posterior(posterior, box, rng, warm)
+        phi, warnings = maximise_posterior(posterior, box, rng, warm, restart=restart)
         return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
 
     @classmethod

@@ -46,6 +46,13 @@ WIDTH = 0.2
 Along the tuned parameters it grows with √d, as typical distances do.
 """
 
+RESTARTED = 300
+"""Largest number of points up to which each fit starts anew, beside the earlier hyperparameters.
+
+These can be a local optimum, found with less data, that takes for noise what a context variable
+does. With more points that has been found out, and a fit takes long.
+"""
+
 PRIOR_DEGREES = 2.0
 """Weight of the common noise variance in a local one, in degrees of freedom."""
 
@@ -128,6 +135,7 @@ class JointProcess:
             priors=priors,
             minimum_length_scales=minimum,
             start=start,
+            restart=len(y) <= RESTARTED,
         )
         return cls._localized(process, y, coding, c.shape[1])
 

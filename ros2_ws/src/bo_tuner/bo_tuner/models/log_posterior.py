@@ -156,7 +156,12 @@ def log_likelihood(factor: Array, alpha: Array, data: Replicates, noise: float) 
 
 
 def maximise_posterior(
-    posterior: LogPosterior, box: Array, rng: np.random.Generator, start: Array | None
+    posterior: LogPosterior,
+    box: Array,
+    rng: np.random.Generator,
+    start: Array | None,
+    *,
+    restart: bool = False,
 ) -> tuple[Array, tuple[str, ...]]:
     """Find the maximum a posteriori of φ by L-BFGS-B.
 
@@ -164,7 +169,8 @@ def maximise_posterior(
     noise (two spreads and one below their medians), because long length scales can lead to an
     optimum that explains the signal as noise. With `start`, one run starts there. A second one
     starts at the best of these two points and DRAWN_CHALLENGERS draws from the priors, if its log
-    posterior exceeds that of `start`: the new data then contradict the earlier hyperparameters.
+    posterior exceeds that of `start`: the new data then contradict the earlier hyperparameters. With
+    both `start` and `restart`, all three runs are made.
 
     Parameters
     ----------
@@ -175,6 +181,9 @@ def maximise_posterior(
         Draws the challengers.
     start : ndarray, shape (d + 2,), optional
         Warm start.
+    restart : bool
+        Whether the runs are made that a `start` makes unnecessary unless it leads to a local
+        optimum.
 
     Returns
     -------
@@ -183,7 +192,7 @@ def maximise_posterior(
     warnings : tuple of str
     """
     lower, upper = box.T
-    starts = _starts(posterior, box, rng, start)
+    starts = _starts(posterior, box, rng, start, restart)
 
     def loss(phi: Array) -> tuple[float, Array]:
         value, gradient = posterior.value_and_gradient(phi)
@@ -214,7 +223,11 @@ def maximise_posterior(
 
 
 def _starts(
-    posterior: LogPosterior, box: Array, rng: np.random.Generator, start: Array | None
+    posterior: LogPosterior,
+    box: Array,
+    rng: np.random.Generator,
+    start: Array | None,
+    restart: bool,
 ) -> list[Array]:
     """Return where the runs of `maximise_posterior` start, shape (d + 2,) each."""
     dimension = len(box) - 2
@@ -226,6 +239,8 @@ def _starts(
     if start is None:
         return starts
     warm = np.clip(start, lower, upper)
+    if restart:
+        return [warm, *starts]
     draws = [priors.draw(dimension, rng) for _ in range(DRAWN_CHALLENGERS)]
     challengers = starts + [np.clip(phi, lower, upper) for phi in draws]
     values = [posterior.value(phi) for phi in challengers]

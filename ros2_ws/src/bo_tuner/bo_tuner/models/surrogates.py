@@ -26,7 +26,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint, Objective
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, TrialState, pooled
+from bo_tuner.trials import EvaluationState, Stage, Trial, TrialState, pooled
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
@@ -327,7 +327,14 @@ class _Fitting:
 
     def _every_context(self, trials: Sequence[Trial], worst: Constraint) -> EveryContext:
         process = self._process(worst.name, trials, worst.metric)
-        candidates = self._study.context_space().candidates()
+        # The searches have looked where no corner is, and may have found the worst context there.
+        searched = [
+            evaluation.context
+            for trial in trials
+            for evaluation in trial.evaluations
+            if evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
+        ]
+        candidates = self._study.context_space().candidates(searched)
         return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign)
 
     def _over_contexts(self, trials: Sequence[Trial], chance: Constraint) -> OverContexts:

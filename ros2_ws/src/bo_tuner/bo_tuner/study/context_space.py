@@ -16,6 +16,9 @@ MOST_CORNER_DIMENSIONS = 5
 CANDIDATES = 24
 """Contexts within the box among the candidates for the worst one."""
 
+DISTINCT = 0.05
+"""Distance in the unit cube, in some coordinate, from which on candidates differ."""
+
 
 class ContextSpace:
     """Independent context variables in a fixed order.
@@ -164,13 +167,18 @@ class ContextSpace:
         points[:, : len(axes)] = np.array(np.meshgrid(*axes)).reshape(len(axes), -1).T
         return points
 
-    def candidates(self) -> Array:
+    def candidates(self, known: Sequence[Mapping[str, float]] = ()) -> Array:
         """Return possible contexts of the unit cube over which a worst case is taken, (m, d).
 
-        The corners, then a Latin hypercube that is the same in every call.
+        The corners, a Latin hypercube that is the same in every call, then those that are `known`
+        as far as they differ from all before.
         """
         inside = latin_hypercube(CANDIDATES, self.dimension, np.random.default_rng(0))
-        return self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
+        found = self.to_cube(self.to_contexts(np.vstack([self.corners(), inside])))
+        for row in self.cube_of(known):
+            if (np.abs(found - row) > DISTINCT).any(axis=1).all():
+                found = np.vstack([found, row])
+        return found
 
     def _at_quantiles(self, probability: Array) -> Array:
         """Return the contexts at the quantiles of each variable, both of shape (n, d)."""
