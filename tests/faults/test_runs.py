@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import EvaluationState, TrialState
@@ -50,7 +50,7 @@ def uninterrupted(study):
     backend.open()
     # As the command does: with another number of threads the last bits differ.
     with threadpool_limits(1):
-        return list(Tuning(study_from_mapping(study), backend, ALGORITHMS["IV"]))
+        return list(Tuning(study_from_mapping(study), backend, ALGORITHMS[DEFAULT_ALGORITHM]))
 
 
 def figures(trials):

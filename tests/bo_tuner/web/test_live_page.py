@@ -261,7 +261,7 @@ class TestWhatItShows:
         assert run.page_processes() == []
 
     def test_the_present_state(self, held):
-        run = held(10)
+        run = held(8)
         found = []
         run.state_when(lambda state, _: state["now"].get("trials") == 2 and not found.append(state))
         now = found[-1]["now"]

@@ -11,7 +11,7 @@ import pytest
 from short_cuts import small_study
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.loop import Tuning
@@ -68,7 +68,7 @@ class TestRun:
         study = study_from_mapping(small_study(3))
         backend = InProcessBackend(study)
         backend.open()
-        expected = list(Tuning(study, backend, ALGORITHMS["IV"]))
+        expected = list(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
         for there, here in zip(command.trials(), expected, strict=True):
             assert there.parameters == here.parameters
             assert there.worst_cases == here.worst_cases

@@ -28,7 +28,7 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.descriptors import problem
 from bo_tuner.study.study import Study
@@ -212,7 +212,7 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
 def evaluations_of(study: Study) -> tuple[int, int]:
     """Return the number of evaluations of a run, at most, and of the draws of its certificate."""
     budget = study.budget
-    drawn, searched = ALGORITHMS[DEFAULT_ALGORITHM].evaluations(study)
+    drawn, searched = ALGORITHMS[default_algorithm(study)].evaluations(study)
     each = drawn + searched if study.worst_case_constraints else drawn
     tuning = budget.trials * each
     if budget.evaluations is not None:

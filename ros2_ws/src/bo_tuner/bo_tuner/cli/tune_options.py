@@ -6,7 +6,7 @@ from pathlib import Path
 from bo_tuner.cli.common import RUNS, Parser
 from bo_tuner.cli.init import FIRST_STUDY
 from bo_tuner.monitoring.display import Output
-from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
+from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, SEVERAL_OBJECTIVES
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
 from bo_tuner.study.parts import BACKENDS
@@ -61,7 +61,7 @@ def make_parser() -> Parser:
         "--algorithm",
         choices=tuple(ALGORITHMS),
         help="; ".join(f"{name}: {method.title}" for name, method in ALGORITHMS.items())
-        + f" (default: {DEFAULT_ALGORITHM})",
+        + f" (default: {DEFAULT_ALGORITHM}, or {SEVERAL_OBJECTIVES} with several objectives)",
     )
     _add_known(parser)
     _add_running_nodes(parser)

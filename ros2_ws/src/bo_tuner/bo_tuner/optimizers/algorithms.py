@@ -180,7 +180,7 @@ class Algorithm:
 
 
 BOUNDARY = "boundary"
-DEFAULT_ALGORITHM = "IV"
+DEFAULT_ALGORITHM = BOUNDARY
 SEVERAL_OBJECTIVES = "IV"
 """The default for a study with several objectives."""
 
