@@ -80,7 +80,7 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"
     assert "study: at most 7 runs beside the checks, about" in out
-    assert "certificate: 600 draws, about" in out
+    assert "certificate: at most 1000 draws, about" in out
     assert servo.get_parameter("gain").value == 0.25
     assert list(servo.get_parameter("weights").value) == [1.0, 2.0]
     assert not (tmp_path / "runs").exists()

@@ -36,6 +36,17 @@ def counts(n, k):
     return [False] * (n - k) + [True] * k
 
 
+def where_shown(p, confidence, most):
+    """For each number of draws and of events, (most + 1, most + 1): do they show it?"""
+    shown = np.zeros((most + 1, most + 1), dtype=bool)
+    for k in range(most):
+        n = np.arange(max(k, 1), most + 1)
+        # The evidence depends on the numbers only, not on the order.
+        evidence = log_evidence(counts(k, k) + [False] * (most - k), p)
+        shown[n, k] = evidence[n - 1] >= -math.log(1.0 - confidence)
+    return shown
+
+
 def ever_crossed(shown, p, most):
     """Exact probability to cross within `most` draws, each with an event by p; by recursion.
 
@@ -71,17 +82,20 @@ class TestProbability:
     def test_looking_after_every_draw_errs_in_one_of_twenty_at_most(self, p):
         """Exact. A bound for a fixed number of draws errs far more often if looked at so."""
         most = 400
-        shown = np.zeros((most + 1, most + 1), dtype=bool)
-        fixed = np.zeros_like(shown)
+        fixed = np.zeros((most + 1, most + 1), dtype=bool)
         for k in range(most):
-            n = np.arange(k, most + 1)
-            evidence = log_evidence(counts(k, k) + [False] * (most - k), p)
-            # The evidence depends on the numbers only, not on the order.
-            shown[n[n > 0], k] = evidence[n[n > 0] - 1] >= math.log(20.0)
+            n = np.arange(max(k, 1), most + 1)
             fixed[n, k] = stats.binom.cdf(k, n, p) <= 0.05
-        fixed[0] = False
-        assert 0.01 < ever_crossed(shown, p, most) <= 0.05
+        assert 0.01 < ever_crossed(where_shown(p, 0.95, most), p, most) <= 0.05
         assert ever_crossed(fixed, p, most) > 0.12
+
+    @pytest.mark.parametrize(
+        ("most", "truth", "power"),
+        [(300, 0.01, 0.73), (300, 0.02, 0.24), (1000, 0.01, 1.0), (1000, 0.02, 0.77)],
+    )
+    def test_what_the_document_says_of_who_keeps_a_limit_by_little(self, most, truth, power):
+        shown = where_shown(0.04, spent(0.95, 1), most)
+        assert ever_crossed(shown, truth, most) == pytest.approx(power, abs=0.006)
 
     def test_the_bound_is_where_the_evidence_suffices(self):
         rng = np.random.default_rng(2)

@@ -147,8 +147,8 @@ class TestCertificate:
             ({"parameters_sha256": "0" * 64}, "parameters do not have the digest in it"),
             ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
             ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not have the digest"),
-            ({"draws": 299}, "made with 299 draws, the study requires 300; run validate"),
-            ({"draws": "300"}, "made with text '300' draws"),
+            ({"draws": 999}, "made with 999 draws, the study requires 1000; run validate"),
+            ({"draws": "1000"}, "made with text '1000' draws"),
             ({"draws": 1e9}, "made with 1000000000.0 draws"),
             ({"confidence": 0.94}, "has a confidence of 0.94, the study requires 0.95"),
             ({"confidence": None}, "has a confidence of nothing"),
@@ -227,7 +227,7 @@ class TestCertificate:
         record = make_run(tmp_path / "strict", study, backend, result=1)
         write_certificate(record, record.trials[1])
         # The evidence of n draws without a violation reaches 20 at n = 3787.
-        assert "300 draws, the study requires 3787" in certificate_problem(record, record.trials[1])
+        assert "1000 draws, the study requires 3787" in certificate_problem(record, record.trials[1])
         write_certificate(record, record.trials[1], draws=3787)
         assert certificate_problem(record, record.trials[1]) == ""
 

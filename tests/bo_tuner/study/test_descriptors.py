@@ -127,5 +127,5 @@ def test_a_plot_holds_each_value_until_the_next():
 
 
 def test_the_runs_of_a_study_are_counted():
-    """Four trials of three runs, two validations of five; 300 draws each of a certificate."""
-    assert evaluations_of(parse_study(TEXT, describe=described)) == (22, 600)
+    """Four trials of three runs, two validations of five; 1000 draws of a certificate."""
+    assert evaluations_of(parse_study(TEXT, describe=described)) == (22, 1000)

@@ -210,7 +210,7 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
 
 
 def evaluations_of(study: Study) -> tuple[int, int]:
-    """Return the number of evaluations of a run, at most, and of the draws of its certificate."""
+    """Return the numbers of evaluations of a run and of draws of its certificate, at most."""
     budget = study.budget
     drawn, searched = ALGORITHMS[default_algorithm(study)].evaluations(study)
     each = drawn + searched if study.worst_case_constraints else drawn
@@ -218,14 +218,14 @@ def evaluations_of(study: Study) -> tuple[int, int]:
     if budget.evaluations is not None:
         tuning = min(tuning, budget.evaluations + each - 1)
     tuning += 2 * budget.validation_draws
-    return tuning, 2 * required_draws(study, study.certificate.confidence)
+    return tuning, required_draws(study, study.certificate.confidence)
 
 
 def _estimate(study: Study, seconds: float) -> None:
     tuning, certificate = evaluations_of(study)
     say(f"a run took {seconds:.3g} s")
     say(f"study: at most {tuning} runs beside the checks, {_duration(tuning * seconds)}")
-    say(f"certificate: {certificate} draws, {_duration(certificate * seconds)}")
+    say(f"certificate: at most {certificate} draws, {_duration(certificate * seconds)}")
 
 
 def _duration(seconds: float) -> str:

@@ -354,12 +354,13 @@ class CertificateRequirement:
     Attributes
     ----------
     draws : int
-        Fresh draws of context and noise; more where a chance constraint takes more to be shown.
+        Fresh draws of context and noise, at most, and runs in a context that may be the worst; a
+        clear verdict takes fewer. More where a chance constraint takes more to be shown.
     confidence : float
         Confidence of each bound, between 0 and 1.
     """
 
-    draws: int = 300
+    draws: int = 1000
     confidence: float = 0.95
 
     def __post_init__(self) -> None:

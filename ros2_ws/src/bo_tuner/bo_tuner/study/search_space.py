@@ -220,8 +220,9 @@ class SearchSpace:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
         Each parameter's permitted range is divided into n equal strata with one point in each; all
-        integers are equally likely, including the outermost. Values in the wrong order are swapped,
-        and repeated parameter sets are moved to the nearest integers that are still free.
+        integers are equally likely, including the outermost, as long as no order is to be kept.
+        Values in the wrong order are swapped, so of two in order the lower one tends to be low and
+        the upper one high; repeated parameter sets are moved to the nearest free integers.
 
         Parameters
         ----------
