@@ -107,9 +107,20 @@ def test_rankings_count_between_repetitions(machine):
     run.left.begin(Phase.TUNING)
     for _ in range(5):
         run.trial(ranking=3.0)
-    # Half of 20 repetitions, with as much of 2 sqrt(20) rankings, and 10 of the validation.
-    repetitions = 0.5 * (20.0 + 2.0 * math.sqrt(20) * 3.0)
+    # A third of 20 repetitions, with as much of 2 sqrt(20) rankings, and 10 of the validation.
+    repetitions = 1.0 / 3.0 * (20.0 + 2.0 * math.sqrt(20) * 3.0)
     assert run.left.estimate() == pytest.approx(repetitions + 10.0)
+
+
+def test_points_at_the_boundary_take_fewer_evaluations(machine):
+    run = machine("boundary", trials=10)
+    run.left.begin(Phase.TUNING)
+    for _ in range(4):
+        run.trial(6, proposal=0.5)
+    # One more of the search; five with a run in a drawn context and two in the worst one.
+    trials = 1 * 6 + 5 * 3
+    repetitions = max(20, math.ceil((4 * 6 + trials) / 3))
+    assert run.left.estimate() == pytest.approx(trials + 6 * 0.5 + repetitions / 3.0 + 10.0)
 
 
 def test_what_a_phase_takes_shows_in_it(machine):

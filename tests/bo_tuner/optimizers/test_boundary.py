@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.boundary import spent
+from bo_tuner.optimizers.boundary import searches
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.loop import Tuning
@@ -108,7 +108,8 @@ class TestProtocol:
         study, trials, _ = run
         counts = np.cumsum([len(trial.evaluations) for trial in trials])
         assert counts[-2] < 70 <= counts[-1] < 75
-        assert spent(study, trials) >= 1.0 > spent(study, trials[:-1])
+        assert study.budget.is_spent(len(trials), counts[-1])
+        assert not study.budget.is_spent(len(trials) - 1, counts[-2])
 
     def test_each_trial_is_a_new_parameter_set(self, run):
         _, trials, _ = run
@@ -116,7 +117,9 @@ class TestProtocol:
 
     def test_the_second_part_runs_new_points_in_their_worst_context(self, run):
         study, trials, _ = run
-        later = [t for k, t in enumerate(trials) if spent(study, trials[:k]) >= 0.5]
+        later = [
+            t for k, t in enumerate(trials) if not searches(study, k, count_evaluations(trials[:k]))
+        ]
         assert len(later) >= 5
         for trial in later:
             stages = [evaluation.stage for evaluation in trial.evaluations]

@@ -1,8 +1,8 @@
 """The time that a run will still take, estimated from what its trials have taken.
 
-A trial to come takes as many evaluations as the latest half of the trials, each as long as of late,
-and what a trial takes beside them by the clock: the proposal, the search for the worst context and
-the ranking. That grows with the data, as a straight line through the latest half of the proposals.
+A trial to come takes as many evaluations as the latest half of the trials, or as a point at the
+boundary of `boundary`, each as long as of late, and what a trial takes beside them by the clock:
+the proposal, the search for the worst context and the ranking. That grows with the data, as a straight line through the latest half of the proposals.
 After the trials come the check of candidates and the validation, whose evaluations have no search
 between them, with a ranking after each step of the check. In these phases their own evaluations
 tell more and more. All of it follows the clock, so that a change of the load shows within some
@@ -18,6 +18,7 @@ from statistics import fmean
 
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DEFAULT, INITIAL, START
+from bo_tuner.optimizers.boundary import new_point, searches
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Trial
 from bo_tuner.tuning.observer import Phase
@@ -32,7 +33,7 @@ DESIGN_WEIGHT = 3
 """The initial design counts as so many of the proposed trials that it precedes."""
 CANDIDATES = 2
 """Candidates that are checked, as if every other one passed."""
-SETTLED = 0.5
+SETTLED = 1.0 / 3.0
 """Part of the repetitions that are left after which it is settled what the answer is."""
 EXPECTED_WEIGHT = 10
 """What is expected of an evaluation counts as so many that were measured in the phase."""
@@ -139,13 +140,21 @@ class TimeLeft:
         return self._trials[-max(RECENT, len(self._trials) // 2) :]
 
     def _trials_to_come(self) -> tuple[int, float]:
-        """Return how many trials are to come, and the evaluations of each."""
+        """Return how many trials are to come, and the mean evaluations of each."""
         budget, known = self._study.budget, len(self._trials)
         proposed = [item.evaluations for item in self._latest_half() if item.proposed]
         designed = [item.evaluations for item in self._trials if not item.proposed]
         weight = DESIGN_WEIGHT if designed else 0
         total = sum(proposed) + (weight * fmean(designed) if designed else 0.0)
-        return budget.remaining(known, self._evaluations), total / (len(proposed) + weight)
+        each = total / (len(proposed) + weight)
+        if not self._algorithm.models.pooled:
+            return budget.remaining(known, self._evaluations), each
+        count, evaluations = 0, 0.0
+        while budget.remaining(known + count, round(self._evaluations + evaluations)):
+            done = known + count, round(self._evaluations + evaluations)
+            evaluations += each if searches(self._study, *done) else sum(new_point(self._study))
+            count += 1
+        return count, evaluations / max(count, 1)
 
     def _recent_evaluation(self) -> float:
         """Return the time [s] of an evaluation in the latest trials."""

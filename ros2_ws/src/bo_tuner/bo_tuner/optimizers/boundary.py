@@ -64,7 +64,7 @@ class BoundaryOptimization(BayesianOptimization):
         proposal = self.initial()
         if proposal is not None:
             return proposal
-        if spent(self.study, self.trials) < SEARCHING:
+        if searches(self.study, len(self.trials), count_evaluations(self.trials)):
             return super().ask()
         return self._at_boundary()
 
@@ -106,17 +106,13 @@ class BoundaryOptimization(BayesianOptimization):
                     parameters = self.space.to_parameters(result.position)
                     if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
                         return Proposal(
-                            parameters, ACQUISITION, warnings, warm, self._new_point, outliers
+                            parameters, ACQUISITION, warnings, warm, new_point(self.study), outliers
                         )
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
         cube = space_filling(self.space, self._tried(), rng)
         parameters = self.space.to_parameters(cube)
-        return Proposal(parameters, SPACE_FILLING, warnings, warm, self._new_point, outliers)
-
-    @property
-    def _new_point(self) -> tuple[int, int]:
-        return DRAWN, WORST * len(self.study.worst_case_constraints)
+        return Proposal(parameters, SPACE_FILLING, warnings, warm, new_point(self.study), outliers)
 
 
 def provable(surrogates: Surrogates) -> Surrogates:
@@ -129,9 +125,14 @@ def provable(surrogates: Surrogates) -> Surrogates:
     return replace(surrogates, constraints=constraints)
 
 
-def spent(study: Study, trials: Sequence[Trial]) -> float:
-    """Return the part of the budget that trials have used."""
-    parts = [len(trials) / study.budget.trials]
+def searches(study: Study, trials: int, evaluations: int) -> bool:
+    """Return whether a trial is one of the search, after so many with so many evaluations."""
+    parts = [trials / study.budget.trials]
     if study.budget.evaluations is not None:
-        parts.append(count_evaluations(trials) / study.budget.evaluations)
-    return max(parts)
+        parts.append(evaluations / study.budget.evaluations)
+    return max(parts) < SEARCHING
+
+
+def new_point(study: Study) -> tuple[int, int]:
+    """Return the evaluations of a point at the boundary: in drawn and in worst contexts."""
+    return DRAWN, WORST * len(study.worst_case_constraints)
