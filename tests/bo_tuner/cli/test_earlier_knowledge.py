@@ -119,7 +119,10 @@ def test_runs_that_a_run_cannot_begin_with(commands, earlier, make_study, tmp_pa
     for arguments, problem in (
         (["--study", other, "--trials", 9], "a run of another study: parameters.gain.bounds"),
         ([], f"--trials: expected more than the {len(earlier.trials)} of --from, found 5"),
-        (["--trials", 9, "--algorithm", "I"], "--algorithm: expected boundary, as in the run of --from"),
+        (
+            ["--trials", 9, "--algorithm", "I"],
+            "--algorithm: expected boundary, as in the run of --from",
+        ),
         (["--resume", earlier.path], "leave one out"),
     ):
         code, _, err = commands.tune("refused", "--from", earlier.path, *arguments)

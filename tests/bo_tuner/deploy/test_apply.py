@@ -227,7 +227,8 @@ class TestCertificate:
         record = make_run(tmp_path / "strict", study, backend, result=1)
         write_certificate(record, record.trials[1])
         # The evidence of n draws without a violation reaches 20 at n = 3787.
-        assert "1000 draws, the study requires 3787" in certificate_problem(record, record.trials[1])
+        problem = certificate_problem(record, record.trials[1])
+        assert "1000 draws, the study requires 3787" in problem
         write_certificate(record, record.trials[1], draws=3787)
         assert certificate_problem(record, record.trials[1]) == ""
 

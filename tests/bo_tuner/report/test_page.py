@@ -192,6 +192,9 @@ def test_a_run_in_progress_has_a_report(tuned, tmp_path):
     page = page_of(going_on, tmp_path)
     assert "Default and best parameter set so far" in page.tables
     assert "4 trials" in page.tables
+    # What is marked is no result yet.
+    drawn = "".join(text for _, text in page.scripts)
+    assert ('"best so far"' in drawn, '"tuned"' in drawn) == (True, False)
 
 
 def test_a_run_without_any_trial_has_a_report(tuned, tmp_path):

@@ -70,20 +70,21 @@ def test_the_worst_run_of_each_is_drawn_as_it_was_heard(folder):
     section = trajectories(Analysis(read_run(folder)))
     (figure,) = section.figures
     (panel,) = figure.panels
-    default, tuned = panel.elements
-    assert (default.name, tuned.name) == ("default", "tuned")
-    for line, gain in zip((default, tuned), GAINS, strict=True):
+    default, best = panel.elements
+    # The run has no result yet.
+    assert (default.name, best.name) == ("default", "best so far")
+    for line, gain in zip((default, best), GAINS, strict=True):
         heard = recording(gain, 2).signals["angle"]
         np.testing.assert_array_equal(line.x, heard.time)
         np.testing.assert_array_equal(line.y, heard.value)
     assert "default: evaluation 2 in bags/trial_0000" in section.lead
-    assert "tuned: evaluation 2 in bags/trial_0001" in section.lead
+    assert "best so far: evaluation 2 in bags/trial_0001" in section.lead
 
 
 def test_a_side_without_a_bag_is_told(folder):
     shutil.rmtree(folder / "bags" / "trial_0000")
     section = trajectories(Analysis(read_run(folder)))
-    assert [line.name for line in section.figures[0].panels[0].elements] == ["tuned"]
+    assert [line.name for line in section.figures[0].panels[0].elements] == ["best so far"]
     assert "default: no bag has a run" in section.lead
 
 

@@ -169,8 +169,8 @@ def maximise_posterior(
     noise (two spreads and one below their medians), because long length scales can lead to an
     optimum that explains the signal as noise. With `start`, one run starts there. A second one
     starts at the best of these two points and DRAWN_CHALLENGERS draws from the priors, if its log
-    posterior exceeds that of `start`: the new data then contradict the earlier hyperparameters. With
-    both `start` and `restart`, all three runs are made.
+    posterior exceeds that of `start`: the new data then contradict the earlier hyperparameters.
+    With both `start` and `restart`, all three runs are made.
 
     Parameters
     ----------

@@ -2,11 +2,11 @@
 
 A trial to come takes as many evaluations as the latest half of the trials, or as a point at the
 boundary of `boundary`, each as long as of late, and what a trial takes beside them by the clock:
-the proposal, the search for the worst context and the ranking. That grows with the data, as a straight line through the latest half of the proposals.
-After the trials come the check of candidates and the validation, whose evaluations have no search
-between them, with a ranking after each step of the check. In these phases their own evaluations
-tell more and more. All of it follows the clock, so that a change of the load shows within some
-trials; a pause does not count.
+the proposal, the search for the worst context and the ranking. That grows with the data, as a
+straight line through the latest half of the proposals. After the trials come the check of
+candidates and the validation, whose evaluations have no search between them, with a ranking after
+each step of the check. In these phases their own evaluations tell more and more. All of it follows
+the clock, so that a change of the load shows within some trials; a pause does not count.
 """
 
 import math

@@ -19,7 +19,6 @@ References
 Gibbs and Candès (2021). Adaptive conformal inference under distribution shift. NeurIPS 34.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +34,7 @@ from bo_tuner.optimizers.bayesian import (
 )
 from bo_tuner.optimizers.ranking import ranked_by
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, TrialState, count_evaluations
+from bo_tuner.trials import TrialState, count_evaluations
 
 SEARCHING = 0.5
 """Part of the budget for the search."""

@@ -115,6 +115,16 @@ class Analysis:
                 return trial
         raise RunRecordError(f"{self.record.path}: its summary names trial {number}, not on record")
 
+    @property
+    def answer_name(self) -> str:
+        """What charts call the `answer`."""
+        return "best so far" if self.record.summary is None else "tuned"
+
+    @property
+    def answer_set(self) -> str:
+        """What sentences call the parameter set of the `answer`."""
+        return "best parameter set so far" if self.record.summary is None else "tuned parameter set"
+
     @cached_property
     def verdict(self) -> Verdict:
         """The verdict on the result."""

@@ -41,7 +41,7 @@ def contexts(analysis: Analysis) -> Section | None:
         return None
     sides = [("default", analysis.evaluations_of(analysis.defaults))]
     if analysis.answer is not None:
-        sides.append(("tuned", analysis.evaluations_of(analysis.answer.parameters)))
+        sides.append((analysis.answer_name, analysis.evaluations_of(analysis.answer.parameters)))
     sides = [(name, evaluations) for name, evaluations in sides if evaluations]
     if not sides:
         return None
@@ -111,7 +111,7 @@ def _map(study: Study, sides: Sequence[Side], constraint: Constraint | None, nam
         ]
     return Figure(
         name=name,
-        title=f"{metric.name} over the contexts, default and tuned parameter set",
+        title=f"{metric.name} over the contexts: {' and '.join(name for name, _ in sides)}",
         caption="Each point is an evaluation, of any stage. The colours between them are the "
         "posterior mean of a Gaussian process; the line is the limit. Points cluster where the "
         "metric is bad because the search looks for the worst case.",

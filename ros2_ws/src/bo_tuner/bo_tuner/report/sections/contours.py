@@ -49,7 +49,8 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
     return Figure(
         name="contours",
         title=f"Mean {metric.name} and feasible region, for pairs of parameters",
-        caption="Colour: posterior mean of the objective, with the other parameters as tuned. "
+        caption="Colour: posterior mean of the objective, with the other parameters as "
+        f"in the {analysis.answer_set}. "
         "Faded: probability of feasibility below 0.5. Inside the dotted line: a failure or an "
         "outlier is likely. Points are trials, projected onto the pair.",
         alternative=_feasible_shares(pairs, fields, analysis),
@@ -133,7 +134,7 @@ def _contour_panel(
             )
     for name, parameters, marker, color in (
         ("default", analysis.defaults, Marker.SQUARE, Color.INK),
-        ("tuned", answer.parameters, Marker.STAR, Color.BLUE),
+        (analysis.answer_name, answer.parameters, Marker.STAR, Color.BLUE),
     ):
         elements.append(
             Points(

@@ -180,7 +180,7 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
                 Points(
                     x=[x[k]],
                     y=[y[k]],
-                    name="tuned",
+                    name=analysis.answer_name,
                     color=Color.BLUE,
                     marker=Marker.STAR,
                     size=11,

@@ -28,7 +28,9 @@ def parallel(analysis: Analysis) -> Section | None:
         if chosen:
             elements.append(_lines(analysis, chosen, kind, color, dash, width))
     if analysis.answer is not None:
-        elements.append(_lines(analysis, [analysis.answer], "tuned", Color.BLUE, Dash.SOLID, 3.0))
+        elements.append(
+            _lines(analysis, [analysis.answer], analysis.answer_name, Color.BLUE, Dash.SOLID, 3.0)
+        )
     ticks = [(float(k), name) for k, name in enumerate(space.names)]
     return Section(
         name="parameters",

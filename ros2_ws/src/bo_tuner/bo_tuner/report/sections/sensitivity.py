@@ -29,7 +29,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
     optimum = found.optimum
     rows = [
         [
-            _step(neighbour, optimum),
+            _step(neighbour, optimum) if neighbour is not optimum else analysis.answer_name,
             number(neighbour.objective),
             change(neighbour.objective, optimum.objective) if neighbour is not optimum else "",
             f"{100.0 * neighbour.feasibility:.0f} %",
@@ -53,10 +53,11 @@ def sensitivity(analysis: Analysis) -> Section | None:
         name="sensitivity",
         title="Sensitivity to a step in one parameter",
         lead=lead,
-        figures=[_figure(found, metric.name)],
+        figures=[_figure(analysis, found, metric.name)],
         tables=[
             Table(
-                caption="Predictions of the surrogates one step away from the tuned parameter set",
+                caption="Predictions of the surrogates one step away from the "
+                f"{analysis.answer_set}",
                 header=[
                     "step",
                     f"mean {metric.name} [{metric.unit}]" if metric.unit else metric.name,
@@ -78,7 +79,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
     )
 
 
-def _figure(found: ParameterSensitivity, metric: str) -> Figure:
+def _figure(analysis: Analysis, found: ParameterSensitivity, metric: str) -> Figure:
     optimum = found.optimum
     steps = [_step(n, optimum) for n in found.neighbours]
     relative = np.array([100.0 * (n.objective / optimum.objective - 1.0) for n in found.neighbours])
@@ -105,7 +106,7 @@ def _figure(found: ParameterSensitivity, metric: str) -> Figure:
     ]
     return Figure(
         name="sensitivity",
-        title=f"Change of the mean {metric} one step away from the tuned parameter set",
+        title=f"Change of the mean {metric} one step away from the {analysis.answer_set}",
         caption="Predicted by the surrogates. A gain at an infeasible neighbour means that a limit "
         "is active at the optimum; large losses on both sides mean that the optimum is narrow.",
         alternative="; ".join(f"{s}: {r:+.1f} %" for s, r in zip(steps, relative, strict=True)),
@@ -121,8 +122,6 @@ def _figure(found: ParameterSensitivity, metric: str) -> Figure:
 
 
 def _step(neighbour: Neighbour, optimum: Neighbour) -> str:
-    if not neighbour.changed:
-        return "tuned"
     return ", ".join(
         _change(name, optimum.parameters[name], value) for name, value in neighbour.changed.items()
     )

@@ -49,7 +49,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
     columns = min(1 + len(limited), MOST_COLUMNS)
     return Figure(
         name="slices",
-        title="Slices through the tuned parameter set",
+        title=f"Slices through the {analysis.answer_set}",
         caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
         "two standard deviations of the posterior, without the noise of an evaluation. Where the "
         "line ends, the values would violate the order of the parameters. A limit with a "
@@ -146,7 +146,7 @@ def _markers(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Ele
             color=Color.INK, dash=Dash.DASH_DOT,
         ),
         Limit(
-            value=float(answer.parameters[grid.name]), name="tuned", vertical=True,
+            value=float(answer.parameters[grid.name]), name=analysis.answer_name, vertical=True,
             color=Color.BLUE, dash=Dash.SOLID,
         ),
     ]  # fmt: skip

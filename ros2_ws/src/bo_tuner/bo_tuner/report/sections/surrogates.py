@@ -24,7 +24,7 @@ def surrogates(analysis: Analysis) -> Section | None:
         notes.append(f"Pairs of the parameters with the shortest length scales: {chosen}.")
     if len(names) < space.dimension:
         others = ", ".join(name for name in space.names if name not in names)
-        notes.append(f"Without an axis of numbers: {others}; as in the tuned parameter set.")
+        notes.append(f"Without an axis of numbers: {others}; as in the {analysis.answer_set}.")
     notes += [f"Fit: {warning}." for warning in analysis.models.warnings]
     return Section(
         name="surrogates",

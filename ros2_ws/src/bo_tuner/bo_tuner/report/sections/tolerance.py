@@ -28,7 +28,7 @@ def tolerance(analysis: Analysis) -> Section | None:
         figures=[_reliefs(found, numbered("tolerance", k)) for k, found in enumerate(tolerances)],
         tables=[_table(found) for found in tolerances],
         notes=[
-            *map(_note, tolerances),
+            *(_note(found, analysis.answer_set) for found in tolerances),
             "There are no predictions outside the ranges of the study.",
         ],
     )
@@ -62,9 +62,9 @@ def _table(found: ContextTolerance) -> Table:
     )
 
 
-def _note(found: ContextTolerance) -> str:
+def _note(found: ContextTolerance, subject: str) -> str:
     return (
-        f"From {found.evaluations} evaluations of the tuned parameter set. The mean "
+        f"From {found.evaluations} evaluations of the {subject}. The mean "
         f"{found.metric} over noise is {quantity(found.nominal.median, found.unit)} in the "
         f"nominal context and {quantity(found.worst.median, found.unit)} "
         f"({number(found.worst.low)} to {number(found.worst.high)}) in the worst one "

@@ -106,7 +106,7 @@ def trajectories(analysis: Analysis) -> Section | None:
         contexts[f"worst context{of}"] = dict(worst.context)
     try:
         drawn = analysis.remember(
-            ("trajectories", answer.number, str(contexts)),
+            ("trajectories", analysis.answer_name, answer.number, str(contexts)),
             partial(_simulated, analysis, answer.parameters, contexts),
         )
     except (NoTraceError, StudyError, BackendError) as error:
@@ -114,7 +114,7 @@ def trajectories(analysis: Analysis) -> Section | None:
     where = "; ".join(f"{name}: {values(context)}" for name, context in contexts.items() if context)
     figure = Figure(
         name="trajectories",
-        title="One evaluation of default and tuned, with the same noise",
+        title=f"One evaluation of default and {analysis.answer_name}, with the same noise",
         caption="Simulated in process by the study's objects, not recorded during the run. "
         "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time of both parameter sets. {where}.",
@@ -122,13 +122,13 @@ def trajectories(analysis: Analysis) -> Section | None:
         columns=len(contexts),
         panel_height=260,
     )
-    lead = "Default and tuned parameter set in the same contexts, with the same noise"
+    lead = f"Default and {analysis.answer_set} in the same contexts, with the same noise"
     return _section(f"{lead} ({where})." if where else f"{lead}.", [figure])
 
 
-def _from_bags(analysis: Analysis, tuned: Mapping[str, Value]) -> Section:
-    """Show the worst run of default and tuned that a bag has."""
-    sides = {DEFAULT: analysis.defaults, TUNED: tuned}
+def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
+    """Show the worst run of default and answer that a bag has."""
+    sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
     try:
         found = {name: worst_recorded(analysis, parameters) for name, parameters in sides.items()}
     except RunRecordError as error:
@@ -136,8 +136,8 @@ def _from_bags(analysis: Analysis, tuned: Mapping[str, Value]) -> Section:
     runs = {name: item for name, item in found.items() if item is not None}
     if not runs:
         return _section(
-            "No trajectories: no bag has a run of the default or of the tuned parameter set; tune "
-            "with --record notable or all."
+            "No trajectories: no bag has a run of the default or of the "
+            f"{analysis.answer_set}; tune with --record notable or all."
         )
     where = [
         f"{name}: evaluation {evaluation.index} in bags/{run.bag}"
@@ -147,11 +147,11 @@ def _from_bags(analysis: Analysis, tuned: Mapping[str, Value]) -> Section:
     where += [f"{name}: no bag has a run" for name in sides if name not in runs]
     figure = Figure(
         name="trajectories",
-        title="The worst recorded run of default and tuned",
+        title=f"The worst recorded run of default and {analysis.answer_name}",
         caption="As the tuner heard the signals; each value holds until the next message. "
         "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time. {'; '.join(where)}.",
-        panels=signal_panels({name: run for name, (_, run) in runs.items()}, LOOKS),
+        panels=signal_panels({name: run for name, (_, run) in runs.items()}, _looks(analysis)),
         panel_height=260,
     )
     return _section(f"The worst run of each that was recorded. {'; '.join(where)}.", [figure])
@@ -204,12 +204,12 @@ def panels(columns: Mapping[str, Mapping[str, Trace]], looks: Mapping[str, Look]
 
 
 def _simulated(
-    analysis: Analysis, tuned: Mapping[str, Value], contexts: Mapping[str, Mapping[str, float]]
+    analysis: Analysis, answer: Mapping[str, Value], contexts: Mapping[str, Mapping[str, float]]
 ) -> list[Panel]:
-    """Return panels of default and tuned, with a column for each context."""
+    """Return panels of default and answer, with a column for each context."""
     study = analysis.study
     seed = noise_seed(study.seed, Stream.VALIDATION_NOISE, 0)
-    sides = {DEFAULT: analysis.defaults, TUNED: tuned}
+    sides = {DEFAULT: analysis.defaults, analysis.answer_name: answer}
     planned = [
         Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
         for context in contexts.values()
@@ -217,7 +217,11 @@ def _simulated(
     ]
     found = iter(simulate(study, planned))
     columns = {title: {name: next(found) for name in sides} for title in contexts}
-    return panels(columns, LOOKS)
+    return panels(columns, _looks(analysis))
+
+
+def _looks(analysis: Analysis) -> dict[str, Look]:
+    return {DEFAULT: LOOKS[DEFAULT], analysis.answer_name: LOOKS[TUNED]}
 
 
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
