@@ -94,6 +94,9 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("runs"), metavar="DIR")
     parser.add_argument("--result", type=Path, metavar="FILE", help="JSON file of the comparison")
     parser.add_argument("--sparse", action="store_true", help="judge on a sparser grid")
+    parser.add_argument(
+        "--rivals", type=int, metavar="N", help="try the classical rule beside so many runs only"
+    )
     arguments, options = parser.parse_known_args()
     folder = Path(__file__).parent / arguments.example
     if not (folder / "study.yaml").is_file() or not (folder / "judge.py").is_file():
@@ -118,7 +121,7 @@ def main() -> None:
             judge.judge, judge.grid(arguments.sparse), judge.draws(DRAWS), study, executor
         )
         hard = hardest(compare, judge.DEFAULT) if runs else []
-        for run in runs:
+        for run in runs[: arguments.rivals]:
             gains = detune(
                 classical.detuned, len(classical.LOOPS), compare, hard,
                 judge.draws(TRIED, run["seed"]), run["evaluations"], run["seed"],
