@@ -18,14 +18,22 @@ class Table:
     levels: tuple[float, ...] = parameter("m", "Where", lower=0, upper=1)
     mode: str = parameter("", "Which way", choices=("up", "down"))
     label: str = parameter("", "What it is called")
+    active: bool = parameter("", "Whether it moves")
 
 
-GOOD = {"count": 3, "speed": 0.5, "levels": (0.1, 0.2), "mode": "up", "label": "axis"}
+GOOD = {
+    "count": 3,
+    "speed": 0.5,
+    "levels": (0.1, 0.2),
+    "mode": "up",
+    "label": "axis",
+    "active": True,
+}
 
 
 def test_good_values_are_kept():
     table = build(Table, GOOD)
-    assert table == Table(3, 0.5, (0.1, 0.2), "up", "axis")
+    assert table == Table(3, 0.5, (0.1, 0.2), "up", "axis", True)
 
 
 def test_a_whole_number_is_taken_for_a_float():
@@ -64,6 +72,9 @@ def test_a_whole_number_is_taken_for_a_float():
         ("mode", "left", "'left' is not one of up, down"),
         ("mode", 1, "1 is not one of up, down"),
         ("label", 1, "1 is not a string"),
+        ("active", 1, "1 is not true or false"),
+        ("active", "true", "'true' is not true or false"),
+        ("active", None, "None is not true or false"),
     ],
 )
 def test_a_bad_value_is_refused_by_name_value_and_rule(name, value, rule):
@@ -95,10 +106,10 @@ def test_what_passes_lies_within_the_range(value):
 
 
 def test_the_table_can_be_read_back():
-    count, speed, levels, mode, label = specifications(Table)
+    count, speed, levels, mode, label, active = specifications(Table)
     assert (count.name, count.kind, count.lower, count.upper) == ("count", int, 1, 9)
     assert count.description == "How many [samples]"
-    assert (speed.kind, levels.kind, mode.kind) == (float, tuple, str)
+    assert (speed.kind, levels.kind, mode.kind, active.kind) == (float, tuple, str, bool)
     assert mode.choices == ("up", "down")
     assert label.description == "What it is called"
 

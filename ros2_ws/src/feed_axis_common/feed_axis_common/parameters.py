@@ -25,8 +25,8 @@ T = TypeVar("T")
 class Specification:
     """What the table says about one parameter.
 
-    `kind` is ``int``, ``float``, ``str`` or ``tuple`` (of floats); `lower` and `upper` are
-    inclusive and hold for each item of a tuple.
+    `kind` is ``bool``, ``int``, ``float``, ``str`` or ``tuple`` (of floats); `lower` and `upper`
+    are inclusive and hold for each item of a tuple.
     """
 
     name: str
@@ -69,7 +69,7 @@ def specifications(table: type) -> tuple[Specification, ...]:
     return tuple(
         Specification(
             name=f.name,
-            kind=hints[f.name] if hints[f.name] in (int, float, str) else tuple,
+            kind=hints[f.name] if hints[f.name] in (bool, int, float, str) else tuple,
             **f.metadata,
         )
         for f in fields(table)
@@ -132,6 +132,10 @@ def _checked(spec: Specification, value: object) -> object:
         if not isinstance(value, str) or (spec.choices and value not in spec.choices):
             expected = f"one of {', '.join(spec.choices)}" if spec.choices else "a string"
             raise SettingsError(f"{spec.name}: {value!r} is not {expected}")
+        return value
+    if spec.kind is bool:
+        if not isinstance(value, bool):
+            raise SettingsError(f"{spec.name}: {value!r} is not true or false")
         return value
     return _number(spec, spec.kind, value)
 
