@@ -35,7 +35,6 @@ from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
-from feed_axis_common.model import delay_augmented, feed_axis
 from feed_axis_common.ros.messages import LOOP_QOS, VelocityPublisher, from_stamp
 from feed_axis_common.ros.process import make_executor
 from mpc_controller.controller import MpcController
@@ -73,8 +72,7 @@ class BareSteps:
         self._loop: list[tuple[float, float]] = []
         self._record()
         s = self._settings
-        A, B = feed_axis(s.gain, s.damping_ratio, s.natural_frequency)
-        model = delay_augmented(A, B, s.sample_time, s.dead_time)
+        model = s.model()
         self._program = condense(model, s.control_horizon, s.prediction_horizon, s.lambda_mpc)
         self._filter = lambda: kalman_filter(
             model, s.measurement_variance, s.lambda_kf, model.equilibrium(0.5, s.gain)

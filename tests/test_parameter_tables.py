@@ -19,10 +19,14 @@ def rows(node):
 
 
 def shown(value):
+    if isinstance(value, bool):
+        return f"`{value}`".lower()
     return str(list(value) if isinstance(value, tuple) else value)
 
 
 def permitted(spec):
+    if spec.kind is bool:
+        return "`true` or `false`"
     if spec.choices:
         return " or ".join(f"`{choice}`" for choice in spec.choices)
     return "" if spec.lower is None else f"{spec.lower:g} … {spec.upper:g}"

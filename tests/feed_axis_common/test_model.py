@@ -9,6 +9,7 @@ from second_order import delayed_response, matrices
 
 from feed_axis_common.model import (
     delay_augmented,
+    disturbance_augmented,
     feed_axis,
     split_dead_time,
     zero_order_hold,
@@ -89,6 +90,35 @@ def test_equilibrium_stays_where_it_is(delay):
     x = model.equilibrium(0.6, gain)
     np.testing.assert_allclose(model.A @ x + model.B[:, 0] * 0.6 / gain, x, atol=1e-14)
     assert (model.C @ x).item() == 0.6
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.5])
+def test_a_disturbance_acts_as_an_input_without_dead_time(delay):
+    axis = feed_axis(1.3, 0.8, 26.0)
+    plain = delay_augmented(*axis, SAMPLE_TIME, delay * SAMPLE_TIME)
+    model = disturbance_augmented(plain, zero_order_hold(*axis, SAMPLE_TIME)[1])
+    assert (model.axis_states, model.disturbance) == (3, 2)
+    commands, load = np.random.default_rng(1).normal(size=40), 0.7
+    x = np.zeros((model.A.shape[0], 1))
+    x[model.disturbance] = load
+    outputs = [0.0]
+    for u in commands:
+        x = model.A @ x + model.B * u
+        outputs.append((model.C @ x).item())
+    assert x[model.disturbance] == load
+    system = matrices(1.3, 0.8, 26.0)
+    expected = delayed_response(system, commands, SAMPLE_TIME, delay * SAMPLE_TIME)
+    expected += delayed_response(system, np.full(40, load), SAMPLE_TIME, 0.0)
+    np.testing.assert_allclose(outputs, expected, atol=1e-11)
+
+
+def test_the_equilibrium_is_without_a_disturbance():
+    axis = feed_axis(2.0, 0.8, 26.0)
+    plain = delay_augmented(*axis, SAMPLE_TIME, 1.5 * SAMPLE_TIME)
+    model = disturbance_augmented(plain, zero_order_hold(*axis, SAMPLE_TIME)[1])
+    x = model.equilibrium(0.6, 2.0)
+    np.testing.assert_array_equal(np.delete(x, model.disturbance), plain.equilibrium(0.6, 2.0))
+    assert x[model.disturbance] == 0.0
 
 
 @given(

@@ -81,10 +81,21 @@ def test_the_first_sample_of_the_preview_is_the_next_one(controller_settings):
     lambda_kf=st.floats(-12.0, 8.0),
     dead_time=st.floats(0.0, 0.08),
     lower=st.floats(-1.0, 0.4),
+    estimate_disturbance=st.booleans(),
+    lambda_disturbance=st.floats(-12.0, 4.0),
     values=st.lists(st.floats(-1e100, 1e100) | st.sampled_from([math.nan, math.inf, -math.inf])),
 )
 def test_input_limits_hold_for_any_settings_and_measurements(
-    controller_settings, moves, extra, lambda_mpc, lambda_kf, dead_time, lower, values
+    controller_settings,
+    moves,
+    extra,
+    lambda_mpc,
+    lambda_kf,
+    dead_time,
+    lower,
+    estimate_disturbance,
+    lambda_disturbance,
+    values,
 ):
     settings = controller_settings(
         control_horizon=moves,
@@ -93,6 +104,8 @@ def test_input_limits_hold_for_any_settings_and_measurements(
         lambda_kf=lambda_kf,
         dead_time=dead_time,
         input_lower=lower,
+        estimate_disturbance=estimate_disturbance,
+        lambda_disturbance=lambda_disturbance,
     )
     controller = MpcController(settings)
     for step in run(controller, values[: REFERENCE.size]):

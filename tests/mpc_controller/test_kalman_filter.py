@@ -6,14 +6,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import block_diag, cholesky, solve_discrete_are
 
-from feed_axis_common.model import delay_augmented, feed_axis
+from feed_axis_common.model import (
+    delay_augmented,
+    disturbance_augmented,
+    feed_axis,
+    zero_order_hold,
+)
 from mpc_controller.kalman_filter import kalman_filter
 
 SAMPLE_TIME = 0.02
 
 
-def make_model(delay=1.0, damping=1.0):
-    return delay_augmented(*feed_axis(1.0, damping, 26.0), SAMPLE_TIME, delay * SAMPLE_TIME)
+def make_model(delay=1.0, damping=1.0, disturbance=False):
+    axis = feed_axis(1.0, damping, 26.0)
+    model = delay_augmented(*axis, SAMPLE_TIME, delay * SAMPLE_TIME)
+    return (
+        disturbance_augmented(model, zero_order_hold(*axis, SAMPLE_TIME)[1])
+        if disturbance
+        else model
+    )
 
 
 @pytest.mark.parametrize("lambda_kf", [-5.0, -1.0, 2.0])
@@ -30,6 +41,47 @@ def test_covariance_and_gain_converge_to_the_riccati_solution(delay, lambda_kf):
     kf.update(0.0)
     gain = P @ model.C.T / ((model.C @ P @ model.C.T).item() + R)
     np.testing.assert_allclose(kf.K, gain, rtol=1e-6, atol=1e-9 * abs(gain).max())
+
+
+@pytest.mark.parametrize("lambda_disturbance", [-2.0, 0.0])
+@pytest.mark.parametrize("lambda_kf", [-4.0, -1.0])
+@pytest.mark.parametrize("delay", [0.0, 1.0, 2.5])
+def test_gain_with_a_disturbance_converges_to_the_riccati_solution(
+    delay, lambda_kf, lambda_disturbance
+):
+    model, R = make_model(delay, disturbance=True), 0.001
+    n = model.A.shape[0]
+    kf = kalman_filter(model, R, lambda_kf, np.zeros(n), lambda_disturbance)
+    variances = np.full(n, 10.0**lambda_kf)
+    variances[2] = 10.0 ** (lambda_kf + lambda_disturbance)
+    for _ in range(1000):
+        kf.update(0.0)
+        kf.predict(0.0)
+    kf.update(0.0)
+    P = solve_discrete_are(model.A.T, model.C.T, np.diag(variances), np.array([[R]]))
+    gain = P @ model.C.T / ((model.C @ P @ model.C.T).item() + R)
+    np.testing.assert_allclose(kf.K, gain, rtol=1e-6, atol=1e-9 * abs(gain).max())
+
+
+def test_a_disturbance_is_followed_within_the_samples_that_the_documents_name():
+    """With exact measurements, the time constant in samples is sqrt(H H' / 10^lambda_disturbance).
+
+    H is the static gain from the process noise of each state to the velocity; that of the
+    disturbance is K = 1. A random walk of variance q seen through white noise of variance r has the
+    filter pole 1 - sqrt(q / r) for q << r.
+    """
+    model, plain = make_model(disturbance=True), make_model()
+    H = plain.C @ np.linalg.inv(np.eye(3) - plain.A)
+    for lambda_disturbance in (-4.0, -2.0, -1.0):
+        kf = kalman_filter(model, 1e-9, 0.0, np.zeros(4), lambda_disturbance)
+        for _ in range(2000):
+            kf.update(0.0)
+            kf.predict(0.0)
+        poles = np.linalg.eigvals((np.eye(4) - kf.K @ model.C) @ model.A)
+        time_constant = -1.0 / np.log(abs(poles).max())
+        expected = np.sqrt((H @ H.T).item() / 10.0**lambda_disturbance)
+        assert time_constant == pytest.approx(expected, rel=0.02)
+    assert round(expected) == 14
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5])
@@ -67,13 +119,15 @@ def test_estimate_is_the_most_probable_state_of_the_whole_record(delay):
     damping=st.floats(0.05, 3.0),
     lambda_kf=st.floats(-12.0, 8.0),
     variance_exponent=st.floats(-12.0, 6.0),
+    lambda_disturbance=st.none() | st.floats(-12.0, 4.0),
     gaps=st.integers(0, 5),
 )
 def test_covariance_stays_symmetric_positive_semidefinite(
-    delay, damping, lambda_kf, variance_exponent, gaps
+    delay, damping, lambda_kf, variance_exponent, lambda_disturbance, gaps
 ):
-    model = make_model(delay, damping)
-    kf = kalman_filter(model, 10.0**variance_exponent, lambda_kf, np.zeros(model.A.shape[0]))
+    model = make_model(delay, damping, disturbance=lambda_disturbance is not None)
+    x0 = np.zeros(model.A.shape[0])
+    kf = kalman_filter(model, 10.0**variance_exponent, lambda_kf, x0, lambda_disturbance or 0.0)
     for k in range(60):
         if k % (gaps + 1) == 0:
             kf.update(1.0)

@@ -14,14 +14,19 @@ from second_order import DelayLine, matrices
 
 from feed_axis_common.model import delay_augmented, feed_axis
 from mpc_controller.controller import MpcController
+from mpc_controller.return_time import (
+    filter_operations,
+    iteration_operations,
+    program_operations,
+)
 
 REFERENCE = 0.5
 
 
 def axis(s, gain, x=(0.0, 0.0), past=(0.0,)):
-    """The axis with one sample of dead time, apart from the package's model."""
+    """The axis with a sample of dead time for each past input, apart from the package's model."""
     system = matrices(gain, s.damping_ratio, s.natural_frequency)
-    return DelayLine(system, s.sample_time, 1, x, past)
+    return DelayLine(system, s.sample_time, len(past), x, past)
 
 
 def law(s):
@@ -61,15 +66,19 @@ def offsets(s, share):
     return innovation * (1.0 / share - 1.0), share * s.gain * u - 1.0
 
 
-def at_rest(s, share, samples=200):
-    """Velocity and estimate [m/s] after many samples on a constant reference, without noise."""
-    plant = axis(s, share * s.gain, (REFERENCE, 0.0), (REFERENCE / (share * s.gain),))
+def at_rest(s, share, load=0.0, samples=200):
+    """Velocity and estimate [m/s] after many samples on a constant reference, without noise.
+
+    `load` [m/s] is added to all inputs of the plant.
+    """
+    past = np.full(round(s.dead_time / s.sample_time), REFERENCE / (share * s.gain))
+    plant = axis(s, share * s.gain, (REFERENCE, 0.0), past)
     controller = MpcController(s)
     controller.start(np.full(samples, REFERENCE))
     v = REFERENCE
     for _ in range(samples):
         step = controller.step(v)
-        measured, v = v, plant.step(step.command)
+        measured, v = v, plant.step(step.command + load)
     return measured, step.estimate
 
 
@@ -99,3 +108,80 @@ def test_offsets_in_percent_that_the_documents_name(
     found = offsets(controller_settings(lambda_kf=lambda_kf), 0.9)
     assert f"{100 * found[0]:.2f}" == of_estimate
     assert f"{100 * found[1]:.1f}" == of_velocity
+
+
+@pytest.mark.parametrize(("share", "load"), [(0.9, 0.0), (1.15, 0.0), (1.0, -0.1), (0.9, 0.08)])
+@pytest.mark.parametrize("lambda_kf", [-5.0, -1.0, 2.0])
+@pytest.mark.parametrize(("horizons", "delay"), [((15, 15), 1), ((1, 4), 1), ((8, 20), 3)])
+def test_an_estimated_disturbance_leaves_no_offset(
+    controller_settings, horizons, delay, lambda_kf, share, load
+):
+    settings = controller_settings(
+        control_horizon=horizons[0],
+        prediction_horizon=horizons[1],
+        dead_time=0.02 * delay,
+        lambda_kf=lambda_kf,
+        estimate_disturbance=True,
+    )
+    v, estimate = at_rest(settings, share, load, samples=600)
+    assert v == pytest.approx(REFERENCE, abs=2e-4)
+    assert estimate == pytest.approx(v, abs=1e-6)
+    # The same loop without it is off, or there would be nothing to remove.
+    plain = controller_settings(**vars(settings) | {"estimate_disturbance": False})
+    assert abs(at_rest(plain, share, load)[0] - REFERENCE) > 0.01
+
+
+def cut(settings, gain, reference, noise=0.0):
+    """Commands and velocities [m/s] of a cut along `reference`, from rest on its first value."""
+    plant = axis(settings, gain, (reference[0], 0.0), (reference[0] / gain,))
+    controller = MpcController(settings)
+    controller.start(reference)
+    rng = np.random.default_rng(0)
+    commands, velocities = [], [reference[0]]
+    for _ in reference:
+        commands.append(controller.step(velocities[-1] + noise * rng.normal()).command)
+        velocities.append(plant.step(commands[-1]))
+    return np.array(commands), np.array(velocities), controller
+
+
+def test_an_active_limit_is_no_disturbance(controller_settings):
+    """The filter knows the inputs that were given: on the model's plant both loops are the same."""
+    reference = np.repeat([0.5, 1.1, 0.5], 40)
+    plain = controller_settings(input_upper=1.0)
+    with_estimate = controller_settings(input_upper=1.0, estimate_disturbance=True)
+    expected, *_ = cut(plain, 1.0, reference)
+    commands, *_ = cut(with_estimate, 1.0, reference)
+    assert np.sum(expected > 1.0 - 1e-4) > 20
+    np.testing.assert_allclose(commands, expected, atol=2e-4)
+
+
+def test_the_variance_of_a_disturbance_that_is_not_estimated_changes_no_bit(controller_settings):
+    reference = np.repeat([0.5, 0.8], 20)
+    first, *_ = cut(controller_settings(), 0.9, reference, 0.03)
+    second, *_ = cut(controller_settings(lambda_disturbance=3.0), 0.9, reference, 0.03)
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(("estimate_disturbance", "states"), [(False, 3), (True, 4)])
+def test_the_modelled_return_time_counts_the_state(
+    controller_settings, estimate_disturbance, states
+):
+    settings = controller_settings(
+        return_time="modelled",
+        modelled_overhead=0.0,
+        modelled_operation_time=1.0,
+        estimate_disturbance=estimate_disturbance,
+    )
+    controller = MpcController(settings)
+    operations = filter_operations(states) + program_operations(states, 15, 15)
+    controller.start([0.5])
+    step = controller.step(0.5)
+    iterations = controller.cut_result()["mean_iterations"]
+    assert step.return_time == operations + iterations * iteration_operations(15)
+
+
+def test_the_result_names_the_variance_of_an_estimated_disturbance(controller_settings):
+    for estimated in (False, True):
+        settings = controller_settings(estimate_disturbance=estimated, lambda_disturbance=-2.5)
+        *_, controller = cut(settings, 1.0, np.array([0.5, 0.6]))
+        assert controller.cut_result().get("lambda_disturbance") == (-2.5 if estimated else None)

@@ -27,6 +27,7 @@ TABLES = {
     "mpc_controller": (ControllerSettings, controller_defaults()),
 }
 TYPES = {
+    bool: ParameterType.PARAMETER_BOOL,
     int: ParameterType.PARAMETER_INTEGER,
     float: ParameterType.PARAMETER_DOUBLE,
     str: ParameterType.PARAMETER_STRING,
@@ -98,6 +99,11 @@ REFUSED = [
         {"return_time": "guessed"},
         "return_time: 'guessed' is not one of measured, modelled",
     ),
+    (
+        "mpc_controller",
+        {"estimate_disturbance": 1},
+        "estimate_disturbance: 1 is not true or false",
+    ),
     ("mpc_controller", {"no_such": 1.0}, "no_such: unknown parameter; expected one of "),
     ("milling_plant", {"seed": -1}, "seed: -1 is below the lower limit 0"),
     ("milling_plant", {"stiffness_factor": -math.inf}, "stiffness_factor: -inf is not finite"),
@@ -135,6 +141,11 @@ def test_a_parameter_cannot_be_deleted(client):
         assert not result.successful
         assert result.reason == "lambda_mpc: cannot be deleted"
         assert client.get_parameters("mpc_controller", ["lambda_mpc"]) == [-3.0]
+
+
+def test_a_truth_value_is_set(client):
+    assert client.set_parameters("mpc_controller", {"estimate_disturbance": True}).successful
+    assert client.get_parameters("mpc_controller", ["estimate_disturbance"]) == [True]
 
 
 def test_a_whole_number_is_taken_for_a_double(client):

@@ -103,6 +103,7 @@ def test_random_loops_agree_with_the_objects(plant_settings, controller_settings
         {},
         {"control_horizon": 20, "prediction_horizon": 20, "lambda_mpc": -4.0},
         {"control_horizon": 2, "prediction_horizon": 4, "lambda_mpc": -3.9, "lambda_kf": 2.0},
+        {"estimate_disturbance": True, "lambda_disturbance": -2.0},
     ],
 )
 def test_active_limits_agree_with_the_objects(plant_settings, controller_settings, changes):

@@ -35,14 +35,17 @@ class DiscreteModel:
     C
         Shape (1, n).
     axis_states
-        How many leading states are the axis's own; the rest are the past inputs
-        u_{k-d}, ..., u_{k-1} [m/s].
+        How many leading states are the axis's own, a disturbance included; the rest are the past
+        inputs u_{k-d}, ..., u_{k-1} [m/s].
+    disturbance
+        Index of the state that is a constant disturbance of the input [m/s], None without one.
     """
 
     A: Array
     B: Array
     C: Array
     axis_states: int
+    disturbance: int | None = None
 
     def equilibrium(self, velocity: float, gain: float) -> Array:
         """State (n,) at rest on `velocity` [m/s] with the static gain `gain`."""
@@ -132,3 +135,35 @@ def delay_augmented(A: Array, B: Array, sample_time: float, dead_time: float) ->
     C = np.zeros((1, n + d))
     C[0, 0] = 1.0
     return DiscreteModel(A=A_d, B=B_d, C=C, axis_states=n)
+
+
+def disturbance_augmented(model: DiscreteModel, Gamma: Array) -> DiscreteModel:
+    """Let a constant disturbance be added to the input where it acts, after the dead time.
+
+    x_{k+1} = A x_k + B u_k + Gamma d_k, d_{k+1} = d_k (Muske and Badgwell 2002; Pannocchia and
+    Rawlings 2003). A load is such a disturbance, and at rest so is a wrong gain. It is the last of
+    the axis's own states, and 0 in `DiscreteModel.equilibrium`.
+
+    Parameters
+    ----------
+    model
+        Model with n states, a of them the axis's own.
+    Gamma
+        What a constant input adds to the axis's states in one sample, shape (a, 1).
+
+    Returns
+    -------
+    DiscreteModel
+        With n + 1 states.
+    """
+    a = model.axis_states
+    A = np.insert(np.insert(model.A, a, 0.0, axis=0), a, 0.0, axis=1)
+    A[:a, a] = Gamma[:, 0]
+    A[a, a] = 1.0
+    return DiscreteModel(
+        A=A,
+        B=np.insert(model.B, a, 0.0, axis=0),
+        C=np.insert(model.C, a, 0.0, axis=1),
+        axis_states=a + 1,
+        disturbance=a,
+    )

@@ -11,7 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
-from feed_axis_common.model import Array, delay_augmented, feed_axis
+from feed_axis_common.model import Array
 from feed_axis_common.parameters import build
 from mpc_controller.errors import ControllerError
 from mpc_controller.kalman_filter import kalman_filter
@@ -90,12 +90,15 @@ class MpcController:
             )
         s = self.settings
         self._in_force = s
-        A, B = feed_axis(s.gain, s.damping_ratio, s.natural_frequency)
-        model = delay_augmented(A, B, s.sample_time, s.dead_time)
+        model = s.model()
         program = condense(model, s.control_horizon, s.prediction_horizon, s.lambda_mpc)
         self._mpc = Mpc(program, s.input_lower, s.input_upper)
         self._kf = kalman_filter(
-            model, s.measurement_variance, s.lambda_kf, model.equilibrium(r[0], s.gain)
+            model,
+            s.measurement_variance,
+            s.lambda_kf,
+            model.equilibrium(r[0], s.gain),
+            s.lambda_disturbance,
         )
         n = model.A.shape[0]
         self._fixed_operations = filter_operations(n) + program_operations(
@@ -179,6 +182,7 @@ class MpcController:
             "prediction_horizon": s.prediction_horizon,
             "lambda_mpc": s.lambda_mpc,
             "lambda_kf": s.lambda_kf,
+            **({"lambda_disturbance": s.lambda_disturbance} if s.estimate_disturbance else {}),
         }
 
     def _modelled_return_time(self, solution: Solution) -> float:

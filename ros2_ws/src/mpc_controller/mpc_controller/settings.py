@@ -1,10 +1,22 @@
 """The controller's parameter table."""
 
 from dataclasses import dataclass
+from math import pi
 
 from feed_axis_common.errors import SettingsError
-from feed_axis_common.model import check_dead_time
+from feed_axis_common.model import (
+    DiscreteModel,
+    check_dead_time,
+    delay_augmented,
+    disturbance_augmented,
+    feed_axis,
+    zero_order_hold,
+)
 from feed_axis_common.parameters import build, config_directory, load_defaults, parameter
+
+UNDETECTABLE = 1e-6
+"""A mode that decays in a sample by less than this share of itself counts as undamped, and one
+whose phase per sample is this close to a multiple of pi [rad] as unseen in the samples."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +34,15 @@ class ControllerSettings:
     )
     lambda_kf: float = parameter(
         "", "Exponent of the process noise covariance, Q_KF = I 10^lambda_kf", lower=-12, upper=8
+    )
+    estimate_disturbance: bool = parameter(
+        "", "Whether filter and prediction have a constant input disturbance: no offset at rest"
+    )
+    lambda_disturbance: float = parameter(
+        "",
+        "Exponent of the disturbance's process noise, 10^lambda_disturbance times that of Q_KF",
+        lower=-12,
+        upper=4,
     )
     gain: float = parameter("", "Nominal gain K of the axis", lower=1e-6, upper=1e6)
     damping_ratio: float = parameter("", "Nominal damping ratio D", lower=0, upper=100)
@@ -66,6 +87,34 @@ class ControllerSettings:
                 f"input_upper: {self.input_upper} is not above input_lower {self.input_lower} m/s"
             )
         check_dead_time(self.dead_time, self.sample_time)
+        if self.estimate_disturbance:
+            self._check_detectable()
+
+    def model(self) -> DiscreteModel:
+        """Discretise the nominal axis for filter and MPC, with a disturbance if it is estimated."""
+        A, B = feed_axis(self.gain, self.damping_ratio, self.natural_frequency)
+        model = delay_augmented(A, B, self.sample_time, self.dead_time)
+        if not self.estimate_disturbance:
+            return model
+        _, Gamma = zero_order_hold(A, B, self.sample_time)
+        return disturbance_augmented(model, Gamma)
+
+    def _check_detectable(self) -> None:
+        """Raise `SettingsError` if samples of the velocity do not show all states in the long run.
+
+        A mode that decays need not be seen, and the disturbance is seen by the gain, which is not
+        0 (Pannocchia and Rawlings 2003). What remains are undamped modes e^(+-j omega_0 T_s): where
+        omega_0 T_s is a multiple of pi they coincide, and one output shows one of the two only.
+        """
+        phase = self.natural_frequency * self.sample_time
+        half_turns = round(phase / pi)
+        damped = self.damping_ratio * phase > UNDETECTABLE
+        if not damped and half_turns > 0 and abs(phase - half_turns * pi) <= UNDETECTABLE:
+            raise SettingsError(
+                f"estimate_disturbance: natural_frequency {self.natural_frequency} rad/s without "
+                f"damping is {half_turns} pi / sample_time, so that the samples do not show all "
+                "states; expected another sample_time, or a damping_ratio above 0"
+            )
 
 
 def default_settings() -> ControllerSettings:

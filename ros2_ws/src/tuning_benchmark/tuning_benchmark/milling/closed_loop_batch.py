@@ -21,7 +21,6 @@ from scipy.optimize import lsq_linear
 from feed_axis_common.model import (
     Array,
     DiscreteModel,
-    delay_augmented,
     feed_axis,
     split_dead_time,
     zero_order_hold,
@@ -230,8 +229,7 @@ class _Controller:
 
     def __init__(self, settings: ControllerSettings, reference: Array) -> None:
         s = settings
-        A, B = feed_axis(s.gain, s.damping_ratio, s.natural_frequency)
-        self.model: DiscreteModel = delay_augmented(A, B, s.sample_time, s.dead_time)
+        self.model: DiscreteModel = s.model()
         self.lower, self.upper = s.input_lower, s.input_upper
         self.start = self.model.equilibrium(float(reference[0]), s.gain)
         self.filter_gains = _filter_gains(s, self.model, reference.size)
@@ -258,8 +256,11 @@ class _Controller:
 
 def _filter_gains(settings: ControllerSettings, model: DiscreteModel, samples: int) -> Array:
     """Gains (N, n) of the controller's own filter; they do not depend on the measurements."""
+    s = settings
     n = model.A.shape[0]
-    kf = kalman_filter(model, settings.measurement_variance, settings.lambda_kf, np.zeros(n))
+    kf = kalman_filter(
+        model, s.measurement_variance, s.lambda_kf, np.zeros(n), s.lambda_disturbance
+    )
     gains = np.empty((samples, n))
     for k in range(samples):
         kf.update(0.0)
