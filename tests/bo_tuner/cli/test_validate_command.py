@@ -327,9 +327,9 @@ class TestKey:
         code, _, err = here(folder, "--draws", "100", "--confidence", "0.001")
         assert code == 0
         assert (
-            "warning: not sufficient for apply: made with 100 draws, the study requires 300" in err
+            "warning: not sufficient for apply: made with 100 draws, the study requires 1000" in err
         )
-        assert "the study requires 300" in self.problem(folder)
+        assert "the study requires 1000" in self.problem(folder)
 
     def test_a_quick_look_does_not_replace_a_fail(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "1.5")
@@ -342,7 +342,7 @@ class TestKey:
 
     def test_by_default_it_is_what_the_study_requires(self, here, folder):
         assert here(folder)[0] == 0
-        assert certificate(folder)["draws"] == 300
+        assert certificate(folder)["draws"] == 1000
         assert self.problem(folder) == ""
 
 
