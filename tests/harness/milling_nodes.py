@@ -171,16 +171,25 @@ class Drive:
         self._connect()
 
     def _connect(self):
-        """Send references that are refused until the refusal arrives here."""
+        """Send references that are refused until the refusal of the last one arrives here."""
+        from feed_axis_common.ros.messages import to_stamp
+
+        sent = []
 
         def refused():
             # Never a stamp for the second time: what is refused once is not answered again.
-            self.reference([float("nan")], start=time.time_ns())
+            sent.append(time.time_ns())
+            self.reference([float("nan")], start=sent[-1])
             self.peer.spin_for(0.1)
             return bool(self.results)
 
         self.peer.spin_until(refused, "the controller's result")
-        self.peer.spin_for(0.1)
+        # Those sent before the first refusal came are answered, too, on a busy machine much later.
+        last = to_stamp(sent[-1])
+        self.peer.spin_until(
+            lambda: any(result.header.stamp == last for result in self.results),
+            "the refusal of the last reference",
+        )
         self.results.clear()
 
     def reference(self, velocities, start, spacing=0.02, joints=("x_axis",), rows=None):

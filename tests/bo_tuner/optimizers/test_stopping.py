@@ -158,6 +158,7 @@ class Runs:
 
     def begin(self, name, kill=0):
         arguments = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
+        arguments += ("--algorithm", "IV")
         return self.run(name, *arguments, "--stop-early", kill=kill)
 
 
