@@ -75,7 +75,11 @@ class BareSteps:
         model = s.model()
         self._program = condense(model, s.control_horizon, s.prediction_horizon, s.lambda_mpc)
         self._filter = lambda: kalman_filter(
-            model, s.measurement_variance, s.lambda_kf, model.equilibrium(0.5, s.gain)
+            model,
+            s.measurement_variance,
+            s.lambda_kf,
+            model.equilibrium(0.5, s.gain),
+            s.lambda_disturbance,
         )
 
     def _record(self) -> None:

@@ -190,7 +190,6 @@ class Drive:
             lambda: any(result.header.stamp == last for result in self.results),
             "the refusal of the last reference",
         )
-        self.peer.spin_for(0.1)
         self.results.clear()
 
     def reference(self, velocities, start, spacing=0.02, joints=("x_axis",), rows=None):

@@ -71,9 +71,21 @@ def peer(make_peer):
 
 
 @pytest.fixture(scope="module")
-def shared_pair(start_shared_node):
-    """Plant and controller as processes, for all tests of a module."""
-    return [start_shared_node(package) for package in ("milling_plant", "mpc_controller")]
+def shared_plant(start_shared_node):
+    """A plant as a process, for all tests of a module."""
+    return start_shared_node("milling_plant")
+
+
+@pytest.fixture(scope="module")
+def shared_controller(start_shared_node):
+    """A controller as a process, for all tests of a module."""
+    return start_shared_node("mpc_controller")
+
+
+@pytest.fixture(scope="module")
+def shared_pair(shared_plant, shared_controller):
+    """Both: a second controller in the domain would answer the references of a drive, too."""
+    return [shared_plant, shared_controller]
 
 
 @pytest.fixture
@@ -91,12 +103,6 @@ def loop(client):
     return loop
 
 
-@pytest.fixture(scope="module")
-def shared_plant(start_shared_node):
-    """A plant as a process, for all tests of a module."""
-    return start_shared_node("milling_plant")
-
-
 @pytest.fixture
 def stand_in_controller(shared_plant, peer):
     """Function that sets parameters of the shared plant and takes the controller's place."""
@@ -109,15 +115,10 @@ def stand_in_controller(shared_plant, peer):
     return make
 
 
-@pytest.fixture(scope="module")
-def shared_controller(start_shared_node):
-    """A controller as a process, for all tests of a module."""
-    return start_shared_node("mpc_controller")
-
-
 @pytest.fixture
 def drive(shared_controller, peer):
-    """A drive of the test for the shared controller."""
+    """A drive of the test for the shared controller at its shipped parameters."""
+    reset_parameters(peer, ["mpc_controller"])
     return Drive(peer)
 
 

@@ -4,7 +4,7 @@ from scipy.special import ndtri
 from valley import Draws
 
 from bo_tuner.errors import ParameterError
-from bo_tuner.models.surrogates import single_evaluation_worst_cases
+from bo_tuner.models.observations import single_evaluation_worst_cases
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from tuning_benchmark.peers.adapter import PeerOptimizer, observation
 from tuning_benchmark.peers.optimizer import Observation, best_observed

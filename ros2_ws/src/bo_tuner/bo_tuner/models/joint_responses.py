@@ -104,11 +104,18 @@ class PooledResponse(LimitedResponse):
 
     @abstractmethod
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return what `predict` does, and the variance (m,) with which one further run tells it.
+        """Return mean and variance (m,) of the limited quantile at x (m, d), and that of a run.
+
+        The last is the variance (m,) with which one further run tells the quantile.
 
         Runs tell a quantile by their mean plus z times their standard deviation. From n runs whose
         variance is σ², that has about the variance σ² (1 + z² / 2) / n.
         """
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the limited quantile at x (m, d)."""
+        mean, variance, _ = self.forecast(x)
+        return mean, variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,44 +147,44 @@ class EveryContext(PooledResponse):
     deviations: float = 0.0
     sign: float = 1.0
 
-    def predict(self, x: Array) -> tuple[Array, Array]:
-        """Return mean and variance (m,) of the constrained quantity in the worst context."""
-        worst = (self.sign * self.process.means(x, self.contexts)).argmax(axis=1)
-        return self.quantile(x, worst)
-
     def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
 
         The mean is that of the metric, also if the limit is one on single runs.
         """
-        means = self.process.means(x, self.contexts)
-        rows = (self.sign * means).argmax(axis=1)
+        rows, mean = self._worst(x)
         noise, _ = self.process.noise(x, self.contexts, rows)
-        return rows, means[np.arange(len(x)), rows], np.sqrt(noise)
-
-    def quantile(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
-        mean = self.process.means(x, self.contexts)[np.arange(len(x)), which]
-        variance = self.process.variances(x, self.contexts, which)
-        if self.deviations == 0.0:
-            return mean, variance
-        return self._beyond(mean, variance, *self.process.noise(x, self.contexts, which))
+        return rows, mean, np.sqrt(noise)
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
+        rows, mean = self._worst(x)
+        return self._quantile(x, rows, mean)
+
+    def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
+        means = self.process.means(x, self.contexts)
+        mean, variance, _ = self._quantile(x, which, means[np.arange(len(x)), which])
+        return mean, variance
+
+    def _worst(self, x: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return row and mean (m,) of the worst context."""
         means = self.process.means(x, self.contexts)
         rows = (self.sign * means).argmax(axis=1)
-        variance = self.process.variances(x, self.contexts, rows)
-        noise, degrees = self.process.noise(x, self.contexts, rows)
-        mean, variance = self._beyond(means[np.arange(len(x)), rows], variance, noise, degrees)
-        return mean, variance, _variance_of_quantile(noise, self.deviations)
+        return rows, means[np.arange(len(x)), rows]
 
-    def _beyond(
-        self, mean: Array, variance: Array, noise: Array, degrees: Array
-    ) -> tuple[Array, Array]:
-        """Add z σ to a mean and its uncertainty to the variance of the mean."""
+    def _quantile(
+        self, x: Array, which: NDArray[np.intp], mean: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return a `forecast` in a context each, where the metric's mean is known."""
+        variance = self.process.variances(x, self.contexts, which)
+        noise, degrees = self.process.noise(x, self.contexts, which)
         margin = self.deviations * np.sqrt(noise)
-        return mean + self.sign * margin, variance + margin**2 / (2.0 * degrees)
+        return (
+            mean + self.sign * margin,
+            variance + margin**2 / (2.0 * degrees),
+            _variance_of_quantile(noise, self.deviations),
+        )
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""
@@ -186,8 +193,9 @@ class EveryContext(PooledResponse):
     def most_doubtful(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the row of the most doubtful context, and the log probability there, (m,) each."""
         found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
-        for row in range(len(self.contexts)):
-            here = self.log_kept(*self.quantile(x, np.full(len(x), row)))
+        for row, mean in enumerate(self.process.means(x, self.contexts).T):
+            quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean)
+            here = self.log_kept(quantile, variance)
             rows[here < found] = row
             found = np.minimum(found, here)
         return rows, found
@@ -221,11 +229,6 @@ class OverContexts(PooledResponse):
     contexts: Array
     probability: float
     sign: float = 1.0
-
-    def predict(self, x: Array) -> tuple[Array, Array]:
-        """Return mean and variance (m,) of the quantile of runs at x (m, d)."""
-        mean, variance, _ = self.forecast(x)
-        return mean, variance
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""

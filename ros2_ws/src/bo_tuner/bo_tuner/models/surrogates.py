@@ -19,14 +19,18 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective, OverContexts
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models.observations import (
+    joint_observations,
+    searched_contexts,
+    single_evaluation_worst_cases,
+)
 from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint, Objective
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Stage, Trial, TrialState, pooled
+from bo_tuner.trials import EvaluationState, Trial, TrialState, pooled
 
 OBJECTIVE, OUTLIERS = "objective", "outliers"
 
@@ -316,10 +320,9 @@ class _Fitting:
 
     def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
         contexts = self._study.context_space()
-        points = {t.number: point for t, point in zip(trials, self._points(trials), strict=True)}
-        x, y = joint_observations(trials, points, contexts, worst.metric)
+        x, c, y = joint_observations(self._space, contexts, trials, worst.metric)
         minimum = np.append(self._minimum, np.zeros(contexts.dimension))
-        model = self._fit(worst.name, x, y, minimum)
+        model = self._fit(worst.name, np.hstack([x, c]), y, minimum)
         margin = worst.sign * worst.deviations * model.noise_variance**0.5
         return JointConstraint(
             model, worst.limit - margin, worst.sign, contexts=contexts.candidates()
@@ -328,13 +331,7 @@ class _Fitting:
     def _every_context(self, trials: Sequence[Trial], worst: Constraint) -> EveryContext:
         process = self._process(worst.name, trials, worst.metric)
         # The searches have looked where no corner is, and may have found the worst context there.
-        searched = [
-            evaluation.context
-            for trial in trials
-            for evaluation in trial.evaluations
-            if evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
-        ]
-        candidates = self._study.context_space().candidates(searched)
+        candidates = self._study.context_space().candidates(searched_contexts(trials))
         return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign)
 
     def _over_contexts(self, trials: Sequence[Trial], chance: Constraint) -> OverContexts:
@@ -371,12 +368,10 @@ class _Fitting:
         transform: Callable[[Array], Array] = np.asarray,
     ) -> JointProcess:
         contexts = self._study.context_space()
-        points = {t.number: point for t, point in zip(trials, self._points(trials), strict=True)}
-        z, y = joint_observations(trials, points, contexts, metric)
-        d = self._space.dimension
+        x, c, y = joint_observations(self._space, contexts, trials, metric)
         process = JointProcess.fit(
-            z[:, :d],
-            z[:, d:],
+            x,
+            c,
             transform(y),
             coding=self._coding,
             rng=self._rng,
@@ -407,53 +402,3 @@ class _Fitting:
                 y.append(value)
                 number.append(trial.number)
         return np.array(x), np.array(y), np.array(number)
-
-
-def joint_observations(
-    trials: Sequence[Trial], cube: dict[int, Array], contexts: ContextSpace, metric: str
-) -> tuple[Array, Array]:
-    """Return joint points (N, d + e) and values (N,) of all complete evaluations.
-
-    Parameters
-    ----------
-    trials
-        The trials.
-    cube
-        Parameter set (d,) in the unit cube by trial number.
-    contexts
-        The context space, of dimension e.
-    metric
-        Name of the constrained metric.
-    """
-    rows, values = [], []
-    for trial in trials:
-        for evaluation in trial.evaluations:
-            if evaluation.outcome.state is EvaluationState.COMPLETE:
-                context = contexts.cube_of([evaluation.context])[0]
-                rows.append(np.append(cube[trial.number], context))
-                values.append(evaluation.outcome.metrics[metric])
-    return np.array(rows), np.array(values)
-
-
-def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
-    """Return a quantile of single evaluations in the worst context of each trial, shape (n,).
-
-    A single evaluation stays below it, or above for a lower limit, with the constraint's
-    probability. Trials without a worst
-    case are left out.
-    """
-    name = constraint.name
-    worst = [t.worst_cases[name].value for t in trials if name in t.worst_cases]
-    return np.array(worst) + constraint.sign * single_evaluation_margin(trials, constraint)
-
-
-def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) -> float:
-    """Return the margin z σ of a mean to the limit, in the metric's unit.
-
-    With it, a single evaluation keeps the limit with the constraint's probability; z is the normal
-    quantile of that. σ is the median noise of all trials, as the few evaluations of one trial do
-    not estimate it well.
-    """
-    name = constraint.name
-    noise = [t.worst_cases[name].noise for t in trials if name in t.worst_cases]
-    return constraint.deviations * float(np.median(noise)) if noise else 0.0

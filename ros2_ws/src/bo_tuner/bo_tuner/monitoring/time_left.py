@@ -121,10 +121,10 @@ class TimeLeft:
             return None
         draws = 2 * self._study.budget.validation_draws
         if self._phase == Phase.TUNING:
-            count, evaluations = self._trials_to_come()
-            seconds = count * evaluations * self._recent_evaluation()
-            seconds += count * self._beside_evaluations(count)
-            checks, cost = self._checks(self._evaluations + round(count * evaluations), 0)
+            trials, evaluations = self._to_come()
+            seconds = evaluations * self._recent_evaluation()
+            seconds += trials * self._beside_evaluations(trials)
+            checks, cost = self._checks(self._evaluations + round(evaluations), 0)
             return seconds + checks * cost + draws * self._plain_evaluation()
         if self._phase == Phase.CHECKING:
             checks, cost = self._checks(self._evaluations - self._in_phase, self._in_phase)
@@ -139,8 +139,8 @@ class TimeLeft:
     def _latest_half(self) -> list[_Times]:
         return self._trials[-max(RECENT, len(self._trials) // 2) :]
 
-    def _trials_to_come(self) -> tuple[int, float]:
-        """Return how many trials are to come, and the mean evaluations of each."""
+    def _to_come(self) -> tuple[int, float]:
+        """Return how many trials are to come, and how many evaluations in all."""
         budget, known = self._study.budget, len(self._trials)
         proposed = [item.evaluations for item in self._latest_half() if item.proposed]
         designed = [item.evaluations for item in self._trials if not item.proposed]
@@ -148,13 +148,15 @@ class TimeLeft:
         total = sum(proposed) + (weight * fmean(designed) if designed else 0.0)
         each = total / (len(proposed) + weight)
         if not self._algorithm.models.pooled:
-            return budget.remaining(known, self._evaluations), each
-        count, evaluations = 0, 0.0
-        while budget.remaining(known + count, round(self._evaluations + evaluations)):
-            done = known + count, round(self._evaluations + evaluations)
+            trials = budget.remaining(known, self._evaluations)
+            return trials, trials * each
+        trials, evaluations = 0, 0.0
+        while True:
+            done = known + trials, round(self._evaluations + evaluations)
+            if not budget.remaining(*done):
+                return trials, evaluations
             evaluations += each if searches(self._study, *done) else sum(new_point(self._study))
-            count += 1
-        return count, evaluations / max(count, 1)
+            trials += 1
 
     def _recent_evaluation(self) -> float:
         """Return the time [s] of an evaluation in the latest trials."""

@@ -7,14 +7,15 @@ import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions, joint_observations
+from bo_tuner.models.observations import joint_observations
+from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.boundary import BoundaryOptimization
 from bo_tuner.optimizers.random_search import RandomSearch
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, TrialState
+from bo_tuner.trials import Trial, TrialState
 from bo_tuner.worst_case.contexts import worst_contexts_nearby
 from bo_tuner.worst_case.joint_search import JointSearch
 from bo_tuner.worst_case.pooled_search import PooledSearch
@@ -122,13 +123,8 @@ class Algorithm:
         coding = Coding(space.levels)
         point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
         if self.models.pooled:
-            evaluations = [
-                (t, e)
-                for t in trials
-                if t.number not in proposal.outliers
-                for e in t.evaluations
-                if e.outcome.state is EvaluationState.COMPLETE
-            ]
+            kept = [t for t in trials if t.number not in proposal.outliers]
+            x, c, y = joint_observations(space, contexts, kept, constraint.metric)
             # Without context variables, drawn evaluations are those in the worst context.
             idle = contexts.dimension == 0 and proposal.protocol is None
             return PooledSearch(
@@ -137,26 +133,23 @@ class Algorithm:
                 constraint.deviations,
                 0 if idle else searched,
                 space.to_cube(proposal.parameters),
-                np.array([space.to_cube(t.parameters) for t, _ in evaluations]).reshape(
-                    -1, space.dimension
-                ),
-                contexts.cube_of([e.context for _, e in evaluations]),
-                sign * np.array([e.outcome.metrics[constraint.metric] for _, e in evaluations]),
+                x,
+                c,
+                sign * y,
                 coding,
                 proposal.hyperparameters.get(constraint.name) or None,
                 until_clear=proposal.protocol is None,
             )
         if self.models.joint:
             kept = [t for t in trials if t.state is TrialState.COMPLETE]
-            points = {t.number: space.to_cube(t.parameters) for t in kept}
-            x, y = joint_observations(kept, points, contexts, constraint.metric)
+            x, c, y = joint_observations(space, contexts, kept, constraint.metric)
             return JointSearch(
                 contexts,
                 limit,
                 constraint.level,
                 searched,
                 point,
-                coding.encode(x.reshape(-1, space.dimension + contexts.dimension)),
+                coding.encode(np.hstack([x, c])),
                 sign * y,
                 proposal.hyperparameters.get(constraint.name) or None,
             )

@@ -17,6 +17,7 @@ from bo_tuner.report.sections.trajectories import (
     TUNED,
     NoTraceError,
     panels,
+    side_looks,
     simulate,
 )
 from bo_tuner.trials import Evaluation, Trial
@@ -150,8 +151,7 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
 def _again(analysis: Analysis, worst: Evaluation, name: str) -> Figure:
     default = replace(worst, parameters=analysis.defaults)
     of_default, of_trial = simulate(analysis.study, [default, worst])
-    looks = {DEFAULT: LOOKS[DEFAULT], name: LOOKS[TUNED]}
-    drawn = panels({"": {DEFAULT: of_default, name: of_trial}}, looks)
+    drawn = panels({"": {DEFAULT: of_default, name: of_trial}}, side_looks(name))
     return _figure(drawn, "Drag across a panel to zoom in; double-click to zoom out.")
 
 

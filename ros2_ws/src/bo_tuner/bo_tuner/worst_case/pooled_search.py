@@ -114,7 +114,7 @@ class PooledSearch:
 
     def _quantile(self, process: JointProcess, c: Array) -> tuple[Array, Array]:
         everywhere = EveryContext(process, self._limit, c, self._deviations)
-        return everywhere.quantile(np.tile(self._point, (len(c), 1)), np.arange(len(c)))
+        return everywhere.predict_in(np.tile(self._point, (len(c), 1)), np.arange(len(c)))
 
     def _upper(self, process: JointProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:

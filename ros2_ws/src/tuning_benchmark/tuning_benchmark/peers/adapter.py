@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_tuner.errors import ParameterError
-from bo_tuner.models.surrogates import single_evaluation_margin
+from bo_tuner.models.observations import single_evaluation_margin
 from bo_tuner.optimizers import base
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DesignedOptimizer, Proposal

@@ -151,7 +151,9 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
         caption="As the tuner heard the signals; each value holds until the next message. "
         "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time. {'; '.join(where)}.",
-        panels=signal_panels({name: run for name, (_, run) in runs.items()}, _looks(analysis)),
+        panels=signal_panels(
+            {name: run for name, (_, run) in runs.items()}, side_looks(analysis.answer_name)
+        ),
         panel_height=260,
     )
     return _section(f"The worst run of each that was recorded. {'; '.join(where)}.", [figure])
@@ -217,11 +219,12 @@ def _simulated(
     ]
     found = iter(simulate(study, planned))
     columns = {title: {name: next(found) for name in sides} for title in contexts}
-    return panels(columns, _looks(analysis))
+    return panels(columns, side_looks(analysis.answer_name))
 
 
-def _looks(analysis: Analysis) -> dict[str, Look]:
-    return {DEFAULT: LOOKS[DEFAULT], analysis.answer_name: LOOKS[TUNED]}
+def side_looks(name: str) -> dict[str, Look]:
+    """Return the colour and dash of the default and of another parameter set of this name."""
+    return {DEFAULT: LOOKS[DEFAULT], name: LOOKS[TUNED]}
 
 
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:

@@ -1,0 +1,80 @@
+"""What the models of both stages learn from: observations in contexts, worst cases of trials."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.parts import Constraint
+from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.trials import EvaluationState, Stage, Trial
+
+
+def joint_observations(
+    space: SearchSpace, contexts: ContextSpace, trials: Sequence[Trial], metric: str
+) -> tuple[Array, Array, Array]:
+    """Return parameter sets, contexts and values of all complete evaluations.
+
+    Parameters
+    ----------
+    space, contexts
+        The study's, of dimensions d and e.
+    trials
+        The trials.
+    metric
+        Name of the observed metric.
+
+    Returns
+    -------
+    x : ndarray, shape (N, d)
+        Parameter sets in the unit cube.
+    c : ndarray, shape (N, e)
+        Contexts in the unit cube.
+    y : ndarray, shape (N,)
+        Values in the metric's unit.
+    """
+    complete = [
+        (point, evaluation)
+        for trial, point in ((trial, space.to_cube(trial.parameters)) for trial in trials)
+        for evaluation in trial.evaluations
+        if evaluation.outcome.state is EvaluationState.COMPLETE
+    ]
+    return (
+        np.array([point for point, _ in complete]).reshape(-1, space.dimension),
+        contexts.cube_of([evaluation.context for _, evaluation in complete]),
+        np.array([evaluation.outcome.metrics[metric] for _, evaluation in complete]),
+    )
+
+
+def searched_contexts(trials: Sequence[Trial]) -> list[Mapping[str, float]]:
+    """Return the contexts where searches for the worst one, and repetitions, have looked."""
+    return [
+        evaluation.context
+        for trial in trials
+        for evaluation in trial.evaluations
+        if evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
+    ]
+
+
+def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
+    """Return a quantile of single evaluations in the worst context of each trial, shape (n,).
+
+    A single evaluation stays below it, or above for a lower limit, with the constraint's
+    probability. Trials without a worst case are left out.
+    """
+    name = constraint.name
+    worst = [t.worst_cases[name].value for t in trials if name in t.worst_cases]
+    return np.array(worst) + constraint.sign * single_evaluation_margin(trials, constraint)
+
+
+def single_evaluation_margin(trials: Sequence[Trial], constraint: Constraint) -> float:
+    """Return the margin z σ of a mean to the limit, in the metric's unit.
+
+    With it, a single evaluation keeps the limit with the constraint's probability; z is the normal
+    quantile of that. σ is the median noise of all trials, as the few evaluations of one trial do
+    not estimate it well.
+    """
+    name = constraint.name
+    noise = [t.worst_cases[name].noise for t in trials if name in t.worst_cases]
+    return constraint.deviations * float(np.median(noise)) if noise else 0.0
