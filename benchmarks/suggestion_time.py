@@ -1,15 +1,18 @@
-"""Time of a whole suggestion, side by side with BoTorch and Optuna on the same data.
+"""Time of a whole suggestion, side by side with BoTorch and Optuna, and its growth with the trials.
 
 The data are trials of the four-parameter study: half of them a Latin hypercube, half around a good
 point, as a run leaves them; each with five replicates of objective and return time and one worst
-overshoot. All three are asked for the next parameter set in one process with one thread, in
+overshoot. All contenders are asked for the next parameter set in one process with one thread, in
 turn, several times; the ratios of each turn are what counts, not the seconds. The time is that of
-the processor, which other load on the machine disturbs less than the clock's.
+the processor, which other load on the machine disturbs less than the clock's. The others are asked
+with up to `RIVALS_UP_TO` trials only.
 
-Ours
-    `BayesianOptimization.ask`: surrogates of objective, return time and worst case on all data,
-    the Student-t process that finds outliers, classifiers, acquisition by particle swarm. It
-    starts from the hyperparameters of the trial before, as in a run. Also without those.
+boundary, IV
+    The whole proposal of the algorithm: surrogates of objective, return time and worst case on all
+    data, the Student-t process that finds outliers, crashes, acquisition by particle swarm; of
+    `boundary` one of its second part, with all six evaluations of each trial in its models and the
+    ranking of all parameter sets. Both start from the hyperparameters of the trial before, as in a
+    run. `boundary` also without those.
 BoTorch
     Two `SingleTaskGP` (objective, worst case) on the means of the replicates, fitted by
     `fit_gpytorch_mll`; `qLogNoisyExpectedImprovement` with one constraint, by `optimize_acqf` with
@@ -51,7 +54,7 @@ from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
@@ -66,7 +69,10 @@ SPREAD = 0.12
 
 WORST_CONTEXT = {"stiffness_factor": 1.3, "damping_factor": 0.7}
 
-CONTENDERS = ("ours", "ours without warm start", "BoTorch", "Optuna")
+OURS = ("boundary", "boundary without warm start", "IV")
+OTHERS = ("BoTorch", "Optuna")
+RIVALS_UP_TO = 300
+"""Trials; an exact process with more takes too long to ask it several times."""
 
 
 def make_trials(study: Study, count: int) -> list[Trial]:
@@ -100,7 +106,7 @@ def make_trials(study: Study, count: int) -> list[Trial]:
                 origin="initial",
                 state=TrialState.COMPLETE,
                 evaluations=tuple(evaluations),
-                worst_case=WorstCase(worst, WORST_CONTEXT, worst, 0.01),
+                worst_cases={"overshoot": WorstCase(worst, WORST_CONTEXT, worst, 0.01)},
             )
         )
     return trials
@@ -120,17 +126,17 @@ class Problem:
         metric = study.objective.metric
         means = [np.mean(t.observations(metric)) for t in trials]
         self._cost = np.log(np.array(means))
-        self._excess = np.array(
-            [t.worst_case.value - self._limit for t in trials if t.worst_case is not None]
-        )
+        worst = [t.worst_cases["overshoot"].value for t in trials]
+        self._excess = np.array(worst) - self._limit
 
-    def ours(self, warm: bool) -> Callable[[], object]:
-        """Make ready our stage one; with `warm` it has proposed one trial before."""
-        stage_one = BayesianOptimization(self._study)
+    def ours(self, contender: str) -> Callable[[], object]:
+        """Make ready our stage one; with a warm start it has proposed one trial before."""
+        name, _, cold = contender.partition(" ")
+        stage_one = ALGORITHMS[name].optimizer(self._study)
         for trial in self._trials[:-1]:
             stage_one.tell(trial)
         last = self._trials[-1]
-        if warm:
+        if not cold:
             # A run's warm start travels with the trial that was proposed.
             earlier = stage_one.ask().hyperparameters
             if not earlier:
@@ -196,19 +202,21 @@ class Problem:
             return self.botorch()
         if contender == "Optuna":
             return self.optuna()
-        return self.ours(warm=contender == "ours")
+        return self.ours(contender)
 
 
 def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict[str, list[float]]:
     """Processor seconds of each contender's suggestion, `repeats` times in turn."""
-    seconds: dict[str, list[float]] = {name: [] for name in CONTENDERS}
+    contenders = OURS + (OTHERS if count <= RIVALS_UP_TO else ())
+    seconds: dict[str, list[float]] = {name: [] for name in contenders}
     rng = np.random.default_rng((SEED, count))
     for repeat in range(-1, repeats):
-        chosen = rng.permutation(len(trials))[:count]
-        problem = Problem(study, [trials[i] for i in chosen], seed=repeat + 2)
+        chosen = [trials[i] for i in rng.permutation(len(trials))[:count]]
+        numbered = [replace(trial, number=number) for number, trial in enumerate(chosen)]
+        problem = Problem(study, numbered, seed=repeat + 2)
         # In another order every time, lest one always follows the same other.
-        for index in range(len(CONTENDERS)):
-            contender = CONTENDERS[(index + repeat) % len(CONTENDERS)]
+        for index in range(len(contenders)):
+            contender = contenders[(index + repeat) % len(contenders)]
             suggest = problem.ready(contender)
             begin = time.process_time()
             suggest()
@@ -218,18 +226,28 @@ def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict
 
 
 def summarise(seconds: dict[str, list[float]]) -> dict[str, dict[str, float]]:
-    """Median seconds, and ratios to ours of the same turn: median and range."""
-    ours = np.array(seconds["ours"])
+    """Median seconds, and ratios to `boundary` and to IV of the same turn: median and range."""
     summary = {}
     for contender, values in seconds.items():
-        ratios = np.array(values) / ours
-        summary[contender] = {
-            "median_seconds": float(np.median(values)),
-            "median_ratio": float(np.median(ratios)),
-            "lowest_ratio": float(ratios.min()),
-            "highest_ratio": float(ratios.max()),
-        }
+        numbers = {"median_seconds": float(np.median(values))}
+        for base in ("boundary", "IV"):
+            ratios = np.array(values) / np.array(seconds[base])
+            numbers |= {
+                f"median_to_{base}": float(np.median(ratios)),
+                f"lowest_to_{base}": float(ratios.min()),
+                f"highest_to_{base}": float(ratios.max()),
+            }
+        summary[contender] = numbers
     return summary
+
+
+def growth(summaries: dict[int, dict[str, dict[str, float]]]) -> dict[str, float]:
+    """Return by contender k of the least-squares fit of median time ~ trials^k."""
+    found = {}
+    for contender in OURS:
+        seconds = [summary[contender]["median_seconds"] for summary in summaries.values()]
+        found[contender] = float(np.polyfit(np.log(list(summaries)), np.log(seconds), 1)[0])
+    return found
 
 
 def main() -> None:
@@ -237,7 +255,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--counts", type=int, nargs="+", default=[50, 150, 300])
+    parser.add_argument("--counts", type=int, nargs="+", default=[50, 150, 300, 1000])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--output", type=Path, default=RESULTS / "suggestion_time.json")
     arguments = parser.parse_args()
@@ -250,20 +268,26 @@ def main() -> None:
     study = load_study("full").replace(trials=largest + 1, initial_trials=1)
     # A few more than needed: those that fail are left out.
     trials = make_trials(study, largest + largest // 5 + 10)
-    result: dict[str, object] = {}
-    rows = []
-    for count in arguments.counts:
-        seconds = measure(study, trials, count, arguments.repeats)
-        summary = summarise(seconds)
-        result[str(count)] = {"seconds": seconds, "summary": summary}
-        for contender, numbers in summary.items():
-            spread = f"{numbers['lowest_ratio']:.2f}..{numbers['highest_ratio']:.2f}"
-            rows.append(
-                [count, contender, numbers["median_seconds"], numbers["median_ratio"], spread]
-            )
-    write_result(arguments.output, {"counts": result, "provenance": about | {"seed": SEED}})
+    every = {count: measure(study, trials, count, arguments.repeats) for count in arguments.counts}
+    summaries = {count: summarise(seconds) for count, seconds in every.items()}
+    exponents = growth(summaries)
+    result = {
+        "provenance": about | {"seed": SEED},
+        "counts": {
+            str(count): {"seconds": every[count], "summary": summary}
+            for count, summary in summaries.items()
+        },
+        "growth": exponents,
+    }
+    write_result(arguments.output, result)
+    rows = [
+        [count, name, item["median_seconds"], item["median_to_boundary"], item["median_to_IV"]]
+        for count, summary in summaries.items()
+        for name, item in summary.items()
+    ]
     print(f"BoTorch {botorch.__version__}, Optuna {optuna.__version__}, one thread")
-    print(table(["trials", "contender", "median [s]", "median ratio", "range"], rows))
+    print(table(["trials", "contender", "median [s]", "to boundary", "to IV"], rows))
+    print(", ".join(f"{name} grows as trials^{k:.2f}" for name, k in exponents.items()))
 
 
 if __name__ == "__main__":

@@ -99,6 +99,28 @@ class TestPosterior:
         assert sorted(process.points[:, 0]) == [0.0, 0.5, 1.0]
         assert process.counts.sum() == 60
 
+    def test_of_very_many_runs_is_that_of_an_independent_library(self):
+        """On a basis; the library conditions on all of them."""
+        process = fitted(*scattered(1500))
+        assert len(process.posterior.basis) < len(process.data.x) == 1000
+        x = np.array([[0.1], [0.45], [0.9]])
+        mean, sd = reference(process).predict(
+            np.hstack([np.repeat(x, 3, axis=0), np.tile(CORNERS, (3, 1))]), return_std=True
+        )
+        found = process.means(x, CORNERS).ravel()
+        assert np.abs(found - process.standardisation.restore(mean, sd)[0]).max() < 2e-4
+        variance = process.variances(np.repeat(x, 3, axis=0), CORNERS, np.tile([0, 1, 2], 3))
+        assert np.sqrt(variance) == pytest.approx(process.scale * sd, rel=0.05)
+
+    def test_a_rare_failure_among_very_many_runs_is_learnt(self):
+        """The hyperparameters are fitted to some of the runs, with the failed ones among them."""
+        rng = np.random.default_rng(0)
+        x, c = rng.random((1200, 1)), rng.random((1200, 1))
+        failed = (x[:, 0] > 0.95) & (c[:, 0] > 0.5)
+        process = fitted(x, c, np.where(failed, 1.0, -1.0))
+        found = process.means(np.array([[0.99], [0.5]]), np.array([[0.9]]))[:, 0]
+        assert found[0] > 0.0 > -0.9 > found[1]
+
 
 class TestLocalNoise:
     @pytest.mark.parametrize("seed", range(3))

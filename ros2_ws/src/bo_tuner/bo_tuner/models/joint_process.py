@@ -31,12 +31,13 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.conditioning import Posterior, choose_basis, condition
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
-from bo_tuner.models.kernel import MEAN_SD, correlation, jittered_cholesky, latent_covariance
+from bo_tuner.models.kernel import MEAN_SD, correlation
 from bo_tuner.models.replicates import Replicates, Standardisation
 from bo_tuner.numerics.arrays import Array
 
@@ -47,11 +48,21 @@ Along the tuned parameters it grows with √d, as typical distances do.
 """
 
 RESTARTED = 300
-"""Largest number of points up to which each fit starts anew, beside the earlier hyperparameters.
+"""Most observations with which a fit starts anew, too, and not at the last hyperparameters alone.
 
-These can be a local optimum, found with less data, that takes for noise what a context variable
-does. With more points that has been found out, and a fit takes long.
+The last ones can be a local optimum, found with less data, that takes for noise what a context
+variable does. With more observations that has been found out, and a fit takes long.
 """
+
+FITTED = 500
+"""Largest number of observations that the hyperparameters are fitted to.
+
+The time of a likelihood grows with the cube of that number, and with more of them it hardly
+changes.
+"""
+
+BLOCK = 1000
+"""Number of points whose noise is estimated at a time."""
 
 PRIOR_DEGREES = 2.0
 """Weight of the common noise variance in a local one, in degrees of freedom."""
@@ -76,10 +87,8 @@ class JointProcess:
     squares, degrees : ndarray, shape (n,)
         Sum of squares of each point's observations, in common noise variances, and its degrees of
         freedom.
-    factor : ndarray, shape (n, n)
-        L, lower triangular: L Lᵀ = K + diag(σ_i² / r_i).
-    alpha : ndarray, shape (n,)
-        (K + diag(σ_i² / r_i))⁻¹ ȳ.
+    posterior : Posterior
+        Of the standardized response, with the local noise.
     warnings : tuple of str
         Numerical problems, one line each.
     """
@@ -91,8 +100,7 @@ class JointProcess:
     columns: int
     squares: Array
     degrees: Array
-    factor: Array
-    alpha: Array
+    posterior: Posterior
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -128,60 +136,70 @@ class JointProcess:
         minimum = None
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
+        z = np.hstack([coding.encode(x), c])
+        some = _spread_over_values(y)
         process = GaussianProcess.fit(
-            np.hstack([coding.encode(x), c]),
-            y,
+            z[some],
+            y[some],
             rng=rng,
             priors=priors,
             minimum_length_scales=minimum,
             start=start,
             restart=len(y) <= RESTARTED,
         )
-        return cls._localized(process, y, coding, c.shape[1])
+        return cls._conditioned(
+            process.hyperparameters, process.standardisation, z, y, coding, c, process.warnings
+        )
 
     @classmethod
     def condition(
         cls, hyperparameters: Sequence[float], x: Array, c: Array, y: Array, *, coding: Coding
     ) -> Self:
         """Condition on data with given hyperparameters, a `warm_start` of an earlier fit."""
-        process = GaussianProcess.condition(
+        return cls._conditioned(
             Hyperparameters.from_log(np.array(hyperparameters)),
+            Standardisation.of(y),
             np.hstack([coding.encode(x), c]),
             y,
+            coding,
+            c,
         )
-        return cls._localized(process, y, coding, c.shape[1])
 
     @classmethod
-    def _localized(cls, process: GaussianProcess, y: Array, coding: Coding, contexts: int) -> Self:
-        data, common = process.data, process.hyperparameters.noise**2
-        deviation = process.standardisation.apply(y) - data.mean[data.index]
-        within = np.bincount(data.index, deviation**2, minlength=len(data.x))
-        inverse = lapack.dtrtri(process.factor, lower=1)[0]
-        # The residual of a mean of r observations is (σ²/r) α, and its variance under the model is
-        # (σ²/r)² [C⁻¹]_ii; 1 - h_ii = (σ²/r) [C⁻¹]_ii are its degrees of freedom.
+    def _conditioned(
+        cls,
+        hyperparameters: Hyperparameters,
+        standardisation: Standardisation,
+        z: Array,
+        y: Array,
+        coding: Coding,
+        c: Array,
+        warnings: tuple[str, ...] = (),
+    ) -> Self:
+        standardised = standardisation.apply(y)
+        data = Replicates.group(z, standardised)
+        columns, common = z.shape[1] - c.shape[1], hyperparameters.noise**2
         error = common / data.count
-        degrees = error * np.einsum("ij,ij->j", inverse, inverse) + data.count - 1.0
-        squares = (error * process.alpha**2) + within / common
-        columns = data.x.shape[1] - contexts
+        basis = choose_basis(hyperparameters, data.x, error)
+        equal = condition(hyperparameters, data.x, data.mean, error, basis)
+        within = np.bincount(
+            data.index, (standardised - data.mean[data.index]) ** 2, minlength=len(data.x)
+        )
+        # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
+        degrees = data.count - equal.leverages
+        squares = equal.residuals**2 / error + within / common
         local = _local_ratio(data.x, data.x, columns, squares, degrees)[0]
-        covariance = latent_covariance(process.hyperparameters, data.x, data.x)
-        covariance[np.diag_indices(len(data.x))] += common * local / data.count
-        factor, jitter = jittered_cholesky(covariance)
-        warnings = process.warnings
-        if jitter > 0.0:
-            warnings += (f"covariance matrix: needed {jitter:.0e} on its diagonal",)
-        alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
+        posterior = condition(hyperparameters, data.x, data.mean, error * local, basis)
         return cls(
-            process.hyperparameters,
-            process.standardisation,
+            hyperparameters,
+            standardisation,
             data,
             coding,
             columns,
             squares,
             degrees,
-            factor,
-            alpha,
-            warnings,
+            posterior,
+            (*warnings, *posterior.warnings),
         )
 
     @property
@@ -223,8 +241,9 @@ class JointProcess:
 
     def means(self, x: Array, contexts: Array) -> Array:
         """Return the posterior mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
-        weighted = self._context_kernel(contexts) * self.alpha[:, None]
-        mean = self._parameter_kernel(x) @ weighted + MEAN_SD**2 * self.alpha.sum()
+        weights = self.posterior.weights
+        weighted = self._context_kernel(contexts) * weights[:, None]
+        mean = self._parameter_kernel(x) @ weighted + MEAN_SD**2 * weights.sum()
         found: Array = self.standardisation.shift + self.scale * mean
         return found
 
@@ -282,37 +301,43 @@ class JointProcess:
         return self.noise_variance * squares / total, total
 
     def _parameter_kernel(self, x: Array) -> Array:
-        """Return s² k(x, x_i), shape (m, n)."""
+        """Return s² k(x, u) with the points u (b, d) of the basis, shape (m, b)."""
         scales = self.hyperparameters.length_scales[: self.columns]
-        kernel = correlation(self.coding.encode(x), self.data.x[:, : self.columns], scales)
+        kernel = correlation(self.coding.encode(x), self.posterior.basis[:, : self.columns], scales)
         return self.hyperparameters.signal**2 * kernel
 
     def _context_kernel(self, contexts: Array) -> Array:
-        """Return k(c_i, c), shape (n, k)."""
+        """Return k(c_u, c) with the contexts of the basis, shape (b, k)."""
         scales = self.hyperparameters.length_scales[self.columns :]
-        return correlation(self.data.x[:, self.columns :], contexts, scales)
+        return correlation(self.posterior.basis[:, self.columns :], contexts, scales)
 
     def _posterior_variance(self, cross: Array, prior: float | Array) -> Array:
-        whitened = blas.dtrmm(1.0, self._inverse_factor, cross.T, lower=1)
+        whitened = blas.dtrmm(1.0, self.posterior.whitening, cross.T, lower=1)
         variance = prior - np.einsum("ij,ij->j", whitened, whitened)
         found: Array = self.scale**2 * np.maximum(variance, 0.0)
         return found
-
-    @cached_property
-    def _inverse_factor(self) -> Array:
-        inverse: Array = lapack.dtrtri(self.factor, lower=1)[0]
-        return inverse
 
 
 def _local_ratio(
     z: Array, points: Array, columns: int, squares: Array, degrees: Array
 ) -> tuple[Array, Array]:
     """Return local over common noise variance and degrees of freedom at joint points, (m,) each."""
-    near = correlation(z, points, _widths(columns, points[:, columns:]))
-    total = near @ degrees + PRIOR_DEGREES
-    return (near @ squares + PRIOR_DEGREES) / total, total
+    widths = _widths(columns, points[:, columns:])
+    weighted = np.column_stack([squares, degrees])
+    # In blocks, lest the kernel between all data takes more memory than anything else.
+    blocks = np.array_split(z, 1 + len(z) // BLOCK)
+    near = np.vstack([correlation(block, points, widths) @ weighted for block in blocks])
+    return (near[:, 0] + PRIOR_DEGREES) / (near[:, 1] + PRIOR_DEGREES), near[:, 1] + PRIOR_DEGREES
 
 
 def _widths(columns: int, contexts: Array) -> Array:
     """Return the widths of the kernel around a place whose noise is estimated, see `WIDTH`."""
     return np.append(np.full(columns, WIDTH * columns**0.5), np.full(contexts.shape[1], WIDTH))
+
+
+def _spread_over_values(y: Array) -> NDArray[np.intp]:
+    """Return `FITTED` of the observations y (N,) with the distribution of all, or all of them."""
+    if len(y) <= FITTED:
+        return np.arange(len(y))
+    ranks = np.linspace(0, len(y) - 1, FITTED).round().astype(np.intp)
+    return np.sort(np.argsort(y, kind="stable")[ranks])
