@@ -35,6 +35,9 @@ Where a limit is active, some neighbours always exceed it slightly.
 LARGEST_STEP = 0.1
 """Largest distance to a neighbour in a continuous direction, as a fraction of the range."""
 
+BLOCK = 100
+"""Number of parameter sets that the models are asked at a time, for speed with little memory."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -132,28 +135,33 @@ def ranked_by(
     logarithmic = study.objective.scale == "log" and not several
     scale = 1.0 if logarithmic else models.objective.scale
     candidates = []
-    for trial in complete:
-        x = space.to_cube(trial.parameters)[None]
-        (cost,) = models.objective.predict(x)[0]
-        (excess,) = relative_excess(models, x)
-        around = neighbourhood(space, trial, models)
-        loss = (models.objective.predict(around)[0] - cost) / scale
-        penalty = float(np.mean(intolerable(loss) + intolerable(relative_excess(models, around))))
-        objective = float(study.objective.from_cost(cost))
-        if several:
-            # The cost is that of the compromise, which has no unit.
-            objective = float(np.mean(trial.observations(study.objective.metric)))
-        candidates.append(
-            Candidate(
-                trial=trial,
-                objective=objective,
-                feasibility=float(np.exp(log_feasibility(x)[0])),
-                violation=float(excess),
-                penalty=penalty,
-                score=float(cost + scale * penalty),
-                required=required_of(trial) if options.pooled else BELIEVED_FEASIBLE,
+    for block in (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK)):
+        x = np.array([space.to_cube(trial.parameters) for trial in block])
+        around = [neighbourhood(space, trial, models) for trial in block]
+        sizes = [len(points) for points in around]
+        neighbours = np.vstack(around)
+        cost = models.objective.predict(x)[0]
+        loss = (models.objective.predict(neighbours)[0] - np.repeat(cost, sizes)) / scale
+        losses = intolerable(loss) + intolerable(relative_excess(models, neighbours))
+        penalties = [part.mean() for part in np.split(losses, np.cumsum(sizes)[:-1])]
+        feasibility = np.exp(log_feasibility(x))
+        excess = relative_excess(models, x)
+        for k, trial in enumerate(block):
+            objective = float(study.objective.from_cost(cost[k]))
+            if several:
+                # The cost is that of the compromise, which has no unit.
+                objective = float(np.mean(trial.observations(study.objective.metric)))
+            candidates.append(
+                Candidate(
+                    trial=trial,
+                    objective=objective,
+                    feasibility=float(feasibility[k]),
+                    violation=float(excess[k]),
+                    penalty=float(penalties[k]),
+                    score=float(cost[k] + scale * penalties[k]),
+                    required=required_of(trial) if options.pooled else BELIEVED_FEASIBLE,
+                )
             )
-        )
     return sorted(
         candidates,
         key=lambda c: (0, c.score) if c.believed_feasible else (1, c.violation),
