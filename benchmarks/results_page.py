@@ -75,6 +75,44 @@ def _ratio(summary: Result, base: str) -> str:
     return f"{median:.2f} ({low:.2f} … {high:.2f})"
 
 
+def certificates_section(result: Result) -> str:
+    """How often a certificate passes what is feasible, and what is just not."""
+    rows = [
+        [
+            case["title"],
+            "answers" if which == "answer" else "just infeasible",
+            f"{found['passed']} of {found['certified']}",
+            "{:.0%} to {:.0%}".format(*found["interval"]),
+            f"{found['median_evaluations']:g}",
+            found["most_evaluations"],
+        ]
+        for case in result["cases"].values()
+        for which in ("answer", "infeasible")
+        if (found := case[which])
+    ]
+    return "\n\n".join(
+        [
+            "## Certificates",
+            origin(result),
+            "The answers that `boundary` called feasible in the published campaigns, certified by "
+            "the study's default certificate, and beside each a parameter set that is truly "
+            "infeasible by as little as bisection finds. The interval is that of Clopper and "
+            "Pearson, 95 %.",
+            table(
+                [
+                    "problem",
+                    "parameter sets",
+                    "PASS",
+                    "interval",
+                    "evaluations, median",
+                    "largest",
+                ],
+                rows,
+            ),
+        ]
+    )
+
+
 def recording_section(result: Result) -> str:
     """Cost of recording a cut."""
     low, high = result["ratio_quartiles"]
@@ -299,6 +337,7 @@ def main() -> None:
     argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     sections = [INTRODUCTION]
     for name, section in (
+        ("certificates.json", certificates_section),
         ("suggestion_time.json", suggestion_section),
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),

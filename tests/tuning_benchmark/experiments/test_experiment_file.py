@@ -5,6 +5,7 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
+from bo_tuner.study.study_file import load_study
 from tuning_benchmark.experiments.experiment_file import load_experiment, shipped_experiments
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "campaigns.md"
@@ -36,6 +37,16 @@ def test_a_study_lies_beside_the_experiment(experiment_file):
     assert case.budget(case.rows["IV"]) == 60
 
 
+def test_a_case_changes_keys_of_its_study(experiment_file):
+    text = experiment_file.read_text()
+    changes = "{name: other, budget.trials: 77, budget.drawn_contexts: null}"
+    experiment_file.write_text(text.replace("    rows:", f"    changes: {changes}\n    rows:"))
+    before = load_study(experiment_file.parent / "valley.yaml")
+    study = load_experiment(str(experiment_file)).cases["valley"].study
+    assert (study.name, study.budget.trials, study.budget.drawn_contexts) == ("other", 77, None)
+    assert study.replace(trials=before.budget.trials).constraints == before.constraints
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -63,6 +74,16 @@ def test_a_study_lies_beside_the_experiment(experiment_file):
             r"points.middle.parameters: .*g1",
         ),
         ("cases:", "cost: {dimensions: [0]}\ncases:", r"cost.dimensions\[0\]: expected"),
+        (
+            "    rows:",
+            "    changes: {budget.trial.s: 3}\n    rows:",
+            r"closed.yaml:\d+: cases.valley.changes.budget.trial.s: expected a path of keys",
+        ),
+        (
+            "    rows:",
+            "    changes: {budget.trials: none}\n    rows:",
+            r"cases.valley.changes.budget.trials: expected an integer",
+        ),
     ],
 )  # fmt: skip
 def test_mistakes_are_one_line_with_their_place(experiment_file, old, new, message):

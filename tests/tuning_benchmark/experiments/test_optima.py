@@ -22,12 +22,14 @@ def test_the_shipped_optima_are_of_the_shipped_studies(name):
     assert optimum_of(entries, study).objective == entries[name]["optimum"]["E"]
 
 
-def test_the_optimum_of_another_study_of_the_same_name_is_unknown():
+def test_an_optimum_is_of_a_study_not_of_a_name():
     study = load_study("benchmark")
     overshoot = dataclasses.replace(study.constraints["overshoot"], upper=0.1)
     other = dataclasses.replace(study, constraints=study.constraints | {"overshoot": overshoot})
     assert optimum_of(read_optima(OPTIMA), other) is None
     assert optimum_of({}, study) is None
+    renamed = dataclasses.replace(study, name="another")
+    assert optimum_of(read_optima(OPTIMA), renamed) == optimum_of(read_optima(OPTIMA), study)
 
 
 def test_what_does_not_change_the_truth_does_not_change_the_digest():

@@ -10,7 +10,12 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study, shipped_studies
+from bo_tuner.study.study_file import (
+    load_study,
+    shipped_studies,
+    study_from_mapping,
+    study_to_mapping,
+)
 from tuning_benchmark.experiments.experiment import (
     Calibration,
     Case,
@@ -91,8 +96,11 @@ def _experiment(value: object, folder: Path) -> Experiment:
 
 
 def _case(name: str, value: object, folder: Path) -> Case:
-    fields = _fields(Case, value, without=("name",))
+    fields = _fields(Case, value, without=("name",), also=("changes",))
     fields["study"] = _study(fields["study"], folder)
+    if "changes" in fields:
+        with _under("changes"):
+            fields["study"] = _changed(fields["study"], _mapping(fields.pop("changes")))
     fields["rows"] = _named("rows", fields, _row)
     if "surrogates" in fields:
         with _under("surrogates"):
@@ -128,6 +136,23 @@ def _study(value: object, folder: Path) -> Study:
             return ClosedForm(**_fields(ClosedForm, value)).study()
     name = checks.text(value, "study")
     return load_study(name if name in shipped_studies() else folder / name)
+
+
+def _changed(study: Study, changes: Mapping[str, Any]) -> Study:
+    """Return a study with other values at paths of keys ``section.name``; null removes a key."""
+    content: dict[str, Any] = study_to_mapping(study)
+    for path, value in changes.items():
+        *parents, key = path.split(".")
+        part: Any = content
+        for parent in parents:
+            part = part.get(parent) if isinstance(part, dict) else None
+        if not isinstance(part, dict):
+            raise StudyError("expected a path of keys of the study", (path,))
+        if value is None:
+            part.pop(key, None)
+        else:
+            part[key] = value
+    return study_from_mapping(content)
 
 
 def _named(key: str, fields: Mapping[str, Any], build: Callable[[str, object], T]) -> dict[str, T]:

@@ -51,22 +51,23 @@ def optimum_of(entries: Mapping[str, Any], study: Study) -> Optimum | None:
     Parameters
     ----------
     entries
-        Results of `benchmarks/grid_search.py` by name of the study.
+        Results of `benchmarks/grid_search.py`, each with the digest of its study.
     study
-        The study.
+        The study, under any name.
 
     Returns
     -------
     Optimum or None
-        None if nothing is known, or if the search was of another study of this name.
+        None if nothing is known.
     """
     objects = [node.object for node in study.nodes.values()]
     if objects == [f"{Node.__module__}:{Node.__name__}"]:
         problem = problem_of_study(study)
         worst = np.linspace(0.0, 1.5 * LIMIT, SAMPLES)
         return Optimum(problem.best, tuple(worst), tuple(problem.frontier(worst)))
-    entry = entries.get(study.name)
-    if entry is None or entry["digest"] != study_digest(study):
+    digest = study_digest(study)
+    entry = next((entry for entry in entries.values() if entry["digest"] == digest), None)
+    if entry is None:
         return None
     frontier = entry.get("frontier", [])
     return Optimum(

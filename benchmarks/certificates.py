@@ -1,0 +1,174 @@
+"""How often a certificate passes what is feasible, and what is just not.
+
+The answers are those of recorded campaigns. Each answer that the tuner called feasible is certified
+by the study's default certificate, in process, with fresh draws. Beside it stands a parameter set
+that is truly infeasible by as little as possible: on the way from the answer to one drawn at random
+that breaks a limit, the first by bisection that the judge of the campaign finds infeasible. The
+worst context of the answer is known to its certificate, as that of a run's own search would be; of
+the infeasible parameter set nothing is known.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+# Before the libraries that read it.
+os.environ.update(OPENBLAS_NUM_THREADS="1")
+
+import numpy as np
+from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from scipy.stats import binomtest
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.sequential import spent
+from bo_tuner.certificate.store import required_draws
+from bo_tuner.certificate.verdict import judge
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Value
+from tuning_benchmark.experiments.experiment_file import load_experiment
+from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of
+
+CASES = (
+    ("boundary", "mean"),
+    ("boundary", "single-run"),
+    ("closed_form", "closed-4-2"),
+    ("closed_form", "closed-2-1"),
+)
+ROW = "boundary"
+BISECTIONS = 7
+DRAWN = 200
+"""Parameter sets that are drawn at random until one breaks a limit."""
+
+
+def answers(records: Path, experiment: str, case: str) -> list[tuple[int, dict[str, Any]]]:
+    """Return seed and answer of each recorded run of the row."""
+    lines = (records / f"{experiment}.jsonl").read_text(encoding="utf-8").splitlines()
+    found = []
+    for record in map(json.loads, lines):
+        kind, *where = record["task"].split("/")
+        if kind == "run" and where[:2] == [case, ROW] and record["result"]["answer"]:
+            found.append((int(where[2]), record["result"]["answer"]))
+    return found
+
+
+def just_infeasible(
+    study: Study, truth: Truth, parameters: Mapping[str, Value], seed: int
+) -> dict[str, Value] | None:
+    """Return the first infeasible parameter set on the way to one drawn at random."""
+    space = study.search_space()
+    rng = np.random.default_rng((seed, len(parameters)))
+    kept = space.to_cube(parameters)
+
+    def feasible(point: np.ndarray) -> bool:
+        values = space.to_parameters(space.repair(point[None])[0])
+        return truth.verdict(values, FEW_REAL_EVALUATIONS).feasible
+
+    for broken in rng.random((DRAWN, space.dimension)):
+        if not feasible(broken):
+            break
+    else:
+        return None
+    for _ in range(BISECTIONS):
+        middle = (kept + broken) / 2.0
+        if feasible(middle):
+            kept = middle
+        else:
+            broken = middle
+    return space.to_parameters(space.repair(broken[None])[0])
+
+
+def certify(
+    study: Study, parameters: Mapping[str, Value], suspected: tuple[Mapping[str, float], ...]
+) -> dict[str, Any]:
+    """Certify a parameter set by the study's own certificate, and return its verdict and cost."""
+    backend = InProcessBackend(study)
+    backend.open()
+    confidence = spent(study.certificate.confidence, 1)
+    begin = time.process_time()
+    try:
+        (evidence,) = Certification(study, backend, confidence=confidence).collect(
+            [Subject("tuned", parameters, suspected)],
+            required_draws(study, study.certificate.confidence),
+        )
+    finally:
+        backend.close()
+    findings = judge(study, evidence, confidence)
+    return {
+        "passed": findings.passed,
+        "evaluations": findings.evaluations,
+        "reasons": findings.reasons,
+        "seconds": round(time.process_time() - begin, 2),
+    }
+
+
+def interval(count: int, total: int) -> tuple[float, float]:
+    """Clopper-Pearson interval of a share, 95 %."""
+    found = binomtest(count, total).proportion_ci(method="exact")
+    return float(found.low), float(found.high)
+
+
+def main() -> None:
+    """Certify and report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument(
+        "--records", type=Path, default=BENCHMARKS.parent / "docs" / "records", metavar="DIR"
+    )
+    parser.add_argument("--result", type=Path, default=RESULTS / "certificates.json")
+    arguments = parser.parse_args()
+    result: dict[str, Any] = {"provenance": provenance(), "cases": {}}
+    rows = []
+    for name, case_name in CASES:
+        experiment = load_experiment(name)
+        (case,) = (case for case in experiment.cases if case.name == case_name)
+        truth = truth_of(case.study, experiment.judge)
+        runs = []
+        for seed, answer in answers(arguments.records, name, case_name):
+            study, parameters = case.study.replace(seed=seed), answer["parameters"]
+            run: dict[str, Any] = {"seed": seed, "believed": answer["believed"]}
+            run["feasible"] = answer["truth"]["feasible"]
+            if answer["believed"]:
+                run["answer"] = certify(study, parameters, (answer["truth"]["worst_context"],))
+            if run["feasible"]:
+                beyond = just_infeasible(study, truth, parameters, seed)
+                if beyond is not None:
+                    verdict = truth.verdict(beyond, FEW_REAL_EVALUATIONS)
+                    run["infeasible"] = certify(study, beyond, ()) | {
+                        "parameters": beyond,
+                        "worst": verdict.worst,
+                    }
+            runs.append(run)
+            print(f"{case_name} {seed}: {run}", flush=True)
+        counts: dict[str, Any] = {"title": case.title, "runs": runs}
+        for which in ("answer", "infeasible"):
+            certified = [run[which] for run in runs if which in run]
+            passed = sum(item["passed"] for item in certified)
+            low, high = interval(passed, len(certified)) if certified else (0.0, 1.0)
+            counts[which] = {
+                "certified": len(certified),
+                "passed": passed,
+                "interval": [low, high],
+                "median_evaluations": statistics.median(i["evaluations"] for i in certified),
+                "most_evaluations": max(i["evaluations"] for i in certified),
+            }
+            rows.append(
+                [
+                    case_name,
+                    which,
+                    f"{passed} of {len(certified)}",
+                    f"{low:.0%} to {high:.0%}",
+                    counts[which]["median_evaluations"],
+                ]
+            )
+        result["cases"][case_name] = counts
+    write_result(arguments.result, result)
+    print(table(["study", "parameter sets", "PASS", "95 %", "median evaluations"], rows))
+
+
+if __name__ == "__main__":
+    main()
