@@ -21,6 +21,7 @@ class Machine:
         self.left = TimeLeft(study, ALGORITHMS[algorithm], lambda: self.now)
         self._make_trial = make_trial
         self._number = 0
+        self.known = 0
 
     def pass_time(self, seconds):
         self.now += self.slowdown * seconds
@@ -102,25 +103,83 @@ def test_a_budget_of_evaluations_ends_the_trials_sooner(machine):
     assert run.left.estimate() == 2 * 2.0 + 10.0
 
 
+def pooled_trials(run, count, evaluations, *, per_evaluation, ratio=5.0):
+    """Trials of pooled models: a ranking takes a time in proportion to all evaluations so far.
+
+    What a trial takes beside its evaluations is `ratio` rankings.
+    """
+    for _ in range(count):
+        run.known += evaluations
+        ranking = per_evaluation * run.known
+        run.trial(evaluations, proposal=(ratio - 1.0) * ranking, ranking=ranking)
+
+
 def test_rankings_count_between_repetitions(machine):
     run = machine("boundary")
     run.left.begin(Phase.TUNING)
-    for _ in range(5):
-        run.trial(ranking=3.0)
-    # A third of 20 repetitions, with as much of 2 sqrt(20) rankings, and 10 of the validation.
-    repetitions = 1.0 / 3.0 * (20.0 + 2.0 * math.sqrt(20) * 3.0)
-    assert run.left.estimate() == pytest.approx(repetitions + 10.0)
+    pooled_trials(run, 5, 2, per_evaluation=0.3)
+    # Half of 20 repetitions after 10 evaluations, with 2 sqrt(10) rankings between them and a last
+    # one, of as many as are made in the middle; and 10 evaluations of the validation.
+    rankings = (2.0 * math.sqrt(10.0) + 1.0) * 0.3 * (10 + 5)
+    assert run.left.estimate() == pytest.approx(10.0 + rankings + 10.0)
+    run.left.begin(Phase.CHECKING)
+    assert run.left.estimate() == pytest.approx(10.0 + rankings + 10.0)
+    run.evaluations(4)
+    # Half of the 16 that are left.
+    rankings = (2.0 * (math.sqrt(12.0) - math.sqrt(4.0)) + 1.0) * 0.3 * (10 + 8)
+    assert run.left.estimate() == pytest.approx(8.0 + rankings + 10.0)
+
+
+def test_a_large_run_is_settled_after_25_repetitions(machine):
+    run = machine("boundary", trials=3)
+    run.left.begin(Phase.TUNING)
+    pooled_trials(run, 3, 100, per_evaluation=0.0)
+    assert run.left.estimate() == pytest.approx(25.0 + 10.0)
 
 
 def test_points_at_the_boundary_take_fewer_evaluations(machine):
     run = machine("boundary", trials=10)
     run.left.begin(Phase.TUNING)
-    for _ in range(4):
-        run.trial(6, proposal=0.5)
-    # One more of the search; five with a run in a drawn context and two in the worst one.
-    trials = 1 * 6 + 5 * 3
-    repetitions = max(20, math.ceil((4 * 6 + trials) / 3))
-    assert run.left.estimate() == pytest.approx(trials + 6 * 0.5 + repetitions / 3.0 + 10.0)
+    pooled_trials(run, 4, 6, per_evaluation=0.1)
+    # One more of the search; five with a run in a drawn context and two in the worst one. Each has
+    # five rankings beside them, by all evaluations so far.
+    known = np.cumsum([24, 6, *5 * [3]])
+    trials = 1 * 6 + 5 * 3 + 5 * 0.1 * sum(known[1:])
+    repetitions = max(20, math.ceil(known[-1] / 3)) / 2
+    rankings = (2.0 * math.sqrt(repetitions) + 1.0) * 0.1 * (known[-1] + repetitions / 2)
+    assert run.left.estimate() == pytest.approx(trials + repetitions + rankings + 10.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("evaluation", [0.001, 0.02, 1.0])
+@pytest.mark.parametrize("ratio", [4.0, 6.0])
+def test_a_run_of_pooled_models_is_right_to_a_fifth_from_a_third_on(
+    machine, ratio, evaluation, seed
+):
+    """Where half of the repetitions settle the answer."""
+    rng = np.random.default_rng(seed)
+    run = machine("boundary", trials=40, initial_trials=8, validation_draws=25)
+    run.left.begin(Phase.TUNING)
+    known, told = 0, []
+    for k in range(40):
+        count = int(rng.integers(3, 8)) if k < 20 else 3
+        known += count
+        ranking = 0.002 * known * rng.uniform(0.9, 1.1)
+        proposal = 0.0 if k < 8 else (ratio - 1.0) * ranking
+        run.trial(count, proposal=proposal, evaluation=evaluation, ranking=ranking)
+        told.append((k + 1, run.now, run.left.estimate()))
+    run.left.begin(Phase.CHECKING)
+    repetitions = math.ceil(known / 3) // 2
+    for k in range(repetitions):
+        if math.isqrt(4 * k) < math.isqrt(4 * (k + 1)):
+            run.pass_time(0.002 * (known + k))
+        run.evaluations(1, evaluation=evaluation)
+    run.pass_time(0.002 * (known + repetitions))
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(50, evaluation=evaluation)
+    for done, at, left in told:
+        if 3 * done >= 40:
+            assert left == pytest.approx(run.now - at, rel=0.2), done
 
 
 def test_what_a_phase_takes_shows_in_it(machine):
@@ -147,13 +206,15 @@ def test_a_pause_is_no_time_of_the_run(machine):
     assert runs[0].left.estimate() == runs[1].left.estimate()
 
 
-def test_trials_on_record_count_as_if_just_run(machine):
-    one, other = machine("IV"), machine("IV")
+@pytest.mark.parametrize(("algorithm", "part"), [("IV", 0.0), ("boundary", 0.25)])
+def test_trials_on_record_count_as_if_just_run(machine, algorithm, part):
+    """Of pooled models, a proposal takes four rankings."""
+    one, other = machine(algorithm), machine(algorithm)
     for run in (one, other):
         run.left.begin(Phase.TUNING)
-    trials = [one.trial(), one.trial(proposal=4.0), one.trial(proposal=5.0)]
+    trials = [one.trial(proposal=p, ranking=part * p) for p in (0.0, 4.0, 5.0)]
     other.left.recall(trials)
-    assert other.left.estimate() == one.left.estimate()
+    assert other.left.estimate() == pytest.approx(one.left.estimate())
 
 
 def whole_run(run, trials, growth, rng, *, checks, change=None, slowdown=1.0):

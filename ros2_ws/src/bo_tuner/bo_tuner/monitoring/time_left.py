@@ -2,11 +2,13 @@
 
 A trial to come takes as many evaluations as the latest half of the trials, or as a point at the
 boundary of `boundary`, each as long as of late, and what a trial takes beside them by the clock:
-the proposal, the search for the worst context and the ranking. That grows with the data, as a
-straight line through the latest half of the proposals. After the trials come the check of
-candidates and the validation, whose evaluations have no search between them, with a ranking after
-each step of the check. In these phases their own evaluations tell more and more. All of it follows
-the clock, so that a change of the load shows within some trials; a pause does not count.
+the proposal, the search for the worst context and the ranking. That grows with the data. Where the
+models pool all evaluations it is counted in rankings, each of which takes a time in proportion to
+the evaluations; else it follows a straight line through the latest half of the proposals.
+
+After the trials come the check of candidates, or the repetitions of `boundary`, and the validation,
+whose evaluations have no search between them, with rankings between the steps of the check. All of
+it follows the clock, so that a change of the load shows within some trials; a pause does not count.
 """
 
 import math
@@ -33,17 +35,30 @@ DESIGN_WEIGHT = 3
 """The initial design counts as so many of the proposed trials that it precedes."""
 CANDIDATES = 2
 """Candidates that are checked, as if every other one passed."""
-SETTLED = 1.0 / 3.0
-"""Part of the repetitions that are left after which it is settled what the answer is."""
+SETTLED, MOST_TO_SETTLE = 0.5, 25
+"""It is settled what the answer is after this part of the repetitions, but not more than so many.
+
+How many it takes differs widely between runs, and hardly depends on how many are allowed.
+"""
+RANKINGS, RANKINGS_WEIGHT = 5.0, 3
+"""What is expected of a trial beside its evaluations, in rankings, where models pool evaluations.
+
+A proposal, which fits the models, ranks and searches, takes all of them but the one after the
+trial. The expected value counts as so many trials that were measured.
+"""
 EXPECTED_WEIGHT = 10
 """What is expected of an evaluation counts as so many that were measured in the phase."""
 
 
 @dataclass(frozen=True)
 class _Times:
-    """What a trial took: evaluations, their time [s], all other time, and of that the ranking."""
+    """What a trial took: evaluations, their time [s], all other time, and of that the ranking.
+
+    ``known`` is the number of evaluations up to its end, all trials together.
+    """
 
     evaluations: int
+    known: int
     evaluating: float
     other: float
     ranking: float
@@ -83,7 +98,8 @@ class TimeLeft:
         """Take trials on record, which tell the times of their proposals and evaluations only."""
         for trial in trials:
             self._evaluations += len(trial.evaluations)
-            self._take(trial, trial.seconds, 0.0)
+            ranking = trial.seconds / (RANKINGS - 1.0) if self._algorithm.models.pooled else 0.0
+            self._take(trial, trial.seconds + ranking, ranking)
         self.begin(self._phase)
 
     def evaluation(self, evaluation: Evaluation) -> None:
@@ -120,43 +136,64 @@ class TimeLeft:
         if not self._trials:
             return None
         draws = 2 * self._study.budget.validation_draws
-        if self._phase == Phase.TUNING:
-            trials, evaluations = self._to_come()
-            seconds = evaluations * self._recent_evaluation()
-            seconds += trials * self._beside_evaluations(trials)
-            checks, cost = self._checks(self._evaluations + round(evaluations), 0)
-            return seconds + checks * cost + draws * self._plain_evaluation()
-        if self._phase == Phase.CHECKING:
-            checks, cost = self._checks(self._evaluations - self._in_phase, self._in_phase)
-            return checks * self._measured(cost) + draws * self._plain_evaluation()
-        return max(0, draws - self._in_phase) * self._measured(self._plain_evaluation())
+        if self._phase == Phase.VALIDATION:
+            return max(0, draws - self._in_phase) * self._measured(self._plain_evaluation())
+        pooled = self._algorithm.models.pooled
+        seconds = self._until_settled() if pooled else self._until_checked()
+        return seconds + draws * self._plain_evaluation()
 
     def _take(self, trial: Trial, other: float, ranking: float) -> None:
         evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)
         proposed = trial.origin not in (DEFAULT, START, INITIAL)
-        self._trials.append(_Times(len(trial.evaluations), evaluating, other, ranking, proposed))
+        count = len(trial.evaluations)
+        known = count + (self._trials[-1].known if self._trials else 0)
+        self._trials.append(_Times(count, known, evaluating, other, ranking, proposed))
+
+    def _until_settled(self) -> float:
+        """Return the time [s] until the repetitions end, where models pool all evaluations."""
+        trials, evaluations = len(self._trials), float(self._evaluations)
+        repeated, seconds = 0, 0.0
+        if self._phase == Phase.CHECKING:
+            repeated = self._in_phase
+            evaluations -= repeated
+        else:
+            each = self._evaluations_of_trial()
+            while self._study.budget.remaining(trials, round(evaluations)):
+                searched = searches(self._study, trials, round(evaluations))
+                count = each if searched else sum(new_point(self._study))
+                trials, evaluations = trials + 1, evaluations + count
+                seconds += count * self._recent_evaluation()
+                seconds += self._rankings_of_trial() * self._ranking_of(evaluations)
+        most = most_repetitions(self._study, round(evaluations))
+        total = repeated + min(SETTLED * max(0, most - repeated), MOST_TO_SETTLE)
+        # A ranking follows the first 2 repetitions of a candidate, and each doubling: log2 n in all
+        # if they are of one candidate, n / 2 if each candidate has 2 of them. One is the last.
+        rankings = 2.0 * (math.sqrt(total) - math.sqrt(repeated)) + 1.0
+        seconds += (total - repeated) * self._plain_evaluation()
+        return seconds + rankings * self._ranking_of(evaluations + 0.5 * (repeated + total))
+
+    def _until_checked(self) -> float:
+        """Return the time [s] until the candidates are checked."""
+        size = most_check_evaluations(self._study)
+        cost = self._plain_evaluation() + self._ranking() / size
+        if self._phase == Phase.CHECKING:
+            count = min(self._steps + CANDIDATES, self._algorithm.most_checked)
+            return max(0, size * count - self._in_phase) * self._measured(cost)
+        trials = self._study.budget.remaining(len(self._trials), self._evaluations)
+        seconds = self._evaluations_of_trial() * self._recent_evaluation()
+        seconds += self._beside_evaluations(trials)
+        return trials * seconds + min(CANDIDATES, self._algorithm.most_checked) * size * cost
 
     def _latest_half(self) -> list[_Times]:
         return self._trials[-max(RECENT, len(self._trials) // 2) :]
 
-    def _to_come(self) -> tuple[int, float]:
-        """Return how many trials are to come, and how many evaluations in all."""
-        budget, known = self._study.budget, len(self._trials)
+    def _evaluations_of_trial(self) -> float:
+        """Return the mean evaluations of a trial to come that is not one at the boundary."""
         proposed = [item.evaluations for item in self._latest_half() if item.proposed]
         designed = [item.evaluations for item in self._trials if not item.proposed]
         weight = DESIGN_WEIGHT if designed else 0
         total = sum(proposed) + (weight * fmean(designed) if designed else 0.0)
-        each = total / (len(proposed) + weight)
-        if not self._algorithm.models.pooled:
-            trials = budget.remaining(known, self._evaluations)
-            return trials, trials * each
-        trials, evaluations = 0, 0.0
-        while True:
-            done = known + trials, round(self._evaluations + evaluations)
-            if not budget.remaining(*done):
-                return trials, evaluations
-            evaluations += each if searches(self._study, *done) else sum(new_point(self._study))
-            trials += 1
+        return total / (len(proposed) + weight)
 
     def _recent_evaluation(self) -> float:
         """Return the time [s] of an evaluation in the latest trials."""
@@ -169,6 +206,21 @@ class TimeLeft:
 
     def _ranking(self) -> float:
         return fmean(item.ranking for item in self._trials[-RECENT:])
+
+    def _ranking_of(self, evaluations: float) -> float:
+        """Return the time [s] of a ranking by so many evaluations."""
+        ranked = [item for item in self._trials[-RECENT:] if item.ranking > 0.0]
+        if not ranked:
+            return 0.0
+        known = sum(item.known for item in ranked)
+        return sum(item.ranking for item in ranked) / known * evaluations
+
+    def _rankings_of_trial(self) -> float:
+        """Return what a trial to come takes beside its evaluations, in rankings."""
+        recent = self._trials[-RECENT:]
+        measured = [item for item in recent if item.proposed and item.ranking > 0.0]
+        total = RANKINGS_WEIGHT * RANKINGS + sum(item.other / item.ranking for item in measured)
+        return total / (RANKINGS_WEIGHT + len(measured))
 
     def _beside_evaluations(self, count: int) -> float:
         """Return the mean time [s] beside the evaluations of so many trials to come."""
@@ -184,24 +236,6 @@ class TimeLeft:
             slope = sum((k - middle) * (other - mean) for k, other in latest) / spread
         ahead = len(self._trials) + 0.5 * (count - 1) - middle
         return mean + max(slope, 0.0) * ahead
-
-    def _checks(self, evaluations: int, done: int) -> tuple[float, float]:
-        """Return the evaluations that are left of the check, and the time [s] of each.
-
-        The check follows trials with so many evaluations; if it has begun, its phase is the present
-        one.
-        """
-        if self._algorithm.models.pooled:
-            most = most_repetitions(self._study, evaluations)
-            # A ranking follows the first 2 repetitions of a candidate, and each doubling: log2 n
-            # in all if they are of one candidate, n / 2 if each candidate has 2 of them.
-            rankings = 2.0 * math.sqrt(most)
-            cost = self._plain_evaluation() + self._ranking() * rankings / most
-            return SETTLED * max(0, most - done), cost
-        size = most_check_evaluations(self._study)
-        checked = self._steps if self._phase == Phase.CHECKING else 0
-        count = min(checked + CANDIDATES, self._algorithm.most_checked)
-        return max(0, size * count - done), self._plain_evaluation() + self._ranking() / size
 
     def _measured(self, expected: float) -> float:
         """Return the time [s] of an evaluation of the phase, by what was expected and measured."""
