@@ -31,7 +31,7 @@ def run_trial(
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
     options = RecordOptions(Policy.ALL if folder else Policy.NONE)
-    listen = partial(TopicListener, backend.context, backend.nodes)
+    listen = partial(TopicListener, backend.context, backend.nodes, backend.topics)
     with RunRecording(folder or Path(), study, options, listen, print) as recording:
         record: list[Evaluation] = []
         start = time.perf_counter()

@@ -25,8 +25,7 @@ Optuna
 Needs requirements/benchmarks.txt, in an environment of its own:
 
   python -m venv /tmp/compare && /tmp/compare/bin/pip install -r requirements/runtime.txt \
-      -r requirements/benchmarks.txt ros2_ws/src/mpc_controller ros2_ws/src/milling_plant \
-      ros2_ws/src/bo_tuner
+      -r requirements/benchmarks.txt ros2_ws/src/*
 """
 
 import argparse
