@@ -1,4 +1,4 @@
-"""Cost of a cut over that of its parts, and memory of the nodes.
+"""Cost of a cut over that of its parts.
 
 All figures are ratios of times taken side by side, since a time alone says more of the machine than
 of the program. Median and range are over the repetitions.
@@ -200,12 +200,6 @@ def echo() -> None:
             executor.spin_once(timeout_sec=0.1)
 
 
-def resident_memory(pid: int) -> int:
-    """Resident memory of a process [kB]."""
-    text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-    return int(text.partition("VmRSS:")[2].split()[0])
-
-
 def spread(ratios: list[float], target: float | None = None) -> dict[str, float | None]:
     """Median and range of ratios, with the target that the median is to keep."""
     return {
@@ -216,7 +210,7 @@ def spread(ratios: list[float], target: float | None = None) -> dict[str, float 
     }
 
 
-def run(repetitions: int, memory_evaluations: int) -> None:
+def run(repetitions: int) -> None:
     """Measure, write the result file and print."""
     about = provenance()
     bare = BareSteps()
@@ -253,7 +247,7 @@ def run(repetitions: int, memory_evaluations: int) -> None:
             ),
             f"{SAMPLES} round trips / cut in process": spread(laps),
             "cut over ROS / cut in process": spread(shares),
-        } | memory_growth(ros, memory_evaluations)
+        }
     write_result(RESULTS / "closed_loop.json", {"provenance": about, "ratios": ratios})
     rows = [
         [what, r["median"], r["lowest"], r["highest"], r["target"]] for what, r in ratios.items()
@@ -261,36 +255,16 @@ def run(repetitions: int, memory_evaluations: int) -> None:
     print(table(["ratio", "median", "lowest", "highest", "at most"], rows))
 
 
-def memory_growth(ros: RosBackend, evaluations: int) -> dict[str, dict[str, float | None]]:
-    """Run cuts and compare each node's memory in the last quarter of them with the first."""
-    pids = {key: process.pid for key, process in ros.processes.items()}
-    used: dict[str, list[int]] = {key: [] for key in pids}
-    for number in range(evaluations):
-        evaluation(ros, number)
-        for key, pid in pids.items():
-            used[key].append(resident_memory(pid))
-    quarter = evaluations // 4
-    if quarter == 0:
-        return {}
-    return {
-        f"memory of {key}, last quarter of {evaluations} cuts / first": spread(
-            [size / statistics.median(sizes[:quarter]) for size in sizes[-quarter:]], 1.02
-        )
-        for key, sizes in used.items()
-    }
-
-
 def main() -> None:
     """Read the options and run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repetitions", type=int, default=30, help="default: %(default)s")
-    parser.add_argument("--memory-cuts", type=int, default=1000, help="default: %(default)s")
     parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.echo:
         echo()
     else:
-        run(arguments.repetitions, arguments.memory_cuts)
+        run(arguments.repetitions)
 
 
 if __name__ == "__main__":

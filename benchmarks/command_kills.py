@@ -10,7 +10,6 @@ A command that ends by itself with another code than that of a result has refuse
 wrong if it differs from that of a run which nobody has killed.
 """
 
-import argparse
 import contextlib
 import os
 import shutil
@@ -27,7 +26,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, start_command, table, write_result
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study import Study
@@ -84,14 +83,7 @@ class Run:
             "validate": [str(self.path)],
             "report": [str(self.path)],
         }[command]
-        with (self._folder / "output").open("a") as output:
-            return subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner", command, *arguments],
-                cwd=self._folder,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-            )
+        return start_command(self._folder, command, *arguments)
 
     def finish(self, command: str) -> float:
         """Run a command to its end; returns the seconds that it took."""
@@ -233,10 +225,9 @@ def differing(rows: list[Evaluation], expected: list[Evaluation]) -> int:
 
 def main() -> None:
     """Kill and report; exit code 1 if a command refused to go on or a row is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "command_kills.json")
     parser.add_argument("--kills", type=int, default=100, help="(default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="runs at once (default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "command_kills.json")
     arguments = parser.parse_args()
     origin = provenance()
     with tempfile.TemporaryDirectory() as name:

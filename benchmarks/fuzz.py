@@ -22,7 +22,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from common import BENCHMARKS, provenance, result_parser, table, write_result
 from hypothesis import HealthCheck, given, seed, settings
 
 CONTRACTS = BENCHMARKS.parent / "tests" / "fuzz"
@@ -169,12 +169,11 @@ def run_atheris(count: int, folder: Path) -> None:
 
 def main() -> None:
     """Fuzz and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "fuzz.json")
     parser.add_argument("--inputs", type=int, default=10_000, help="(default: %(default)s)")
     parser.add_argument("--records", type=int, default=5_000, help="(default: %(default)s)")
     parser.add_argument("--processes", type=int, default=2, help="(default: %(default)s)")
     parser.add_argument("--atheris-inputs", type=int, default=10_000, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "fuzz.json")
     parser.add_argument("--atheris", nargs=2, metavar=("COUNT", "FOLDER"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     sys.path += [str(CONTRACTS), str(CONTRACTS.parent / "harness")]

@@ -10,7 +10,6 @@ is wrong if it differs in a bit. A change is undetected if none of the next eval
 the parameter's name.
 """
 
-import argparse
 import os
 import signal
 import subprocess
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -259,9 +258,8 @@ def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
 
 def main() -> None:
     """Run and report; exit code 1 if a row is wrong or a change undetected."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "integrity_soak.json")
     parser.add_argument("--changes", type=int, default=200, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "integrity_soak.json")
     arguments = parser.parse_args()
     origin = provenance()
     # The namespace of the nodes is claimed by the backend; this keeps other tuners away.

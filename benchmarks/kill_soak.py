@@ -13,21 +13,19 @@ makes place for the next one.
 `command_kills.py` kills at what is written at the end of a run, and the other commands.
 """
 
-import argparse
 import contextlib
 import os
 import signal
 import sqlite3
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, start_command, table, write_result
 
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.study_file import load_study, study_to_yaml
@@ -59,14 +57,7 @@ class Tuner:
             self.runs += 1
         else:
             arguments = ["--resume", str(self._run)]
-        with (self._folder / "output").open("a") as output:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "bo_tuner", "tune", *arguments],
-                cwd=self._folder,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-            )
+        self._process = start_command(self._folder, "tune", *arguments)
 
     def keep_running(self) -> None:
         """Start what has ended: the same run if it can go on, else the next."""
@@ -158,9 +149,8 @@ def summary(times: list[float]) -> dict[str, object]:
 
 def main() -> None:
     """Kill and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "kill_soak.json")
     parser.add_argument("--kills", type=int, default=100, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "kill_soak.json")
     arguments = parser.parse_args()
     origin = provenance()
     rng = np.random.default_rng(SEED)

@@ -5,7 +5,6 @@ Counted is the wall time of all calls that hold up the run, and the processor ti
 beside it: together an upper bound, since with a core to spare the threads hold up nothing.
 """
 
-import argparse
 import contextlib
 import os
 import pty
@@ -18,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 import bo_tuner.cli.session
 from bo_tuner.cli.session import RunOptions, Session
@@ -144,10 +143,9 @@ def on_terminal() -> Iterator[None]:
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "live_overhead.json")
     parser.add_argument("--study", default="benchmark", help="(default: %(default)s)")
     parser.add_argument("--trials", type=int, help="(default: the study's)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "live_overhead.json")
     arguments = parser.parse_args()
     about = provenance()
     study = load_study(arguments.study).replace(trials=arguments.trials)

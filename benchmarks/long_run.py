@@ -139,9 +139,6 @@ def finish_live(run: Path, trials: int) -> Mapping[str, object]:
         "seconds_to_load": loaded,
         "seconds_to_table": table,
         "seconds_to_answer": answer,
-        "delay_of_state": [follower.state[k] - t for k, t in times.items() if k in follower.state],
-        "delay_of_table": [
-            follower.section[k] - t for k, t in times.items() if k in follower.section
-        ],
+        **follower.delays(times),
         "load_average": os.getloadavg(),
     }

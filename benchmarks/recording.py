@@ -5,14 +5,13 @@ parameters, contexts and seeds. Counted is all that a trial takes over ROS, the 
 messages and the hand-over to the writer included.
 """
 
-import argparse
 import statistics
 import tempfile
 import time
 from functools import partial
 from pathlib import Path
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -53,12 +52,11 @@ def run_trial(
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "recording.json")
     parser.add_argument("--rounds", type=int, default=20, help="(default: %(default)s)")
     parser.add_argument(
         "--evaluations", type=int, default=12, help="of a trial (default: %(default)s)"
     )
-    parser.add_argument("--result", type=Path, default=RESULTS / "recording.json")
     arguments = parser.parse_args()
     study = load_study("benchmark")
     plain: list[float] = []

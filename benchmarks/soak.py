@@ -6,7 +6,6 @@ the proposals are drawn at random. All processes are looked at in /proc after ev
 is the slope of a straight line through what was seen after the first tenth.
 """
 
-import argparse
 import os
 import re
 import resource
@@ -16,7 +15,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.recorder import Recorder
@@ -142,9 +141,8 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
 
 def main() -> None:
     """Run and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "soak.json")
     parser.add_argument("--evaluations", type=int, default=10_000, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "soak.json")
     arguments = parser.parse_args()
     origin = provenance()
     with tempfile.TemporaryDirectory() as name:

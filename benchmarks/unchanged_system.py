@@ -6,7 +6,6 @@ time from the start of the command to the first finished trial, the time of a ru
 procedure's own, messages that were lost, and the time of each measure on a long signal.
 """
 
-import argparse
 import contextlib
 import json
 import os
@@ -19,7 +18,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from common import BENCHMARKS, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.metrics.recording import RecordedSignal, Recording
@@ -189,10 +188,9 @@ def _processor_seconds(function: Callable[[], None]) -> list[float]:
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "unchanged_system.json")
     parser.add_argument("--runs", type=int, default=100, help="(default: %(default)s)")
     parser.add_argument("--domain", type=int, default=87, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "unchanged_system.json")
     arguments = parser.parse_args()
     about = provenance()
     os.environ["ROS_DOMAIN_ID"] = str(arguments.domain)

@@ -7,7 +7,6 @@ run's own process, which other programs hardly stretch. The delay of a trial is 
 event until the client has it: in the present state, and in the table of trials.
 """
 
-import argparse
 import http.client
 import json
 import math
@@ -19,9 +18,10 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]+)")
 TRIALS = re.compile(r">(\d+) trials<")
@@ -36,6 +36,13 @@ class Follower(threading.Thread):
         self.state: dict[int, float] = {}
         self.section: dict[int, float] = {}
         self._port, self._token = port, token
+
+    def delays(self, times: Mapping[int, float]) -> dict[str, list[float]]:
+        """How long after its event the client had each trial: in the state, and in the table."""
+        return {
+            f"delay_of_{name}": [had[trial] - at for trial, at in times.items() if trial in had]
+            for name, had in (("state", self.state), ("table", self.section))
+        }
 
     def run(self) -> None:
         """Ask until the page is complete or gone."""
@@ -91,22 +98,15 @@ def run(study: str, trials: int, seed: int, folder: Path, *, web: bool) -> dict[
     if follower is None:
         return found
     follower.join(60.0)
-    return found | {
-        "delay_of_state": [follower.state[k] - t for k, t in times.items() if k in follower.state],
-        "delay_of_table": [
-            follower.section[k] - t for k, t in times.items() if k in follower.section
-        ],
-        "trials_in_table": len(follower.section),
-    }
+    return found | follower.delays(times) | {"trials_in_table": len(follower.section)}
 
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "web_overhead.json")
     parser.add_argument("--study", default="benchmark", help="(default: %(default)s)")
     parser.add_argument("--trials", type=int, default=30, help="(default: %(default)s)")
     parser.add_argument("--pairs", type=int, default=5, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "web_overhead.json")
     arguments = parser.parse_args()
     if arguments.pairs < 2:
         parser.error("--pairs: expected at least 2, so that the costs have an error")
