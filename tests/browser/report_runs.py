@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+from functions import NODE, study_mapping
+
 from bo_tuner.cli import tune
 from bo_tuner.interruption import Interruption
 from bo_tuner.study.study_file import load_study, study_to_yaml
@@ -43,33 +45,31 @@ class Untold(Axis):
         return {{"force": ("N", [1.0])}}
 """
 
-NODE = {"node": "axis"}
-
 
 def axis_study(**sections):
     """Study of the object, with harmful texts wherever a study takes a text."""
-    mapping = {
-        "name": "axis",
-        "description": HARM,
-        "nodes": {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Traced"}},
-        "parameters": {
-            "gain": NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5, "unit": HARM}
-        },
-        "contexts": {"load": NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}},
-        "seed_parameter": NODE | {"parameter": "seed"},
-        "trigger": NODE | {"service": "~/run"},
-        "metrics": {"error": NODE | {"unit": HARM}, "peak": NODE | {"unit": "N"}},
-        "objective": {"metric": "error"},
-        "constraints": {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}},
-        "budget": {
-            "trials": 7,
-            "initial_trials": 5,
-            "drawn_contexts": 2,
-            "search_evaluations": 2,
-            "validation_draws": 5,
-        },
-    } | sections
-    return {key: value for key, value in mapping.items() if value}
+    return study_mapping(
+        **{
+            "name": "axis",
+            "description": HARM,
+            "nodes": {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Traced"}},
+            "parameters": {
+                "gain": NODE
+                | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+                | {"unit": HARM}
+            },
+            "metrics": {"error": NODE | {"unit": HARM}, "peak": NODE | {"unit": "N"}},
+            "budget": {
+                "trials": 7,
+                "initial_trials": 5,
+                "drawn_contexts": 2,
+                "search_evaluations": 2,
+                "validation_draws": 5,
+            },
+            "start": None,
+        }
+        | sections
+    )
 
 
 def with_ends(ends, **node):

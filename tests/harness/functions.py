@@ -20,8 +20,11 @@ from bo_tuner.tuning.observer import RunObserver
 NODE = {"node": "axis"}
 
 
-def make_study(**sections):
-    """A study of one node `axis`: parameter gain, context load, metrics error and peak."""
+def study_mapping(**sections):
+    """A study of one node `axis`: parameter gain, context load, metrics error and peak.
+
+    A section that is None is left out.
+    """
     mapping = {
         "name": "function",
         "nodes": {"axis": NODE | {"result": "~/cut_result", "object": "axis_objects:Axis"}},
@@ -42,7 +45,12 @@ def make_study(**sections):
         # The initial design alone; what comes before it is tested on its own.
         "start": [],
     } | sections
-    return study_from_mapping({key: value for key, value in mapping.items() if value is not None})
+    return {key: value for key, value in mapping.items() if value is not None}
+
+
+def make_study(**sections):
+    """The same as a study."""
+    return study_from_mapping(study_mapping(**sections))
 
 
 class FunctionBackend(SequentialBackend):

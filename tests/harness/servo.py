@@ -9,6 +9,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
+from signal_runs import signal_study
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -98,32 +99,16 @@ class System(Node):
 
 def study(signals=None, run=None, metrics=None, **others):
     """A study of the system, with changes within sections, and `others` in place of whole ones."""
-    sections = {
-        "signals": {
-            "setpoint": {"topic": "setpoint", "field": "data"},
-            "angle": {"topic": "/joint_states", "field": "position[motor]"},
-        },
-        "run": {
+    mapping = signal_study(
+        run={
             "before": [{"call": {"service": "servo/reset"}}],
             "start": [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}],
             "end": {"after": 0.3},
-        },
-        "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
-    }
-    for section, changes in (("signals", signals), ("run", run), ("metrics", metrics)):
-        sections[section] = sections[section] | (changes or {})
-    node = {"node": "servo"}
-    return study_from_mapping(
-        {
-            "name": "servo",
-            "nodes": {"servo": node},
-            "parameters": {"gain": node | {"type": "double", "bounds": [0, 3], "default": 0.5}},
-            "objective": {"metric": "error"},
-            "budget": {"trials": 1, "initial_trials": 1},
         }
-        | sections
-        | others
     )
+    for section, changes in (("signals", signals), ("run", run), ("metrics", metrics)):
+        mapping[section] |= changes or {}
+    return study_from_mapping(mapping | others)
 
 
 def run(backend, gain=0.5):

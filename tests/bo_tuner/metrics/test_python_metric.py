@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from signal_runs import outcome_of, signal_study
 
 from bo_tuner.errors import StudyError
-from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import RecordedSignal, Recording, signal_sources
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
@@ -53,26 +53,13 @@ def functions(tmp_path, monkeypatch):
 
 
 def study(path):
-    node = {"node": "axis"}
-    return study_from_mapping(
-        {
-            "name": "own",
-            "nodes": {"axis": node},
-            "parameters": {"gain": node | {"type": "double", "bounds": [0, 1], "default": 0.5}},
-            "signals": {
-                name: {"topic": name, "field": "data", "minimum_messages": 0} for name in "xy"
-            },
-            "run": {"end": {"after": 5.0}},
-            "metrics": {"own": {"python": path, "unit": "J"}},
-            "objective": {"metric": "own"},
-            "budget": {"trials": 1, "initial_trials": 1},
-        }
-    )
+    signals = {name: {"topic": name, "field": "data", "minimum_messages": 0} for name in "xy"}
+    metrics, objective = {"own": {"python": path, "unit": "J"}}, {"metric": "own"}
+    return study_from_mapping(signal_study(signals=signals, metrics=metrics, objective=objective))
 
 
 def outcome(function):
-    made = study(f"users_metrics:{function}")
-    return Collector(made, signal_sources(made, lambda: RECORDING)).outcome({})
+    return outcome_of(study(f"users_metrics:{function}"), RECORDING)
 
 
 def test_a_function_of_the_signals():

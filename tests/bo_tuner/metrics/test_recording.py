@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from signal_runs import outcome_of, signal_study
 
-from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording, signal_sources
+from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
 from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study.signals import Signal, expression
@@ -46,24 +46,13 @@ def test_without_what_holds_at_start_and_end():
 
 def study(**metrics):
     """A study with metrics of x and y."""
-    node = {"node": "axis"}
-    return study_from_mapping(
-        {
-            "name": "signals",
-            "nodes": {"axis": node},
-            "parameters": {"gain": node | {"type": "double", "bounds": [0, 1], "default": 0.5}},
-            "signals": {name: {"topic": name, "field": "data"} for name in NAMES},
-            "run": {"end": {"after": 5.0}},
-            "metrics": metrics,
-            "objective": {"metric": next(iter(metrics))},
-            "budget": {"trials": 1, "initial_trials": 1},
-        }
-    )
+    signals = {name: {"topic": name, "field": "data"} for name in NAMES}
+    objective = {"metric": next(iter(metrics))}
+    return study_from_mapping(signal_study(signals=signals, metrics=metrics, objective=objective))
 
 
 def outcome(recording, **metrics):
-    made = study(**metrics)
-    return Collector(made, signal_sources(made, lambda: recording)).outcome({})
+    return outcome_of(study(**metrics), recording)
 
 
 def test_metrics_of_a_run():

@@ -6,45 +6,22 @@ import json
 import numpy as np
 import pytest
 from commands import run
+from signal_runs import SETPOINT, record_run, signal_study
 
-from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import RecordedSignal, Recording, signal_sources
-from bo_tuner.recording.recorder import Recorder
-from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.recording.signal_bag import recorded_runs
 from bo_tuner.replay.recompute import differing, recompute
-from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.provenance import STUDY_YAML
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping, study_to_yaml
-from bo_tuner.trials import Evaluation, Stage, Trial, TrialState
 
-NODE = {"node": "pid"}
 RUNS = 3
-SETPOINT = {"topic": "/setpoint", "field": "data"}
+STUDY = signal_study()
 ODOMETRY = {"angle": {"topic": "/odom", "field": "x"}, "setpoint": SETPOINT}
 
 
 def make_study(**sections):
-    return study_from_mapping(
-        {
-            "name": "servo",
-            "nodes": {"pid": NODE},
-            "parameters": {"kp": NODE | {"type": "double", "bounds": [0, 1], "default": 0.5}},
-            "signals": {
-                "setpoint": SETPOINT,
-                "angle": {"topic": "/joint_states", "field": "position[motor]"},
-            },
-            "run": {"end": {"after": 2.0}},
-            "metrics": {
-                "error": {"of": "setpoint - angle", "measure": "iae"},
-                "peak": {"of": "angle", "measure": "maximum"},
-            },
-            "objective": {"metric": "error"},
-            "budget": {"trials": 1, "initial_trials": 1},
-        }
-        | sections
-    )
+    metrics = STUDY["metrics"] | {"peak": {"of": "angle", "measure": "maximum"}}
+    return study_from_mapping(STUDY | {"metrics": metrics} | sections)
 
 
 def recording(seed):
@@ -61,24 +38,7 @@ def recording(seed):
 @pytest.fixture
 def folder(tmp_path):
     """A run folder with one trial and its bag."""
-    study = make_study()
-    path = tmp_path / "run"
-    path.mkdir()
-    (path / "study.yaml").write_text(study_to_yaml(study))
-    recorder = Recorder(path / "bags", study, RecordOptions(Policy.ALL))
-    evaluations = []
-    for index in range(RUNS):
-        heard = recording(index)
-        outcome = Collector(study, signal_sources(study, lambda heard=heard: heard)).outcome({})
-        evaluations.append(Evaluation(0, index, Stage.DRAWN, {"kp": 0.5}, {}, 1, outcome))
-        recorder.evaluation(evaluations[-1], heard)
-    trial = Trial(0, {"kp": 0.5}, "default", TrialState.COMPLETE, "", tuple(evaluations))
-    recorder.trial(trial, best=True)
-    summary = recorder.close()
-    assert summary["bags"] == ["trial_0000"], summary
-    provenance = {"algorithm": "IV", "backend": "ros", STUDY_YAML: study_to_yaml(study)}
-    Journal(path / "journal.sqlite", provenance, [trial]).close()
-    return path
+    return record_run(tmp_path / "run", make_study(), {0.5: [recording(k) for k in range(RUNS)]})
 
 
 def test_a_bag_has_the_signals_as_they_were_heard(folder):

@@ -4,66 +4,32 @@ import shutil
 
 import numpy as np
 import pytest
+from signal_runs import ANGLE, record_run, signal_study
 
-from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import RecordedSignal, Recording, signal_sources
-from bo_tuner.recording.recorder import Recorder
-from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.trajectories import trajectories
-from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.provenance import STUDY_YAML
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import study_from_mapping, study_to_yaml
-from bo_tuner.trials import Evaluation, Stage, Trial, TrialState
+from bo_tuner.study.study_file import study_from_mapping
 
-NODE = {"node": "pid"}
 STUDY = study_from_mapping(
-    {
-        "name": "servo",
-        "nodes": {"pid": NODE},
-        "parameters": {"kp": NODE | {"type": "double", "bounds": [0, 1], "default": 0.25}},
-        "signals": {"angle": {"topic": "/angle", "field": "data"}},
-        "run": {"end": {"after": 2.0}},
-        "metrics": {"error": {"of": "1 - angle", "measure": "iae"}},
-        "objective": {"metric": "error"},
-        "budget": {"trials": 2, "initial_trials": 1},
-    }
+    signal_study(signals={"angle": ANGLE}, metrics={"error": {"of": "1 - angle", "measure": "iae"}})
 )
-GAINS = (0.25, 0.75)
+GAINS = (0.5, 1.5)
 
 
 def recording(gain, index):
     """A step that is slower by `index`, which makes the last run the worst."""
     time = np.linspace(0.0, 2.0, 101)
-    angle = 1.0 - np.exp(-4.0 * gain * time / (1.0 + index))
+    angle = 1.0 - np.exp(-2.0 * gain * time / (1.0 + index))
     return Recording({"angle": RecordedSignal(time, angle)}, 2.0)
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A run of the default and one better trial, three evaluations each, all recorded."""
-    path = tmp_path / "run"
-    path.mkdir()
-    (path / "study.yaml").write_text(study_to_yaml(STUDY))
-    recorder = Recorder(path / "bags", STUDY, RecordOptions(Policy.ALL))
-    trials = []
-    for number, gain in enumerate(GAINS):
-        evaluations = []
-        for index in range(3):
-            heard = recording(gain, index)
-            outcome = Collector(STUDY, signal_sources(STUDY, lambda heard=heard: heard)).outcome({})
-            evaluations.append(
-                Evaluation(number, index, Stage.DRAWN, {"kp": gain}, {}, index, outcome)
-            )
-            recorder.evaluation(evaluations[-1], heard)
-        trial = Trial(number, {"kp": gain}, "", TrialState.COMPLETE, "", tuple(evaluations))
-        recorder.trial(trial, best=True)
-        trials.append(trial)
-    recorder.close()
-    provenance = {"algorithm": "IV", "backend": "ros", STUDY_YAML: study_to_yaml(STUDY)}
-    Journal(path / "journal.sqlite", provenance, trials).close()
-    return path
+    heard = {gain: [recording(gain, index) for index in range(3)] for gain in GAINS}
+    return record_run(tmp_path / "run", STUDY, heard)
 
 
 def test_the_worst_run_of_each_is_drawn_as_it_was_heard(folder):

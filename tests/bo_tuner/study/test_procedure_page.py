@@ -5,24 +5,18 @@ from pathlib import Path
 
 import pytest
 import yaml
+from signal_runs import signal_study
 
 from bo_tuner.study.study_file import study_from_mapping
 
 PAGE = Path(__file__).parents[3] / "docs" / "procedure.md"
 BLOCKS = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-STUDY = {
-    "name": "recipe",
-    "nodes": {"pid": {"node": "pid"}},
-    "parameters": {"kp": {"node": "pid", "type": "double", "bounds": [0, 9], "default": 0.5}},
-    "signals": {
-        "setpoint": {"topic": "/setpoint", "field": "data"},
-        "angle": {"topic": "/joint_states", "field": "position[motor]"},
-    },
-    "run": {"end": {"after": 2.0}},
-    "metrics": {"error": {"of": "setpoint - angle", "measure": "iae"}},
-    "objective": {"metric": "error"},
-    "budget": {"trials": 4, "initial_trials": 2},
-}
+PID = {"node": "pid"}
+STUDY = signal_study(
+    nodes={"pid": PID},
+    parameters={"kp": PID | {"type": "double", "bounds": [0, 9], "default": 0.5}},
+    budget={"trials": 4, "initial_trials": 2},
+)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from commands import Fork, start
+from functions import NODE, study_mapping
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.storage.journal_reader import read_journal
@@ -121,34 +122,27 @@ node.destroy_node()
 rclpy.try_shutdown()
 """
 
-NODE = {"node": "axis"}
-
 
 def drive_study(**changes):
     """Study of the small node; changes are by section, merged with what is there."""
-    study = {
-        "name": "drive",
-        "nodes": {
-            "axis": NODE
-            | {"package": "drive", "executable": "axis_drive", "result": "~/cut_result"}
-        },
-        "parameters": {"gain": NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}},
-        "contexts": {"load": NODE | {"distribution": "uniform", "bounds": [1.0, 2.0]}},
-        "seed_parameter": NODE | {"parameter": "seed"},
-        "trigger": NODE | {"service": "~/run", "timeout": 10.0},
-        "metrics": {"error": NODE, "peak": NODE},
-        "objective": {"metric": "error"},
-        "constraints": {"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}},
-        "budget": {
+    axis = NODE | {"package": "drive", "executable": "axis_drive", "result": "~/cut_result"}
+    study = study_mapping(
+        name="drive",
+        nodes={"axis": axis},
+        trigger=NODE | {"service": "~/run", "timeout": 10.0},
+        budget={
             "trials": 4,
             "initial_trials": 4,
             "drawn_contexts": 2,
             "search_evaluations": 0,
             "validation_draws": 2,
         },
+        start=None,
+    )
+    return {
+        key: value | changes.get(key, {}) if isinstance(value, dict) else value
+        for key, value in study.items()
     }
-    return {key: value | changes.get(key, {}) if isinstance(value, dict) else value
-            for key, value in study.items()}  # fmt: skip
 
 
 def processes(mark):
