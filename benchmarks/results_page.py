@@ -114,6 +114,37 @@ def certificates_section(result: Result) -> str:
     )
 
 
+def ablations_section(result: Result) -> str:
+    """What each choice of `boundary` is worth."""
+    parts = [
+        "## Choices of the algorithm `boundary`",
+        origin(result),
+        "Each variant with the same seeds as the algorithm as shipped. *Only*: seeds with a truly "
+        "feasible answer in the variant only, and as shipped only, with the exact test of McNemar. "
+        "The difference is that of the true objective in pairs where both are feasible, with its "
+        "95 % interval.",
+    ]
+    for case in result["cases"].values():
+        rows = []
+        for title, found in case["variants"].items():
+            pairs = f"{found['only']} : {found['only_shipped']} (p = {found['mcnemar']:.2g})"
+            difference = found["difference"]
+            shown = "{:+.4f} ({:+.4f} to {:+.4f})".format(*difference) if difference else "none"
+            objective = found["objective"]
+            rows.append(
+                [
+                    title,
+                    f"{found['feasible']} of {found['runs']}",
+                    "none" if objective is None else f"{objective:.4f}",
+                    f"{found['evaluations']:.0f}",
+                    *(("", "") if title == "as shipped" else (pairs, shown)),
+                ]
+            )
+        header = ["variant", "truly feasible", "objective", "evaluations", "only", "difference"]
+        parts += [f"### {case['title']}", table(header, rows)]
+    return "\n\n".join(parts)
+
+
 def recording_section(result: Result) -> str:
     """Cost of recording a cut."""
     low, high = result["ratio_quartiles"]
@@ -339,6 +370,7 @@ def main() -> None:
     sections = [INTRODUCTION]
     for name, section in (
         ("certificates.json", certificates_section),
+        ("ablations.json", ablations_section),
         ("suggestion_time.json", suggestion_section),
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),
