@@ -115,7 +115,7 @@ def certificates_section(result: Result) -> str:
 
 
 def ablations_section(result: Result) -> str:
-    """What each choice of `boundary` is worth."""
+    """Say what each choice of `boundary` is worth."""
     parts = [
         "## Choices of the algorithm `boundary`",
         origin(result),

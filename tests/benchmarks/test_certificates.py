@@ -1,0 +1,47 @@
+"""Parameter sets that are infeasible by as little as bisection finds."""
+
+from types import SimpleNamespace
+
+import pytest
+from certificates import BISECTIONS, answers, interval, just_infeasible
+
+from bo_tuner.study.study_file import load_study
+
+
+class Truth:
+    """Feasible where lambda_mpc is at least -1."""
+
+    def verdict(self, parameters, _):
+        return SimpleNamespace(feasible=parameters["lambda_mpc"] >= -1.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_is_just_beyond_the_limit(seed):
+    study = load_study("benchmark")
+    parameters = study.search_space().defaults | {"lambda_mpc": 0.5}
+    found = just_infeasible(study, Truth(), parameters, seed)
+    lower, upper = study.parameters["lambda_mpc"].bounds
+    assert -1.0 - (upper - lower) / 2**BISECTIONS <= found["lambda_mpc"] < -1.0
+
+
+def test_there_is_none_where_nothing_is_infeasible():
+    study = load_study("benchmark")
+    truth = SimpleNamespace(verdict=lambda *_: SimpleNamespace(feasible=True))
+    assert just_infeasible(study, truth, study.search_space().defaults, 1) is None
+
+
+def test_answers_are_those_of_one_row_of_one_case(tmp_path):
+    answer = '"result": {"answer": {"trial": 7}}'
+    none = '"result": {"answer": null}'
+    lines = [
+        f'{{"task": "run/mean/boundary/2", {answer}}}',
+        f'{{"task": "run/mean/IV/2", {answer}}}',
+        f'{{"task": "run/other/boundary/2", {answer}}}',
+        f'{{"task": "run/mean/boundary/3", {none}}}',
+    ]
+    (tmp_path / "x.jsonl").write_text("\n".join(lines))
+    assert answers(tmp_path, "x", "mean") == [(2, {"trial": 7})]
+
+
+def test_interval_of_none_in_n_is_in_closed_form():
+    assert interval(0, 60) == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / 60.0)))
