@@ -19,16 +19,22 @@ from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.monitoring.diagnostics import progress
-from bo_tuner.monitoring.status import Snapshot
+from bo_tuner.monitoring.display import Result
+from bo_tuner.monitoring.json_lines import JsonLines
+from bo_tuner.monitoring.status import RunStatus, Snapshot
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.page import render
+from bo_tuner.report.comparison import comparison, verdicts_table
+from bo_tuner.report.page import answer_html, render, section_html
+from bo_tuner.report.sections.answer import answer
+from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.limits import judge_samples
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
-from bo_tuner.verdict.verdict import FAIL, PASS, State
+from bo_tuner.verdict.verdict import FAIL, PASS, State, Status
 
 draws = st.lists(
     st.none() | st.tuples(st.floats(0.5, 2.0), st.floats(0.2, 1.05)), min_size=2, max_size=8
@@ -81,7 +87,7 @@ def made(run, default, tuned, passed_check):
     return dataclasses.replace(run, summary=summary, evaluations=(*earlier, *sides[0], *sides[1]))
 
 
-def certify(run, default, tuned, *, with_default=True):
+def certify(run, default, tuned, *, with_default=True, repeated=2):
     trial = run.trials[run.summary["trial"]]
     evidence = {}
     for side, (name, parameters, values) in enumerate(
@@ -90,7 +96,9 @@ def certify(run, default, tuned, *, with_default=True):
             ("tuned", trial.parameters, tuned),
         ]
     ):
-        of_worst = evaluations(side, parameters, [v for v in values if v][:2], Stage.CHECK_WORST)
+        of_worst = evaluations(
+            side, parameters, [v for v in values if v][:repeated], Stage.CHECK_WORST
+        )
         evidence[name] = Evidence(
             parameters,
             evaluations(side, parameters, values),
@@ -187,6 +195,34 @@ def test_every_screen_says_the_same(tuned_run, folder, default, tuned, passed_ch
     assert topic.values["feasible"] == str(verdict.feasible)
     assert exit_code(verdict) == (EXIT_OK if verdict.feasible else EXIT_INFEASIBLE)
 
+    analysis = Analysis(run)
+    (row,) = verdicts_table({"run": analysis}, "").rows
+    marks = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ "}
+    assert row[1] == marks[verdict.status] + verdict.headline
+    assert row[3] == verdict.evidence
+    live = unescape(answer_html(analysis))
+    assert f'<h2 id="answer-title">{verdict.headline}</h2>' in live
+    assert all(sentence in live for sentence in verdict.sentences)
+    for trial in run.trials:
+        texts = unescape(section_html(trial_sections(analysis, trial)[0]))
+        assert (verdict.headline in texts) == (trial.number == verdict.trial)
+    event = json_result(run, verdict)
+    assert event["verdict"] == mapping
+    assert event["feasible"] == verdict.feasible
+    assert event["problem"] == "; ".join(verdict.reasons)
+
+
+def json_result(run, verdict):
+    """The event with the result, for a run whose summary is brought up to date."""
+    out = io.StringIO()
+    summary = dict(run.summary) | {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
+    tuned = run.trials[run.summary["trial"]].parameters
+    status = RunStatus(run.study, ALGORITHMS[run.algorithm])
+    JsonLines(run.study, status, out).result(
+        Result(run.study, verdict, tuned, run.path / "best.yaml", summary)
+    )
+    return json.loads(out.getvalue())
+
 
 @pytest.fixture(scope="session")
 def tuned_run(tuned):
@@ -262,6 +298,71 @@ def test_apply_is_no_next_step_where_it_refuses(tuned, tmp_path, monkeypatch):
     commands = [step.command for step in next_steps(verdict, "run")]
     assert commands[0] == "validate run"
     assert not any(command.startswith("apply") for command in commands)
+
+
+@pytest.mark.parametrize("certificate", [None, "tuned", "both"])
+def test_a_better_default_is_preferred(tuned, tmp_path, certificate):
+    """The error is the objective; the peak is lower, and kept by both."""
+    shutil.copytree(tuned.path, tmp_path / "run")
+    draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(40)]
+             for error, peak in ((1.0, 0.6), (2.0, 0.5))]  # fmt: skip
+    run = made(read_run(tmp_path / "run"), *draws, True)
+    if certificate:
+        certify(run, *draws, with_default=certificate == "both", repeated=40)
+    verdict = run_verdict(run)
+    assert verdict.feasible
+    assert verdict.default_keeps
+    assert verdict.status is Status.WARNING
+    told = "By the objective the default is the better choice"
+    if certificate == "both":
+        assert f"{told}." in verdict.sentences
+    else:
+        assert f"{told}, unless it breaks a limit: validate --with-default tells." in (
+            verdict.sentences
+        )
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert not any(command.startswith("apply") for command in commands)
+    assert ("validate run --with-default" in commands) == (certificate != "both")
+
+
+def test_a_worse_objective_is_the_price_of_a_limit_that_holds(tuned):
+    run = made(tuned, [(1.0 + 0.01 * k, 1.5) for k in range(8)], [(2.0, 0.5)] * 8, True)
+    verdict = run_verdict(run)
+    assert not verdict.default_keeps
+    assert verdict.status is Status.GOOD
+    assert not any("better choice" in sentence for sentence in verdict.sentences)
+
+
+@pytest.mark.parametrize("stage", [Stage.NOMINAL, Stage.SEARCH])
+def test_without_a_search_no_draw_may_exceed_a_worst_case_limit(tuned, stage):
+    """On the mean in every context; one of 8 draws exceeds it, for default and tuned alike."""
+    trial = tuned.trials[tuned.summary["trial"]]
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, draws, True)
+    own = [e for e in run.evaluations if dict(e.parameters) == dict(trial.parameters)]
+    others = [e for e in run.evaluations if e not in own]
+    own = [e if e.stage is Stage.VALIDATION else dataclasses.replace(e, stage=stage) for e in own]
+    verdict = run_verdict(dataclasses.replace(run, evaluations=(*others, *own)))
+    assert not verdict.default_keeps
+    assert verdict.feasible == (stage is Stage.SEARCH)
+    if stage is Stage.NOMINAL:
+        assert verdict.reasons == verdict.default_reasons
+
+
+def test_a_limit_is_kept_or_shown_to_be_kept_in_the_same_words_everywhere(tuned, tmp_path):
+    shutil.copytree(tuned.path, tmp_path / "run")
+    run = made(read_run(tmp_path / "run"), [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, True)
+    for words, peak in (("kept", None), ("shown to be kept", 0.5), ("NOT shown to be kept", 2.0)):
+        if peak is not None:
+            tuned_draws = [(1.0, peak + 0.001 * k) for k in range(40)]
+            certify(run, [(1.0, 0.5)] * 40, tuned_draws, repeated=40)
+        analysis = Analysis(run)
+        (tile,) = [t for t in answer(analysis).tiles if "limit 1: " in t.remarks[0]]
+        assert tile.remarks[0].endswith(f"limit 1: {words}")
+        (numbers,) = [s for s in comparison({"run": analysis}) if s.name == "numbers"]
+        cells = [cell for row in numbers.tables[0].rows for cell in row[1:] if "limit" in cell]
+        assert len(cells) == 1
+        assert f"limit 1 {words}" in cells[0]
 
 
 def test_the_largest_value_on_record_is_not_hidden(tuned):

@@ -333,7 +333,7 @@ class Session:
             trials=trials,
             evaluations=evaluations,
         )
-        summary["verdict"] = verdict.to_mapping()
+        summary |= {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
         folder.write_json(SUMMARY, summary)
         parameters = found.recommendation.candidate.trial.parameters
         self._display.result(Result(self._study, verdict, parameters, path, summary))

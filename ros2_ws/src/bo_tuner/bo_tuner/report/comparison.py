@@ -14,7 +14,7 @@ from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, s
 from bo_tuner.study.parts import LOG
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.limits import tightest
-from bo_tuner.verdict.verdict import Quantity, Status
+from bo_tuner.verdict.verdict import Quantity, Status, Verdict
 
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
 COLORS = (Color.INK, Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE)
@@ -116,7 +116,7 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
 
     def cell(analysis: Analysis, label: str) -> str:
         quantity = found[id(analysis)].get(label)
-        return "–" if quantity is None else _in_words(quantity)
+        return "–" if quantity is None else _in_words(analysis.verdict, quantity)
 
     return Section(
         name="numbers",
@@ -132,10 +132,10 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
     )
 
 
-def _in_words(quantity: Quantity) -> str:
+def _in_words(verdict: Verdict, quantity: Quantity) -> str:
     text = f"{number(quantity.tuned)} ({number(quantity.default)})"
     if quantity.holds is not None:
-        text += f", limit {number(quantity.limit)} {'kept' if quantity.holds else 'NOT kept'}"
+        text += f", limit {number(quantity.limit)} {verdict.kept_in_words(quantity)}"
     if quantity.difference is not None:
         text += f", {quantity.change}"
     return text

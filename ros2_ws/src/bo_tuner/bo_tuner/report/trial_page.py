@@ -38,8 +38,15 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 
 
 def _summary(analysis: Analysis, trial: Trial) -> Section:
-    study = analysis.study
+    study, of_run = analysis.study, analysis.verdict
+    own, title = verdict(study, trial), f"Trial {trial.number}"
     sentences = [f"{len(trial.evaluations)} evaluations; proposed as: {trial.origin or 'unknown'}."]
+    if trial.number == of_run.trial:
+        # What its own evaluations say may differ from what fresh ones showed.
+        title += f", the result. {of_run.headline}"
+        sentences.append(f"By its own evaluations alone: {own}.")
+    else:
+        title += f": {own}"
     if trial.reason:
         sentences.append(f"{trial.reason}.")
     for objective in study.objectives:
@@ -55,7 +62,7 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
             )
     return Section(
         name="trial",
-        title=f"Trial {trial.number}: {verdict(study, trial)}",
+        title=title,
         lead=" ".join(sentences),
         tables=[
             Table(

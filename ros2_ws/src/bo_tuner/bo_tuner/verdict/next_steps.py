@@ -29,6 +29,7 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     again = Step(f"tune --resume {where}", "continue the run")
     more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
+    both = Step(f"validate {where} --with-default", "certify the default as well, to compare")
     replay = Step(f"replay {where}", "repeat its worst evaluation, bit for bit")
     apply = Step(f"apply {where}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
@@ -38,7 +39,9 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         case State.INFEASIBLE:
             return (more, replay) if verdict.trial is not None else (more,)
         case State.VALIDATED:
-            return (validate, replay, more)
+            return (both if verdict.default_preferred else validate, replay, more)
+        case State.CERTIFIED if verdict.default_preferred:
+            return (more, replay) if verdict.default_certified else (both, replay, more)
         case State.CERTIFIED if verdict.apply_refuses:
             again = Step(f"validate {where}", "certify it again: apply refuses this certificate")
             return (again, replay)

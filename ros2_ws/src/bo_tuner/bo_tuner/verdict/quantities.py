@@ -64,6 +64,7 @@ def quantities(
                 holds=None,
                 remark="",
                 draws=_draws(default, tuned, name, difference),
+                objective=any(objective.metric == name for objective in study.objectives),
             )
         )
     return ordered(found, study.objective.metric)

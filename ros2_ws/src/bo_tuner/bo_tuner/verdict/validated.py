@@ -65,6 +65,8 @@ def validated(
     """
     reasons = [doubt] if doubt else []
     reasons += _problems(study, tuned)
+    if not _searched(evaluations, tuned.parameters):
+        reasons += _doubts(study, tuned)
     observed_sides = (
         observed(evaluations, DEFAULT, default.parameters, default.draws),
         observed(evaluations, TUNED, tuned.parameters, tuned.draws),
@@ -153,10 +155,20 @@ def _problems(study: Study, found: Validation) -> list[str]:
     return problems
 
 
+def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> bool:
+    """Return whether the worst context of a parameter set was searched."""
+    return any(
+        evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
+        and dict(evaluation.parameters) == dict(parameters)
+        for evaluation in evaluations
+    )
+
+
 def _doubts(study: Study, found: Validation) -> list[str]:
     """Return the worst-case limits that draws exceeded, but too few to refute them.
 
-    Nobody searched for the default's worst context, so nothing else speaks for it.
+    Nobody searched for the worst context of the default, nor of the result of an algorithm with
+    nominal evaluations alone, so nothing else speaks for them.
     """
     return [
         f"{_broken(study, sample)} (its worst context was not searched)"

@@ -61,6 +61,8 @@ class Quantity:
         What else to know, such as the number of draws above the limit.
     draws
         How many draws each number is from, if they are not the same; else empty.
+    objective
+        Whether it is the mean of an objective.
     """
 
     label: str
@@ -75,6 +77,7 @@ class Quantity:
     holds: bool | None
     remark: str
     draws: str = ""
+    objective: bool = False
 
     @property
     def change_in_words(self) -> str:
@@ -148,10 +151,21 @@ class Verdict:
         return self.trial is not None and not self.default_reasons
 
     @property
+    def default_preferred(self) -> bool:
+        """Whether the default keeps all limits, too, and is better by its objectives."""
+        changes = {quantity.change for quantity in self.quantities if quantity.objective}
+        return self.default_keeps and Change.WORSE in changes and Change.BETTER not in changes
+
+    @property
     def gained(self) -> bool:
-        """Whether tuning gained something beyond chance: a limit that now holds, or a number."""
+        """Whether tuning gained something beyond chance: a limit that now holds, or a number.
+
+        Nothing is gained at the expense of the objective, unless a limit now holds.
+        """
         improved = any(q.change in (Change.BETTER, Change.LOWER) for q in self.quantities)
-        return self.feasible and (not self.default_keeps or improved)
+        return self.feasible and (
+            not self.default_keeps or (improved and not self.default_preferred)
+        )
 
     @property
     def status(self) -> Status:
@@ -230,9 +244,22 @@ class Verdict:
         ]
         if same := by_change[Change.NONE]:
             found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
-        if self.feasible and not self.gained:
+        if self.feasible and self.default_preferred:
+            preferred = "By the objective the default is the better choice"
+            if self.certificate and self.default_certified:
+                found.append(f"{preferred}.")
+            else:
+                found.append(
+                    f"{preferred}, unless it breaks a limit: validate --with-default tells."
+                )
+        elif self.feasible and not self.gained:
             found.append("Tuning gained nothing that can be told from chance.")
         return found
+
+    def kept_in_words(self, quantity: Quantity) -> str:
+        """Return whether the tuned parameter set keeps the limit of a quantity."""
+        kept = "shown to be kept" if self.certificate else "kept"
+        return kept if quantity.holds else f"NOT {kept}"
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:

@@ -95,7 +95,7 @@ def answer(analysis: Analysis) -> Answer:
 def _tiles(analysis: Analysis) -> list[Tile]:
     """Return the certificate, and the numbers that matter most."""
     verdict = analysis.verdict
-    tiles = [_of_quantity(q) for q in _that_matter(analysis)]
+    tiles = [_of_quantity(verdict, q) for q in _that_matter(analysis)]
     found = analysis.certificate
     if found is not None and found.trial == verdict.trial:
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
@@ -133,14 +133,12 @@ def _that_matter(analysis: Analysis) -> list[Quantity]:
     return [quantity for quantity in found if quantity in chosen]
 
 
-def _of_quantity(quantity: Quantity) -> Tile:
+def _of_quantity(verdict: Verdict, quantity: Quantity) -> Tile:
     remarks = [f"default {number(quantity.default)}"]
     if not isnan(quantity.limit):
-        kept = "kept" if quantity.holds else "NOT kept"
+        remarks[0] += f", limit {number(quantity.limit)}: {verdict.kept_in_words(quantity)}"
         if isfinite(quantity.bound):
-            kept = "shown to be kept" if quantity.holds else "NOT shown to be kept"
             remarks.append(f"bound of the mean {shown(quantity.bound)}")
-        remarks[0] += f", limit {number(quantity.limit)}: {kept}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")
     remarks += [text for text in (quantity.draws, quantity.remark) if text]

@@ -71,7 +71,8 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
         for name, evaluations in sides
         for worst in (max(evaluations, key=lambda e: sign * e.outcome.metrics[metric.name]),)
     )
-    text = f"{'Largest' if sign > 0.0 else 'Smallest'} {metric.name} observed: {found}."
+    extreme = "Largest" if sign > 0.0 else "Smallest"
+    text = f"{extreme} {metric.name} in the run, without certificates: {found}."
     if constraint is None:
         return text
     limit = quantity(constraint.limit, metric.unit)
