@@ -2,11 +2,13 @@
 
 import json
 import re
+import shutil
 
 import pytest
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Stage
+from bo_tuner.web.runs import Runs
 
 DRAWN = "document.documentElement.dataset.drawn === 'all'"
 INK = """
@@ -141,15 +143,39 @@ def test_a_wide_table_says_on_a_phone_that_it_scrolls(chromium, feed_axis_page):
     )
     assert max(ends) <= 390
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
+    # What has many words in a cell scrolls, too, instead of standing there word by word.
+    widths = browser.evaluate(
+        "[...document.querySelectorAll('td:not(.number):not(.text)')].filter(c => "
+        "c.textContent.trim().length > 24).map(c => c.getBoundingClientRect().width)"
+    )
+    assert min(widths) >= 9 * 16
 
 
-def test_four_tiles_stand_in_one_row(chromium, feed_axis_page):
-    browser = opened(chromium, feed_axis_page)
+@pytest.mark.parametrize("width", [1280, 1024])
+def test_four_tiles_stand_in_one_row(chromium, feed_axis_page, width):
+    browser = opened(chromium, feed_axis_page, width=width)
     tops = browser.evaluate(
         "[...document.querySelectorAll('.tiles li')].map(t => t.getBoundingClientRect().top)"
     )
     assert len(tops) == 4
     assert len(set(tops)) == 1
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_sentences_in_the_list_of_runs_have_room(chromium, feed_axis_run, tmp_path, width):
+    """However long the name of a run or of a study is, no verdict stands there word by word."""
+    name = "a_study_with_a_long_name_that_goes_on_and_on-20260801-101500"
+    shutil.copytree(feed_axis_run, tmp_path / "runs" / name)
+    page = tmp_path / "runs.html"
+    page.write_text(Runs(tmp_path / "runs", "").listing(), encoding="utf-8")
+    browser = opened(chromium, page, width=width)
+    heads = browser.evaluate(
+        "[...document.querySelectorAll('#runs th[scope=col]')].map(h => "
+        "[h.textContent.trim(), h.getBoundingClientRect().width])"
+    )
+    widths = dict(heads)
+    assert min(widths["verdict"], widths["evidence"]) > 180
+    assert widths["run"] <= 15 * 16 + 1
 
 
 def test_a_phone_needs_no_sideways_scrolling(chromium, feed_axis_page):

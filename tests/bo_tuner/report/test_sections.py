@@ -46,6 +46,30 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
     )
 
 
+def test_an_incumbent_far_above_the_others_is_at_the_top_as_its_trial_is(analysis):
+    first, *others = analysis.record.trials
+    far = [
+        replace(
+            e, outcome=replace(e.outcome, metrics={**e.outcome.metrics, "error": 100.0 + e.index})
+        )
+        for e in first.evaluations
+    ]
+    trials = (replace(first, evaluations=tuple(far)), *others)
+    figure, _ = convergence(Analysis(replace(analysis.record, trials=trials))).figures
+    for panel in figure.panels:
+        points = [y for e in panel.elements if isinstance(e, Points) for y in e.y]
+        lines = [y for e in panel.elements if isinstance(e, Line) for y in e.y if not math.isnan(y)]
+        assert max(lines) == max(points) < 50.0
+
+
+@pytest.mark.parametrize("probability", [None, 0.9])
+def test_the_caption_says_what_the_line_of_a_limit_is_for_single_runs(analysis, probability):
+    constraint = replace(analysis.study.constraints["peak"], probability=probability)
+    study = replace(analysis.study, constraints={"peak": constraint})
+    _, figure = convergence(Analysis(replace(analysis.record, study=study))).figures
+    assert ("with a probability of 0.9 " in figure.caption) == (probability is not None)
+
+
 def test_every_trial_is_a_point_of_its_kind(analysis):
     figure, _ = convergence(analysis).figures
     places = {}

@@ -24,7 +24,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, numbered, quantity, values
-from bo_tuner.study.parts import LOG, Constraint
+from bo_tuner.study.parts import EXPECTATION, LOG, Constraint
 from bo_tuner.trials import EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import worst_case_holds
 
@@ -95,6 +95,7 @@ def _objective(analysis: Analysis) -> Figure:
     if len(study.objectives) > 1:
         line = "the mean of its evaluations; it may rise where another objective gains more"
     shown = _within_sight(analysis, means, scale)
+    top = float(np.nanmax(shown))
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
     panels = [
         Panel(
@@ -102,7 +103,7 @@ def _objective(analysis: Analysis) -> Figure:
             x=Axis(label=label),
             y=y,
             elements=[
-                *_incumbent_lines(found, places),
+                *_incumbent_lines(found, places, top),
                 *_default_line(analysis),
                 *trial_points(analysis, analysis.trials, places, shown),
             ],
@@ -117,7 +118,7 @@ def _objective(analysis: Analysis) -> Figure:
         title=f"Mean {metric.name} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. Failed trials, which have no value, and values far above the "
-        "others are at the top.",
+        "others are at the top, and so is the line.",
         alternative=_summary(analysis, found),
         panels=panels,
         columns=2,
@@ -132,13 +133,16 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     shown = sign * _within_sight(analysis, sign * found, Scale.LINEAR)
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
     edge, kept = ("top", "Below") if sign > 0.0 else ("bottom", "Above")
+    side = f"{kept} the line the limit is kept"
+    if constraint.statistic != EXPECTATION:
+        side += f" by the mean; with a probability of {constraint.probability:g} that single runs "
+        side += "keep it, it must be kept by a margin"
     places = np.arange(len(found), dtype=float)
     return Figure(
         name=name,
         title=f"Worst {metric.name} found for each trial",
         caption=f"The {constraint.extreme} value over all contexts, as estimated by the search of "
-        f"stage two. {kept} the line the limit is kept; failed trials and values far beyond are "
-        f"at the {edge}.",
+        f"stage two. {side}. Failed trials and values far beyond are at the {edge}.",
         alternative=f"{within} of {len(found)} trials keep the limit of "
         f"{quantity(constraint.limit, metric.unit)}.",
         panels=[
@@ -210,15 +214,17 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     return ranked[0] if ranked else None
 
 
-def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array) -> list[Element]:
-    """Return two lines: incumbents believed feasible, and the least violating ones."""
+def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array, top: float) -> list[Element]:
+    """Return two lines up to the top: incumbents believed feasible, and least violating ones."""
     lines: list[Element] = []
     places = [x[k] for k, _ in found]
     for feasible, name, color, dash in (
         (True, "incumbent", Color.BLUE, Dash.SOLID),
         (False, "incumbent, not feasible", Color.GRAY, Dash.DOTTED),
     ):
-        y = [c.objective if c.believed_feasible is feasible else math.nan for _, c in found]
+        y = [
+            min(c.objective, top) if c.believed_feasible is feasible else math.nan for _, c in found
+        ]
         if not np.all(np.isnan(y)):
             lines.append(
                 Line(
