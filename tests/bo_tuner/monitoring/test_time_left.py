@@ -103,14 +103,14 @@ def test_a_budget_of_evaluations_ends_the_trials_sooner(machine):
     assert run.left.estimate() == 2 * 2.0 + 10.0
 
 
-def pooled_trials(run, count, evaluations, *, per_evaluation, ratio=5.0):
-    """Trials of pooled models: a ranking takes a time in proportion to all evaluations so far.
+def pooled_trials(run, count, evaluations, *, per_evaluation, fixed=0.0, ratio=5.0):
+    """Trials of pooled models: a ranking takes a time that grows with all evaluations so far.
 
     What a trial takes beside its evaluations is `ratio` rankings.
     """
     for _ in range(count):
         run.known += evaluations
-        ranking = per_evaluation * run.known
+        ranking = fixed + per_evaluation * run.known
         run.trial(evaluations, proposal=(ratio - 1.0) * ranking, ranking=ranking)
 
 
@@ -138,15 +138,16 @@ def test_a_large_run_is_settled_after_25_repetitions(machine):
 
 
 def test_points_at_the_boundary_take_fewer_evaluations(machine):
-    run = machine("boundary", trials=10)
+    run = machine("boundary", trials=12)
     run.left.begin(Phase.TUNING)
-    pooled_trials(run, 4, 6, per_evaluation=0.1)
-    # One more of the search; five with a run in a drawn context and two in the worst one. Each has
+    pooled_trials(run, 5, 6, per_evaluation=0.1, fixed=2.0)
+    # One more of the search; six with a run in a drawn context and two in the worst one. Each has
     # five rankings beside them, by all evaluations so far.
-    known = np.cumsum([24, 6, *5 * [3]])
-    trials = 1 * 6 + 5 * 3 + 5 * 0.1 * sum(known[1:])
+    known = np.cumsum([30, 6, *6 * [3]])
+    trials = 1 * 6 + 6 * 3 + 5 * sum(2.0 + 0.1 * known[1:])
     repetitions = max(20, math.ceil(known[-1] / 3)) / 2
-    rankings = (2.0 * math.sqrt(repetitions) + 1.0) * 0.1 * (known[-1] + repetitions / 2)
+    ranking = 2.0 + 0.1 * (known[-1] + repetitions / 2)
+    rankings = (2.0 * math.sqrt(repetitions) + 1.0) * ranking
     assert run.left.estimate() == pytest.approx(trials + repetitions + rankings + 10.0)
 
 

@@ -3,8 +3,8 @@
 A trial to come takes as many evaluations as the latest half of the trials, or as a point at the
 boundary of `boundary`, each as long as of late, and what a trial takes beside them by the clock:
 the proposal, the search for the worst context and the ranking. That grows with the data. Where the
-models pool all evaluations it is counted in rankings, each of which takes a time in proportion to
-the evaluations; else it follows a straight line through the latest half of the proposals.
+models pool all evaluations it is counted in rankings, whose time follows a straight line over the
+evaluations; else that of the proposals does over the trials.
 
 After the trials come the check of candidates, or the repetitions of `boundary`, and the validation,
 whose evaluations have no search between them, with rankings between the steps of the check. All of
@@ -30,7 +30,7 @@ from bo_tuner.tuning.settling import most_repetitions
 RECENT = 10
 """Number of latest trials that times are taken from, or the latest half where that is more."""
 FEWEST_FOR_A_TREND = 5
-"""Number of proposals from which on their growth is estimated."""
+"""Number of times from which on their growth is estimated."""
 DESIGN_WEIGHT = 3
 """The initial design counts as so many of the proposed trials that it precedes."""
 CANDIDATES = 2
@@ -209,11 +209,12 @@ class TimeLeft:
 
     def _ranking_of(self, evaluations: float) -> float:
         """Return the time [s] of a ranking by so many evaluations."""
-        ranked = [item for item in self._trials[-RECENT:] if item.ranking > 0.0]
+        ranked = [(item.known, item.ranking) for item in self._latest_half() if item.ranking > 0.0]
         if not ranked:
             return 0.0
-        known = sum(item.known for item in ranked)
-        return sum(item.ranking for item in ranked) / known * evaluations
+        middle, mean, slope = _line(ranked)
+        # Between constant and proportional, also where the load changed.
+        return mean + min(slope, mean / middle) * (evaluations - middle)
 
     def _rankings_of_trial(self) -> float:
         """Return what a trial to come takes beside its evaluations, in rankings."""
@@ -229,15 +230,22 @@ class TimeLeft:
             # A proposal fits the models of a ranking.
             return fmean(item.other for item in self._trials[-RECENT:]) + self._ranking()
         latest = proposed[-max(RECENT, len(proposed) // 2) :]
-        middle, mean = (fmean(values) for values in zip(*latest, strict=True))
-        slope = 0.0
-        if len(latest) >= FEWEST_FOR_A_TREND:
-            spread = sum((k - middle) ** 2 for k, _ in latest)
-            slope = sum((k - middle) * (other - mean) for k, other in latest) / spread
-        ahead = len(self._trials) + 0.5 * (count - 1) - middle
-        return mean + max(slope, 0.0) * ahead
+        middle, mean, slope = _line(latest)
+        return mean + slope * (len(self._trials) + 0.5 * (count - 1) - middle)
 
     def _measured(self, expected: float) -> float:
         """Return the time [s] of an evaluation of the phase, by what was expected and measured."""
         passed = self._latest - self._began
         return (EXPECTED_WEIGHT * expected + passed) / (EXPECTED_WEIGHT + self._in_phase)
+
+
+def _line(points: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return the centre of some points, and the slope of the straight line through them.
+
+    It is 0 where the line falls, or for too few points.
+    """
+    middle, mean = (fmean(values) for values in zip(*points, strict=True))
+    spread = sum((x - middle) ** 2 for x, _ in points)
+    if len(points) < FEWEST_FOR_A_TREND or spread == 0.0:
+        return middle, mean, 0.0
+    return middle, mean, max(sum((x - middle) * (y - mean) for x, y in points) / spread, 0.0)
