@@ -209,6 +209,26 @@ def test_it_prints(chromium, feed_axis_page, tmp_path):
     assert browser.errors == []
 
 
+PAPER = 688
+"""Width of A4 between margins of 14 mm [px]."""
+
+
+def test_a_table_of_many_columns_fits_the_paper(chromium, feed_axis_page):
+    browser = opened(chromium, feed_axis_page, width=PAPER)
+    browser.evaluate(
+        "[...document.querySelectorAll('#trials table tr')].forEach(row => "
+        "{ for (let k = 0; k < 12; k++) row.append(row.cells[2].cloneNode(true)) })"
+    )
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true })")
+    ends = browser.evaluate(
+        "[...document.querySelectorAll('table')].map(t => t.getBoundingClientRect().right)"
+    )
+    assert len(ends) > 3
+    assert max(ends) <= PAPER + 1
+    assert browser.evaluate("document.querySelector('#trials table').rows[0].cells.length") > 20
+
+
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
 def test_axe_finds_nothing_serious(chromium, feed_axis_page, axe, theme, width):
     browser = opened(chromium, feed_axis_page, theme=theme, width=width)

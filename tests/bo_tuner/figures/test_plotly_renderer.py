@@ -82,7 +82,7 @@ def test_limits_on_a_log_axis_are_its_exponents():
     assert layout["yaxis"]["range"] == [1.0, 100.0]
 
 
-@pytest.mark.parametrize(("low", "dtick"), [(0.14, None), (0.01, "D2")])
+@pytest.mark.parametrize(("low", "dtick"), [(0.14, None), (0.01, "D2"), (0.001, 1)])
 def test_a_log_axis_has_ticks_however_little_it_shows(low, dtick):
     """Steps of 1, 2, 5 leave one tick or none between 0.14 and 0.25."""
     axis = Axis(label="y", scale=Scale.LOG)

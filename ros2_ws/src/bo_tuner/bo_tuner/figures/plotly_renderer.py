@@ -22,8 +22,8 @@ CHARACTER = 7.0
 LONG = 80
 """Tick labels with more characters in total do not fit side by side."""
 
-LITTLE = 5.0
-"""Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
+LITTLE, MUCH = 5.0, 100.0
+"""Ratios of the ends of a logarithmic axis: steps of 1, 2, 5 are too wide below, too many above."""
 
 MARGINS = 78
 """Margins above and below a panel [px]."""
@@ -100,7 +100,11 @@ def _axis(axis: Axis, shown: Sequence[float]) -> dict[str, Any]:
     }
     if axis.scale is Scale.LOG:
         layout["tickformat"] = "~g"
-        if not shown or max(shown) > LITTLE * min(shown):
+        seen = shown if axis.limits is None else axis.limits
+        if seen and max(seen) > MUCH * min(seen):
+            # Of each decade 1 alone: with 2 and 5 the numbers would run into each other.
+            layout["dtick"] = 1
+        elif not seen or max(seen) > LITTLE * min(seen):
             # 1, 2 and 5 of each decade, in full. Fewer than two of them would be seen on less than
             # that, where Plotly's own choice is as on a linear axis.
             layout["dtick"] = "D2"

@@ -1,5 +1,6 @@
 """The draws of the verdict against each limit, default beside tuned."""
 
+from collections.abc import Sequence
 from math import isfinite, isnan
 
 import numpy as np
@@ -80,7 +81,15 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
         )
     return Panel(
         title=constraint.name,
-        x=Axis(label=metric.name, unit=metric.unit),
+        x=Axis(label=metric.name, unit=metric.unit, limits=_around(elements)),
         y=Axis(label="draws", unit="%", limits=(0.0, 101.0)),
         elements=elements,
     )
+
+
+def _around(elements: Sequence[Element]) -> tuple[float, float]:
+    """Return a range in which all lines are, none of them at its end."""
+    shown = [e.value for e in elements if isinstance(e, Limit)]
+    shown += [float(x) for e in elements if isinstance(e, Line) for x in e.x]
+    margin = 0.03 * ((max(shown) - min(shown)) or abs(max(shown)) or 1.0)
+    return min(shown) - margin, max(shown) + margin
