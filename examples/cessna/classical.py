@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 
 import control
+import jsbsim
 import numpy as np
 from aircraft import PERIOD, Aircraft, Conditions
 
@@ -22,13 +23,20 @@ LOOPS = ("bank", "climb")
 ACTUATOR = 60.0  # corner of the elevator's [rad/s]; the aileron's is fast, but limited in its rate
 
 
+# JSBSim takes some seconds for it.
+@functools.cache
+def linearized(conditions: Conditions) -> jsbsim.FGLinearization:
+    """Return the aircraft in level flight, as a linear system."""
+    return Aircraft(conditions).linearize()
+
+
 def airframe(conditions: Conditions, command: str, output: str) -> control.StateSpace:
     """Return the aircraft from a command (-1 to 1) to its bank or climb.
 
     The output is `Phi`, the bank [rad], or `Alt`, of which the climb [ft/s] is the derivative. With
     the elevator's actuator, and a delay of one and a half periods of the autopilot.
     """
-    linear = Aircraft(conditions).linearize()
+    linear = linearized(conditions)
     names = list(linear.x_names)
     rows = [names.index(name) for name in STATES[command]]
     k, u = names.index(output), linear.u_names.index(command)

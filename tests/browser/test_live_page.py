@@ -1,40 +1,54 @@
 """The page of a run in progress as a reader sees it: it goes on by itself."""
 
+import contextlib
 import re
 
 import pytest
+import yaml
 from axis import write_axis
 from commands import Fork
+from report_runs import axis_study
 from waiting import count_in, wait_until
 
 ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:\d+/)(\?token=[\w-]+)")
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 
-@pytest.fixture
-def run(tmp_path):
+@contextlib.contextmanager
+def held_run(folder):
     """A run of a small object with a page, held at its 21st evaluation."""
-    import yaml
-    from report_runs import axis_study
-
-    write_axis(tmp_path, "report_objects")
+    write_axis(folder, "report_objects")
     study = axis_study(nodes={"axis": {"node": "axis", "result": "~/cut_result",
                                        "object": "report_objects:Axis"}})  # fmt: skip
-    (tmp_path / "study.yaml").write_text(yaml.safe_dump(study))
-    counter, said = tmp_path / "cuts", tmp_path / "said.txt"
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+    counter, said = folder / "cuts", folder / "said.txt"
     with said.open("w") as file:
         process = Fork(
             *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web", "--web-control"),
-            folder=tmp_path,
+            folder=folder,
             env={"CUTS": str(counter), "HOLD": "21"},
             stderr=file,
         )
     wait_until(lambda: count_in(counter) == 21, "the evaluation", process, said.read_text)
     process.address, process.query = ADDRESS.search(said.read_text()).groups()
-    process.go = tmp_path / "cuts.go"
+    process.go = folder / "cuts.go"
     yield process
+    process.terminate()
     process.go.touch()
     process.communicate()
+
+
+@pytest.fixture
+def run(tmp_path):
+    with held_run(tmp_path) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def shown_run(tmp_path_factory):
+    """A run for the tests that only look at it."""
+    with held_run(tmp_path_factory.mktemp("live")) as process:
+        yield process
 
 
 def test_it_follows_the_run(chromium, run):
@@ -61,11 +75,11 @@ def test_it_follows_the_run(chromium, run):
     assert [error for error in chromium.errors if "ERR_" not in error] == []
 
 
-def test_a_trial_has_a_page(chromium, run):
-    chromium.open(run.address + run.query)
+def test_a_trial_has_a_page(chromium, shown_run):
+    chromium.open(shown_run.address + shown_run.query)
     chromium.wait_for("document.querySelector('#trials tbody a') !== null")
     link = chromium.evaluate("document.querySelector('#trials tbody a').href")
-    assert link == f"{run.address}trials/0"
+    assert link == f"{shown_run.address}trials/0"
     chromium.open(link)
     assert chromium.evaluate("document.querySelector('h1').textContent").endswith("trial 0")
     assert chromium.evaluate("document.querySelectorAll('#evaluations tbody tr').length") > 1
@@ -74,14 +88,14 @@ def test_a_trial_has_a_page(chromium, run):
 
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
-def test_axe_finds_nothing(chromium, run, axe, theme, width):
-    chromium.open(run.address + run.query, theme=theme, width=width)
+def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
+    chromium.open(shown_run.address + shown_run.query, theme=theme, width=width)
     chromium.wait_for("document.querySelector('#provenance') !== null")
     chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
     assert axe(chromium) == []
     assert chromium.evaluate("document.documentElement.scrollWidth") <= width
     for page in ("trials/0", "runs"):
-        chromium.open(run.address + page, theme=theme, width=width)
+        chromium.open(shown_run.address + page, theme=theme, width=width)
         chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
         assert axe(chromium) == []
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
@@ -119,9 +133,9 @@ def test_it_ends_the_run(chromium, run):
     assert run.wait(60) == 143
 
 
-def test_runs_are_chosen_and_compared(chromium, run):
-    chromium.open(run.address + run.query)
-    chromium.open(run.address + "runs")
+def test_runs_are_chosen_and_compared(chromium, shown_run):
+    chromium.open(shown_run.address + shown_run.query)
+    chromium.open(shown_run.address + "runs")
     rows = "document.querySelectorAll('#runs tbody tr').length"
     assert chromium.evaluate(rows) == 1
     # One run alone cannot be compared, and the page says so.

@@ -1,6 +1,7 @@
 """Commands and nodes of the packages as processes of their own."""
 
 import contextlib
+import json
 import multiprocessing
 import os
 import runpy
@@ -179,6 +180,33 @@ def _run_package(command, folder, variables, output, new_session):
         # Where an interpreter notes at its end what could not be written, multiprocessing does not.
         for name in STREAMS:
             getattr(sys, name).flush()
+
+
+SEVERAL = """\
+import json
+import os
+import runpy
+import sys
+
+import bo_tuner.cli.tune
+
+for arguments in json.loads(sys.argv[1]):
+    child = os.fork()
+    if child == 0:
+        sys.argv = ["bo_tuner", *arguments]
+        runpy.run_module("bo_tuner", run_name="__main__", alter_sys=True)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code != 0:
+        sys.exit(f"{arguments}: exit code {code}")
+"""
+
+
+def several(*commands):
+    """Arguments of an interpreter that runs commands one by one, each forked after the imports.
+
+    For what Python takes at its start. It ends with the first that fails.
+    """
+    return [sys.executable, "-c", SEVERAL, json.dumps([[*map(str, each)] for each in commands])]
 
 
 def finish(process, deadline=DEADLINE):

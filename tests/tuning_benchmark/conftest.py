@@ -46,13 +46,25 @@ def small():
     return RunSize(evaluations=60, reserved=20, initial_trials=3)
 
 
-@pytest.fixture
-def experiment_file(tmp_path, study):
-    """An experiment file with its study beside it."""
-    (tmp_path / "valley.yaml").write_text(study_to_yaml(study))
-    file = tmp_path / "closed.yaml"
+def write_experiment(folder, study):
+    """Write an experiment file with its study beside it."""
+    (folder / "valley.yaml").write_text(study_to_yaml(study))
+    file = folder / "closed.yaml"
     file.write_text(EXPERIMENT)
     return file
+
+
+@pytest.fixture
+def experiment_file(tmp_path, study):
+    return write_experiment(tmp_path, study)
+
+
+@pytest.fixture(scope="module")
+def campaign_folder(tmp_path_factory, study):
+    """Folder with the experiment file, for a campaign that the tests of a module share."""
+    folder = tmp_path_factory.mktemp("campaign")
+    write_experiment(folder, study)
+    return folder
 
 
 @pytest.fixture

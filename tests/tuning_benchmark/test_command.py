@@ -7,7 +7,7 @@ import signal
 from functools import partial
 
 import pytest
-from commands import Fork, finish, python_path, start
+from commands import Fork, finish, python_path, run, start
 from in_process import complaint
 from waiting import DEADLINE, wait_until
 
@@ -40,6 +40,18 @@ def refused(tmp_path, experiment_file, monkeypatch, capsys):
     """Function that runs the command in this process and returns its one line on stderr."""
     monkeypatch.chdir(tmp_path)
     return partial(complaint, command, capsys, "--experiment", experiment_file, "--output", "out")
+
+
+@pytest.fixture(scope="module")
+def whole(campaign_folder):
+    """Folder and tables of a campaign that nothing disturbed."""
+    code, tables, err = run(
+        *("--experiment", "closed.yaml", "--output", "out"),
+        folder=campaign_folder,
+        package="tuning_benchmark",
+    )
+    assert code == 0, err
+    return campaign_folder / "out", tables
 
 
 def records_of(folder, name="closed"):
@@ -82,14 +94,16 @@ def test_an_output_that_goes_away_leaves_the_records(benchmark, tmp_path, gone, 
     assert records_of(tmp_path / "out") == before
 
 
-def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, tmp_path):
-    code, tables, err = finish(benchmark("one"))
-    assert code == 0, err
+def test_the_page_has_tables_and_figures(whole):
+    folder, tables = whole
     assert "A valley" in tables
-    page = (tmp_path / "one" / "results.md").read_text()
+    page = (folder / "results.md").read_text()
     assert "figures/convergence-valley.png" in page
-    assert (tmp_path / "one" / "figures" / "convergence-valley.png").stat().st_size > 1000
+    assert (folder / "figures" / "convergence-valley.png").stat().st_size > 1000
 
+
+def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, whole, tmp_path):
+    _, tables = whole
     killed = benchmark("two", "--jobs", "2")
     wait_for_records(tmp_path / "two" / "closed.jsonl", 1, killed)
     os.kill(killed.pid, signal.SIGKILL)
@@ -215,11 +229,10 @@ def test_an_optimizer_that_is_not_there_is_said_before_any_task(refused, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
-    process = benchmark("out")
-    wait_for_records(tmp_path / "out" / "closed.jsonl", 5, process)
-    process.kill()
-    finish(process)
+def test_a_page_of_what_is_on_record_so_far(benchmark, whole, tmp_path):
+    done = (whole[0] / "closed.jsonl").read_text().splitlines(keepends=True)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "closed.jsonl").write_text("".join(done[:5]))
     code, tables, err = finish(benchmark("out", "--page-only"))
     assert code == 0, err
     assert "1 of 1" in tables
@@ -240,10 +253,8 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_path):
+def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, whole, tmp_path):
     distributed = pytest.importorskip("distributed")
-    code, tables, err = finish(benchmark("here"))
-    assert code == 0, err
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
         env={"PYTHONPATH": python_path(tmp_path)},
@@ -251,7 +262,7 @@ def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, tmp_pa
         address = cluster.scheduler_address.replace("tcp://", "dask://")
         code, there, err = finish(benchmark("there", "--cluster", address))
     assert code == 0, err
-    assert there == tables
+    assert there == whole[1]
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 from axis import node, write_study
-from commands import environment, python_path
+from commands import environment, python_path, several
 
 from bo_tuner.storage.record import read_run
 
@@ -34,24 +34,6 @@ class Moved(datetime.datetime):
 
 
 datetime.datetime = Moved
-"""
-# All commands on one interpreter's imports.
-COMMANDS = """\
-import json
-import os
-import runpy
-import sys
-
-import bo_tuner.cli.tune
-
-for arguments in json.loads(sys.argv[1]):
-    child = os.fork()
-    if child == 0:
-        sys.argv = ["bo_tuner", *arguments]
-        runpy.run_module("bo_tuner", run_name="__main__", alter_sys=True)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if code != 0:
-        sys.exit(f"{arguments}: exit code {code}")
 """
 # 32 bits of seconds end in January 2038, without a sign in February 2106.
 AHEAD = {"2040s": 20 * 31_557_600, "2110s": 90 * 31_557_600}
@@ -79,9 +61,8 @@ def test_a_study_beyond_2038(tmp_path, make_study, ahead):
         ("replay", "latest"),
     ]
     done = subprocess.run(
-        [sys.executable, "-c", COMMANDS, json.dumps(commands)],
-        cwd=tmp_path, env=environment() | clock, capture_output=True, text=True,
-    )  # fmt: skip
+        several(*commands), cwd=tmp_path, env=environment() | clock, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     latest = tmp_path / "runs" / "latest"
