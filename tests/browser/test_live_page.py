@@ -8,7 +8,7 @@ import yaml
 from axis import write_axis
 from commands import Fork
 from report_runs import axis_study
-from waiting import count_in, wait_until
+from waiting import DEADLINE, count_in, wait_until
 
 ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:\d+/)(\?token=[\w-]+)")
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
@@ -120,7 +120,7 @@ def test_it_pauses_continues_and_ends_the_run(chromium, run):
     chromium.wait_for(
         f"{shown('pause')} || document.querySelector('#now h2').textContent.startsWith('Ended')"
     )
-    assert run.wait(60) == 0
+    assert run.wait(DEADLINE) == 0
 
 
 def test_it_ends_the_run(chromium, run):
@@ -130,7 +130,7 @@ def test_it_ends_the_run(chromium, run):
     chromium.evaluate("document.querySelector('[data-request=abort]').click()")
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('the run ends')")
     run.go.touch()
-    assert run.wait(60) == 143
+    assert run.wait(DEADLINE) == 143
 
 
 def test_runs_are_chosen_and_compared(chromium, shown_run):

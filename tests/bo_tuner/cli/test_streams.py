@@ -83,7 +83,7 @@ def test_a_terminal_that_is_gone_leaves_a_record_that_goes_on(runs, tmp_path):
     os.close(ours)
     process.send_signal(signal.SIGHUP)
     go_on(cuts)
-    assert process.wait(100) == 128 + signal.SIGHUP
+    assert process.wait(DEADLINE) == 128 + signal.SIGHUP
     assert len(read_run(tmp_path / "gone" / "latest").evaluations) == 3
     code, _, err = run("tune", "--resume", tmp_path / "gone" / "latest", folder=runs)
     assert code == 0, err
@@ -183,7 +183,7 @@ def test_help_that_cannot_be_written_is_not_given(runs, full, name, option):
 @pytest.mark.parametrize("name", ALL)
 def test_a_complaint_that_cannot_be_written_leaves_its_exit_code(runs, full, name):
     process = started(name, "--unknown", folder=runs, stdout=full, stderr=full)
-    assert process.wait(100) == 2
+    assert process.wait(DEADLINE) == 2
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])

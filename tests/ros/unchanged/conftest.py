@@ -15,9 +15,11 @@ from rclpy.node import Node
 from servo import System, study
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros import preparation, procedure, steps
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import StudyError
 
 
 @pytest.fixture(scope="module")
@@ -76,11 +78,20 @@ def join(machine):
 
 
 @pytest.fixture
-def backend(system, tmp_path, monkeypatch):
+def patience(monkeypatch):
+    """Function that sets how long [s] a backend waits for what it does not find."""
+
+    def wait(seconds):
+        for module in (steps, procedure, preparation):
+            monkeypatch.setattr(module, "CONNECT_TIMEOUT", seconds)
+
+    return wait
+
+
+@pytest.fixture
+def backend(system, tmp_path, monkeypatch, patience):
     """Function that opens a backend for a study."""
-    monkeypatch.setattr(steps, "CONNECT_TIMEOUT", 2.0)
-    monkeypatch.setattr(procedure, "CONNECT_TIMEOUT", 2.0)
-    monkeypatch.setattr(preparation, "CONNECT_TIMEOUT", 2.0)
+    patience(DEADLINE)
     monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
     opened = []
 
@@ -93,3 +104,37 @@ def backend(system, tmp_path, monkeypatch):
     yield make
     for made in opened:
         made.close()
+
+
+@pytest.fixture
+def in_run():
+    """Function that does something, in a thread, in the midst of the next run of a backend."""
+    threads = []
+
+    def do(backend, action):
+        def wait():
+            procedure = backend._procedure
+            wait_until(
+                lambda: procedure._is_recording and procedure._recorder.seconds > 0.5, "a run"
+            )
+            action()
+
+        threads.append(threading.Thread(target=wait))
+        threads[-1].start()
+
+    yield do
+    for thread in threads:
+        thread.join()
+
+
+@pytest.fixture
+def refusal(backend, patience):
+    """Function that opens a backend for a study that is refused, and returns the reason."""
+
+    def reason(**changes):
+        patience(2.0)
+        with pytest.raises(StudyError) as caught:
+            backend(**changes)
+        return str(caught.value)
+
+    return reason

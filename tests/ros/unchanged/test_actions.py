@@ -11,7 +11,6 @@ from test_msgs.action import Fibonacci
 from waiting import wait_until
 
 from bo_tuner.backends.ros import goals
-from bo_tuner.errors import StudyError
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -115,7 +114,7 @@ def test_a_goal_is_cancelled_when_a_run_is_aborted(backend, counter, system):
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
     move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
     made = backend(run={**TO_ITS_RESULT, "start": [long, move], "abort_when": "angle > 0.5"})
-    assert failure(run(made)).startswith("aborted at 0.")
+    assert failure(run(made)).startswith("aborted at ")
     assert counter.ends == ["cancelled"]
 
 
@@ -130,7 +129,7 @@ def test_a_server_that_is_lost(backend, counter, monkeypatch):
     monkeypatch.setattr(goals, "CALL_TIMEOUT", 1.0)
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
     made = backend(run={**TO_ITS_RESULT, "start": [long, {"wait": 0.1}]}, signals=FEW)
-    counter.create_timer(0.5, counter.stop)
+    counter.create_timer(0.05, lambda: counter.orders and counter.stop())
     found = run(made)
     assert found.state is EvaluationState.LOST
     assert found.reason.startswith("the server of /fibonacci is lost")
@@ -138,7 +137,7 @@ def test_a_server_that_is_lost(backend, counter, monkeypatch):
 
 def test_a_goal_may_bring_the_machine_home(backend, counter, system):
     made = backend(run={"before": [GOAL], "abort_when": "angle > 0.5", "recover": [GOAL]})
-    assert failure(run(made)).startswith("aborted at 0.")
+    assert failure(run(made)).startswith("aborted at ")
     assert counter.ends == ["succeeded"] * 2
     counter.succeeds = False
     assert failure(run(made)).startswith("/fibonacci aborted the goal; not recovered: /fibonacci")
@@ -152,11 +151,10 @@ def test_a_goal_may_bring_the_machine_home(backend, counter, system):
         ({"goal": {"order": 0.5}}, "goal.order: expected an integer, found 0.5"),
     ],
 )
-def test_a_goal_that_cannot_be_sent(backend, counter, goal, complaint):
+def test_a_goal_that_cannot_be_sent(refusal, counter, goal, complaint):
     step = {"send_goal": GOAL["send_goal"] | goal}
-    with pytest.raises(StudyError) as caught:
-        backend(run={**TO_ITS_RESULT, "start": [step]})
-    assert str(caught.value).startswith(f"run.start[0].send_goal.{complaint}")
+    reason = refusal(run={**TO_ITS_RESULT, "start": [step]})
+    assert reason.startswith(f"run.start[0].send_goal.{complaint}")
 
 
 def test_a_goal_that_is_accepted_too_late_is_cancelled(backend, counter, monkeypatch):
