@@ -1,58 +1,38 @@
 """The page of a run in progress as a reader sees it: it goes on by itself."""
 
-import contextlib
-import re
-
 import pytest
-import yaml
-from axis import write_axis
-from commands import Fork
+from functions import NODE
+from live_run import Run
 from report_runs import axis_study
-from waiting import DEADLINE, count_in, wait_until
 
-ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:\d+/)(\?token=[\w-]+)")
+from bo_tuner.study.study_file import study_from_mapping
+
 TRIALS = "document.querySelectorAll('#trials tbody tr').length"
 
 
-@contextlib.contextmanager
 def held_run(folder):
     """A run of a small object with a page, held at its 21st evaluation."""
-    write_axis(folder, "report_objects")
-    study = axis_study(nodes={"axis": {"node": "axis", "result": "~/cut_result",
-                                       "object": "report_objects:Axis"}})  # fmt: skip
-    (folder / "study.yaml").write_text(yaml.safe_dump(study))
-    counter, said = folder / "cuts", folder / "said.txt"
-    with said.open("w") as file:
-        process = Fork(
-            *("tune", "--backend", "inprocess", "--study", "study.yaml", "--web", "--web-control"),
-            folder=folder,
-            env={"CUTS": str(counter), "HOLD": "21"},
-            stderr=file,
-        )
-    wait_until(lambda: count_in(counter) == 21, "the evaluation", process, said.read_text)
-    process.address, process.query = ADDRESS.search(said.read_text()).groups()
-    process.go = folder / "cuts.go"
-    yield process
-    process.terminate()
-    process.go.touch()
-    process.communicate()
+    nodes = {"axis": NODE | {"result": "~/cut_result", "object": "report_objects:Axis"}}
+    return Run(folder, study_from_mapping(axis_study(nodes=nodes)), 21, "--web-control")
 
 
 @pytest.fixture
 def run(tmp_path):
-    with held_run(tmp_path) as process:
-        yield process
+    held = held_run(tmp_path)
+    yield held
+    held.end()
 
 
 @pytest.fixture(scope="module")
 def shown_run(tmp_path_factory):
     """A run for the tests that only look at it."""
-    with held_run(tmp_path_factory.mktemp("live")) as process:
-        yield process
+    held = held_run(tmp_path_factory.mktemp("live"))
+    yield held
+    held.end()
 
 
 def test_it_follows_the_run(chromium, run):
-    chromium.open(run.address + run.query)
+    chromium.open(run.entrance)
     # The token is in no address that the browser keeps.
     assert chromium.evaluate("location.href") == run.address
     chromium.wait_for("document.querySelector('#provenance') !== null")
@@ -62,7 +42,7 @@ def test_it_follows_the_run(chromium, run):
     order = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.hash)")
     assert order[:3] == ["#now", "#answer", "#convergence"]
 
-    run.go.touch()
+    run.go_on()
     chromium.wait_for("document.querySelector('#answer h2').textContent.includes('parameter set')")
     chromium.wait_for(f"{TRIALS} === 7")
     # The same page, with what was unfolded.
@@ -76,7 +56,7 @@ def test_it_follows_the_run(chromium, run):
 
 
 def test_a_trial_has_a_page(chromium, shown_run):
-    chromium.open(shown_run.address + shown_run.query)
+    chromium.open(shown_run.entrance)
     chromium.wait_for("document.querySelector('#trials tbody a') !== null")
     link = chromium.evaluate("document.querySelector('#trials tbody a').href")
     assert link == f"{shown_run.address}trials/0"
@@ -89,7 +69,7 @@ def test_a_trial_has_a_page(chromium, shown_run):
 
 @pytest.mark.parametrize(("theme", "width"), [("light", 1280), ("dark", 390)])
 def test_axe_finds_nothing(chromium, shown_run, axe, theme, width):
-    chromium.open(shown_run.address + shown_run.query, theme=theme, width=width)
+    chromium.open(shown_run.entrance, theme=theme, width=width)
     chromium.wait_for("document.querySelector('#provenance') !== null")
     chromium.wait_for("document.documentElement.dataset.drawn === 'all'")
     assert axe(chromium) == []
@@ -108,33 +88,33 @@ def test_it_pauses_continues_and_ends_the_run(chromium, run):
     def shown(request):
         return f"document.querySelector('[data-request={request}]').checkVisibility()"
 
-    chromium.open(run.address + run.query)
+    chromium.open(run.entrance)
     chromium.wait_for("document.querySelector('#provenance') !== null")
     assert chromium.evaluate(f"{shown('pause')} && !{shown('continue')} && !{shown('abort')}")
     press("pause")
     chromium.wait_for(shown("continue"))
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('pauses after')")
-    run.go.touch()
+    run.go_on()
     chromium.wait_for("document.querySelector('#now h2').textContent.includes('PAUSED')")
     press("continue")
     chromium.wait_for(
         f"{shown('pause')} || document.querySelector('#now h2').textContent.startsWith('Ended')"
     )
-    assert run.wait(DEADLINE) == 0
+    assert run.finished() == 0
 
 
 def test_it_ends_the_run(chromium, run):
-    chromium.open(run.address + run.query)
+    chromium.open(run.entrance)
     chromium.wait_for("document.querySelector('#provenance') !== null")
     chromium.evaluate("document.querySelector('.control summary').click()")
     chromium.evaluate("document.querySelector('[data-request=abort]').click()")
     chromium.wait_for("document.querySelector('#now dl').textContent.includes('the run ends')")
-    run.go.touch()
-    assert run.wait(DEADLINE) == 143
+    run.go_on()
+    assert run.finished() == 143
 
 
 def test_runs_are_chosen_and_compared(chromium, shown_run):
-    chromium.open(shown_run.address + shown_run.query)
+    chromium.open(shown_run.entrance)
     chromium.open(shown_run.address + "runs")
     rows = "document.querySelectorAll('#runs tbody tr').length"
     assert chromium.evaluate(rows) == 1

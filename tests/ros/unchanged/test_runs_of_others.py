@@ -179,7 +179,8 @@ def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monke
     system.hang = 3.0
     found = run(made)
     assert found.state is EvaluationState.LOST
-    assert found.reason == ("servo does not answer servo/get_parameters within 1 s")
+    # It may be silent for longer than that, which is told as well.
+    assert found.reason.startswith("servo does not answer servo/get_parameters within 1 s")
 
 
 def test_a_service_that_refuses(backend):

@@ -1,0 +1,55 @@
+"""The other runs in the folder of a run in progress, listed and compared."""
+
+import re
+
+import pytest
+
+
+class TestOtherRuns:
+    def test_they_are_listed_with_their_verdicts(self, beside):
+        status, _, page = beside.ask("/runs")
+        assert status == 200
+        rows = re.findall(r'<input type="checkbox" name="run" value="([^"]+)"', page)
+        assert rows == [beside.name, beside.finished_one]
+        assert "kept all limits" in page
+        assert re.search(r"No result yet: \d of 5 trials", page)
+        assert "broken: " in page
+
+    def test_the_report_of_one(self, beside):
+        status, _, page = beside.ask(f"/runs/{beside.finished_one}")
+        assert status == 200
+        assert "kept all limits" in page
+        # The server gives no files.
+        assert "journal.sqlite" not in page
+
+    def test_side_by_side(self, beside):
+        status, _, page = beside.ask(f"/compare?run={beside.name}&run={beside.finished_one}")
+        assert status == 200
+        assert "2 runs side by side" in page
+        assert "kept all limits" in page
+
+    @pytest.mark.parametrize(
+        ("query", "status"),
+        [("", 400), ("run={0}", 400), ("run={0}&run={0}", 400), ("run={0}&run=none", 404),
+         ("run={0}&run=..", 404), ("run={0}&run=broken", 409),
+         ("&".join(f"run={k}" for k in range(9)), 400)],
+    )  # fmt: skip
+    def test_what_cannot_be_compared(self, beside, query, status):
+        found, _, text = beside.ask(f"/compare?{query.format(beside.name)}")
+        assert found == status
+        assert len(text.splitlines()) == 1
+
+    @pytest.mark.parametrize("name", ["none", "..", "%2e%2e", "..%2f..%2fetc", "latest"])
+    def test_only_runs_in_the_folder_are_shown(self, beside, name):
+        assert beside.ask(f"/runs/{name}")[0] == 404
+
+    def test_a_run_is_read_again_once_it_has_changed(self, beside):
+        before = beside.ask("/runs")[2]
+        assert beside.ask("/runs")[2] == before
+        path = beside.folder.parent / beside.finished_one / "summary.json"
+        content = path.read_text()
+        path.unlink()
+        try:
+            assert "kept all limits" not in beside.ask("/runs")[2]
+        finally:
+            path.write_text(content)

@@ -1,0 +1,60 @@
+"""What the page of a run in progress may ask of the run, if it is allowed to."""
+
+from commands import Fork, finish
+from waiting import count_in
+
+
+class TestRequests:
+    def test_only_the_page_itself_may_ask(self, held):
+        run = held(6, "--web-control")
+        refused = [
+            {"Origin": ""},
+            {"Origin": "null"},
+            {"Origin": "http://evil.example"},
+            {"Origin": f"https://127.0.0.1:{run.port}"},
+            {"Origin": f"http://127.0.0.1:{run.port + 1}"},
+            # The host is right, but the page was read under another name.
+            {"Origin": f"http://localhost:{run.port}"},
+            {"X-Control-Token": ""},
+            {"X-Control-Token": "wrong"},
+            {"X-Control-Token": run.token},
+        ]
+        for headers in refused:
+            assert run.request("abort", **headers)[0] == 403, headers
+        control = run.origin | {"X-Control-Token": run.control_token()}
+        # Not even with the right token in the header, without the one in the cookie.
+        assert run.ask("/requests/abort", method="POST", token=False, **control)[0] == 403
+        assert run.ask("/requests/abort", **control)[0] == 405
+        assert run.request("start")[0] == 405
+        # Nothing of it has reached the run.
+        run.go_on()
+        assert run.finished() == 0
+
+    def test_pause_and_continue(self, held):
+        run = held(6, "--web-control")
+        assert run.request("pause")[0] == 202
+        asked = "the run pauses after the present evaluation"
+        run.state_when(lambda state, _: state["now"]["texts"].get("asked") == asked)
+        run.go_on()
+        run.state_when(lambda state, _: state["now"]["paused"] and state["now"]["pausing"])
+        done = count_in(run.counter)
+        assert done == 6
+        assert run.process.poll() is None
+        assert run.request("continue")[0] == 202
+        run.state_when(lambda state, _: state["complete"])
+        assert run.finished() == 0
+
+    def test_the_end_during_a_pause(self, held):
+        run = held(6, "--web-control")
+        run.request("pause")
+        run.go_on()
+        run.state_when(lambda state, _: state["now"]["paused"])
+        assert run.request("abort")[0] == 202
+        assert run.finished() == 143
+        assert "interrupted by the live page; " in run.said.read_text().splitlines()[-1]
+        assert run.page_processes() == []
+
+    def test_they_need_a_page(self, tmp_path):
+        code, out, err = finish(Fork("tune", "--web-control", folder=tmp_path))
+        assert (code, out) == (2, "")
+        assert "--web-control needs --web" in err

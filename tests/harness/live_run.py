@@ -1,0 +1,106 @@
+"""A run with a live page, as the tests of the page and those of a browser ask it."""
+
+import http.client
+import json
+import re
+from pathlib import Path
+
+from axis import write_study
+from commands import Fork
+from waiting import DEADLINE, count_in, wait_until
+
+ADDRESS = re.compile(r"live page: (http://127\.0\.0\.1:(\d+)/)\?token=([\w-]+)")
+
+
+def page_processes(folder):
+    """Processes that serve pages of the run in a folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            command = path.read_bytes().split(b"\0")
+            told = Path(path.parent, "fd", "1").readlink()
+        except OSError:
+            continue
+        if b"bo_tuner.web" in command and told == folder / "log" / "web.log":
+            found.append(int(path.parent.name))
+    return found
+
+
+class Run:
+    """A run with a page, held at an evaluation until it is let go."""
+
+    def __init__(self, folder, study, hold, *options, **environment):
+        write_study(folder, study)
+        self.counter = folder / "cuts"
+        self.said = folder / "said.txt"
+        with self.said.open("w") as said:
+            self.process = Fork(
+                *("tune", "--backend", "inprocess", "--study", "axis.yaml", "--web", *options),
+                folder=folder,
+                env={"CUTS": str(self.counter), "HOLD": str(hold)} | environment,
+                stderr=said,
+            )
+        wait_until(
+            lambda: count_in(self.counter) == hold, "the evaluation", self.process,
+            self.said.read_text,
+        )  # fmt: skip
+        self.address, port, self.token = ADDRESS.search(self.said.read_text()).groups()
+        self.port = int(port)
+        self.entrance = f"{self.address}?token={self.token}"
+        self.folder = folder / "runs" / "latest"
+        self.origin = {"Origin": f"http://127.0.0.1:{self.port}"}
+
+    def ask(self, path, *, method="GET", token=True, **headers):
+        """Status, headers and text of an answer."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=100.0)
+        cookie = {"Cookie": f"bo_tuner_{self.port}={self.token}"} if token else {}
+        connection.request(method, path, headers=cookie | headers)
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        connection.close()
+        return answer.status, answer.headers, text
+
+    def control_token(self):
+        return re.search(r'data-token="([\w-]+)"', self.ask("/")[2]).group(1)
+
+    def request(self, name, **headers):
+        """Status and text of the answer to a request of the page, with some headers changed."""
+        headers = self.origin | {"X-Control-Token": self.control_token()} | headers
+        status, _, text = self.ask(
+            f"/requests/{name}", method="POST", **{k: v for k, v in headers.items() if v}
+        )
+        return status, text
+
+    def state_when(self, holds):
+        """The parts of the page once a condition holds for what the server tells."""
+        version, sections = -1, {}
+
+        def told():
+            nonlocal version
+            status, _, text = self.ask(f"/state?after={version}")
+            assert status == 200, text
+            state = json.loads(text)
+            assert state["version"] >= version
+            version = state["version"]
+            sections.update(state["sections"])
+            return holds(state, sections)
+
+        wait_until(told, "the state", self.process)
+        return sections
+
+    def go_on(self):
+        Path(f"{self.counter}.go").touch()
+
+    def page_processes(self):
+        return page_processes(self.folder.resolve())
+
+    def finished(self):
+        """Exit code of the run, once it has ended."""
+        code = self.process.wait(DEADLINE)
+        assert "Traceback" not in self.said.read_text()
+        return code
+
+    def end(self):
+        self.process.terminate()
+        self.go_on()
+        self.process.communicate()
