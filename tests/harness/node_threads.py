@@ -5,7 +5,9 @@ import os
 import threading
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 
 
@@ -21,7 +23,9 @@ def at_work(make_node):
 
     def spin():
         while not stop.is_set():
-            executor.spin_once(timeout_sec=0.05)
+            # To rclpy it is an error if a client or a node has left in this moment.
+            with contextlib.suppress(RCLError, InvalidHandle):
+                executor.spin_once(timeout_sec=0.05)
 
     thread = threading.Thread(target=spin)
     thread.start()

@@ -1,9 +1,6 @@
 """A result set on real nodes, read back, refused, and taken back."""
 
 import os
-import pty
-import select
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -12,6 +9,7 @@ import yaml
 from commands import Fork, environment
 from in_process import call
 from made_runs import INITIAL, make_run, write_certificate
+from terminals import converse, gone
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -202,57 +200,40 @@ def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):
 def test_in_a_terminal_it_asks(record, now):
     """As a user starts it; what counts as a yes is tested without nodes."""
     before = now()
-    leader, follower = pty.openpty()
     program = (
         "import sys; from bo_tuner.interruption import Interruption; stop = Interruption(); "
         "from bo_tuner.cli import apply; sys.exit(apply.run(sys.argv[1:], stop))"
     )
-    process = subprocess.Popen(
+
+    def yes():
+        assert now() == before
+        return b"y\n"
+
+    converse(
         [sys.executable, "-c", program, record.path],
-        stdin=follower,
-        stdout=follower,
-        stderr=follower,
+        [("set these on milling_plant, mpc_controller? [y/N]", yes)],
         env=environment(TERM="dumb"),
     )
-    os.close(follower)
-    said = b""
-    try:
-        while b"[y/N]" not in said:
-            assert select.select([leader], [], [], DEADLINE)[0], said.decode()
-            said += os.read(leader, 4096)
-        assert b"set these on milling_plant, mpc_controller? [y/N]" in said
-        assert now() == before
-        os.write(leader, b"y\n")
-        assert process.wait(DEADLINE) == 0
-    finally:
-        process.kill()
-        process.wait()
-        os.close(leader)
     assert now() == tuned(record)
 
 
 @pytest.mark.parametrize("to_error", [False, True])
 @pytest.mark.parametrize(
-    ("gone", "code", "complaint"),
+    ("kind", "code", "complaint"),
     [
         ("full", 1, "error: output: No space left on device"),
         ("pipe", 141, "error: nobody reads the output any more"),
     ],
 )
-def test_what_cannot_be_shown_is_not_set(record, now, gone, code, complaint, to_error):
+def test_what_cannot_be_shown_is_not_set(record, now, kind, code, complaint, to_error):
     before = now()
-    if gone == "full":
-        output = os.open("/dev/full", os.O_WRONLY)
-    else:
-        reading, output = os.pipe()
-        os.close(reading)
-    process = Fork(
-        *("apply", record.path, "--yes"),
-        folder=record.path.parent,
-        stdout=output,
-        **({"stderr": output} if to_error else {}),
-    )
-    os.close(output)
+    with gone(kind) as output:
+        process = Fork(
+            *("apply", record.path, "--yes"),
+            folder=record.path.parent,
+            stdout=output,
+            **({"stderr": output} if to_error else {}),
+        )
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == code
     if not to_error:

@@ -1,18 +1,16 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
-import os
-import pty
-import select
+import sys
 
 import pytest
-from commands import environment, run, start
+from commands import environment, run
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_threads import at_work
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, LaserScan
 from servo import System
 from std_msgs.msg import Float64, Float64MultiArray
-from waiting import DEADLINE
+from terminals import converse
 
 from bo_tuner.backends.ros.messages import number_fields, number_reader
 from bo_tuner.cli.init import numbers
@@ -108,32 +106,20 @@ def test_what_is_not_there_is_refused_with_the_nearest_name(servo, tmp_path):
 
 
 def test_on_a_terminal_it_asks(servo, tmp_path):
-    leader, follower = pty.openpty()
-    process = start(
-        *("tune", "--init", "asked.yaml", "--signals", "/plain"),
-        folder=tmp_path,
-        env=environment(TERM="dumb"),
-        stdin=follower,
-        stdout=follower,
-        stderr=follower,
-    )
-    os.close(follower)
-    try:
-        for question, answer in (
+    converse(
+        [
+            *(sys.executable, "-m", "bo_tuner"),
+            *("tune", "--init", "asked.yaml"),
+            *("--signals", "/plain"),
+        ],
+        [
             ("nodes: numbers", b"\n"),
             ("parameters: numbers", b"9\n"),
             ("expected numbers from 1 to 3, found '9'", b"2-3\n"),
-        ):
-            said = ""
-            while question not in said:
-                assert select.select([leader], [], [], DEADLINE)[0], said
-                said += os.read(leader, 4096).decode()
-            os.write(leader, answer)
-        assert process.wait(DEADLINE) == 0
-    finally:
-        process.kill()
-        process.wait()
-        os.close(leader)
+        ],
+        cwd=tmp_path,
+        env=environment(tmp_path, TERM="dumb"),
+    )
     assert list(load_study(tmp_path / "asked.yaml").parameters) == ["count", "limited"]
 
 

@@ -9,6 +9,7 @@ from functools import partial
 import pytest
 from commands import Fork, finish, python_path, run, start
 from in_process import complaint
+from terminals import gone
 from waiting import DEADLINE, wait_until
 
 from tuning_benchmark import command as command
@@ -66,26 +67,17 @@ def wait_for_records(file, count, process):
     )
 
 
-@pytest.mark.parametrize(("gone", "code"), [("full", 1), ("pipe", 141)])
-def test_an_output_that_goes_away_leaves_the_records(benchmark, tmp_path, gone, code):
-    def nowhere():
-        if gone == "full":
-            return os.open("/dev/full", os.O_WRONLY)
-        reading, output = os.pipe()
-        os.close(reading)
-        return output
-
+@pytest.mark.parametrize(("kind", "code"), [("full", 1), ("pipe", 141)])
+def test_an_output_that_goes_away_leaves_the_records(benchmark, tmp_path, kind, code):
     # A task that has ended is on record before it is told of.
-    output = nowhere()
-    process = benchmark("out", stderr=output)
-    os.close(output)
+    with gone(kind) as output:
+        process = benchmark("out", stderr=output)
     process.communicate(timeout=DEADLINE)
     assert process.returncode == code
     before = records_of(tmp_path / "out")
     assert before
-    output = nowhere()
-    process = benchmark("out", "--page-only", stdout=output)
-    os.close(output)
+    with gone(kind) as output:
+        process = benchmark("out", "--page-only", stdout=output)
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == code
     assert "Traceback" not in err

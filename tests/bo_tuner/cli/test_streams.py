@@ -8,6 +8,7 @@ import sys
 import pytest
 from axis import node, write_study
 from commands import Fork, environment, finish, run, several, start
+from terminals import gone
 from waiting import DEADLINE, count_in, wait_until
 
 from bo_tuner.storage.record import read_run
@@ -89,69 +90,42 @@ def test_a_terminal_that_is_gone_leaves_a_record_that_goes_on(runs, tmp_path):
     assert code == 0, err
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
-@pytest.mark.parametrize("to_error", [False, True])
-def test_a_pipe_that_nobody_reads(runs, command, to_error):
-    reading, writing = os.pipe()
-    os.close(reading)
-    name, *options = command
-    streams = {"stdout": writing} | ({"stderr": writing} if to_error else {})
-    process = Fork(name, "runs/latest", *options, folder=runs, **streams)
-    os.close(writing)
-    _, err = process.communicate(timeout=DEADLINE)
-    assert process.returncode == 128 + signal.SIGPIPE
-    if not to_error:
-        assert err.splitlines()[-1] == "error: nobody reads the output any more"
-        assert "Traceback" not in err
-
-
-def test_a_tuner_that_nobody_listens_to_stops_with_its_record_whole(runs, tmp_path):
-    reading, writing = os.pipe()
-    os.close(reading)
-    command = (*TUNE[:-1], str(tmp_path / "unheard"))
-    process = Fork(*command, folder=runs, stdout=writing)
-    os.close(writing)
-    _, err = process.communicate(timeout=DEADLINE)
-    assert process.returncode == 128 + signal.SIGPIPE
-    assert "Traceback" not in err
-    code, _, err = run("tune", "--resume", tmp_path / "unheard" / "latest", folder=runs)
-    assert code == 0, err
-
-
 FULL = "error: output: No space left on device"
-
-
-@pytest.fixture
-def full():
-    """A device that takes no more."""
-    with open("/dev/full", "w") as device:  # noqa: PTH123
-        yield device
+UNREAD = "error: nobody reads the output any more"
+GONE = pytest.mark.parametrize(
+    ("kind", "code", "complaint"), [("full", 1, FULL), ("pipe", 128 + signal.SIGPIPE, UNREAD)]
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 @pytest.mark.parametrize("to_error", [False, True])
-def test_a_full_device(runs, full, command, to_error):
+@GONE
+def test_output_that_nobody_takes(runs, command, to_error, kind, code, complaint):
     name, *options = command
-    streams = {"stdout": full} | ({"stderr": full} if to_error else {})
-    process = Fork(name, "runs/latest", *options, folder=runs, **streams)
+    with gone(kind) as output:
+        streams = {"stdout": output} | ({"stderr": output} if to_error else {})
+        process = Fork(name, "runs/latest", *options, folder=runs, **streams)
     _, err = process.communicate(timeout=DEADLINE)
-    assert process.returncode == 1
+    assert process.returncode == code
     if not to_error:
-        assert err.splitlines()[-1] == FULL
+        assert err.splitlines()[-1] == complaint
         assert "Traceback" not in err
 
 
 @pytest.mark.parametrize("to_error", [False, True])
-def test_a_tuner_whose_output_is_full_stops_with_its_record_whole(runs, tmp_path, full, to_error):
-    command = (*TUNE[:-1], str(tmp_path / "unwritten"))
-    streams = {"stdout": full} | ({"stderr": full} if to_error else {})
-    process = Fork(*command, folder=runs, **streams)
+@GONE
+def test_a_tuner_without_output_stops_with_its_record_whole(
+    runs, tmp_path, to_error, kind, code, complaint
+):
+    with gone(kind) as output:
+        streams = {"stdout": output} | ({"stderr": output} if to_error else {})
+        process = Fork(*TUNE[:-1], str(tmp_path / "unheard"), folder=runs, **streams)
     _, err = process.communicate(timeout=DEADLINE)
-    assert process.returncode == 1
+    assert process.returncode == code
     if not to_error:
-        assert err.splitlines()[-1] == FULL
+        assert err.splitlines()[-1] == complaint
         assert "Traceback" not in err
-    code, _, err = run("tune", "--resume", tmp_path / "unwritten" / "latest", folder=runs)
+    code, _, err = run("tune", "--resume", tmp_path / "unheard" / "latest", folder=runs)
     assert code == 0, err
 
 
@@ -167,22 +141,18 @@ def started(name, *arguments, folder, **streams):
 
 @pytest.mark.parametrize("name", ALL)
 @pytest.mark.parametrize("option", ["--help", "--version"])
-def test_help_that_cannot_be_written_is_not_given(runs, full, name, option):
-    process = started(name, option, folder=runs, stdout=full)
+@GONE
+def test_help_that_cannot_be_written_is_not_given(runs, name, option, kind, code, complaint):
+    with gone(kind) as output:
+        process = started(name, option, folder=runs, stdout=output)
     _, err = process.communicate(timeout=DEADLINE)
-    assert (process.returncode, err) == (1, f"{FULL}\n")
-    reading, writing = os.pipe()
-    os.close(reading)
-    process = started(name, option, folder=runs, stdout=writing)
-    os.close(writing)
-    _, err = process.communicate(timeout=DEADLINE)
-    assert process.returncode == 128 + signal.SIGPIPE
-    assert err == "error: nobody reads the output any more\n"
+    assert (process.returncode, err) == (code, f"{complaint}\n")
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_complaint_that_cannot_be_written_leaves_its_exit_code(runs, full, name):
-    process = started(name, "--unknown", folder=runs, stdout=full, stderr=full)
+def test_a_complaint_that_cannot_be_written_leaves_its_exit_code(runs, name):
+    with gone("full") as output:
+        process = started(name, "--unknown", folder=runs, stdout=output, stderr=output)
     assert process.wait(DEADLINE) == 2
 
 

@@ -1,6 +1,7 @@
 """Studies of systems that know nothing of the tuner: signals, their metrics, and runs."""
 
 import pytest
+from drive_text import refusal
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
@@ -56,14 +57,6 @@ def put(value, *path):
     else:
         inner[path[-1]] = value
     return changed
-
-
-def refusal(changed):
-    with pytest.raises(StudyError) as caught:
-        study_from_mapping(changed)
-    text = str(caught.value)
-    assert "\n" not in text
-    return text
 
 
 def test_what_is_read():

@@ -1,16 +1,10 @@
 """The servo, at work in a thread, and a backend that is attached to it."""
 
-import contextlib
-import os
 import threading
 from pathlib import Path
 
 import pytest
-import rclpy
-from rclpy._rclpy_pybind11 import RCLError
-from rclpy.context import Context
-from rclpy.exceptions import InvalidHandle
-from rclpy.executors import SingleThreadedExecutor
+from node_threads import at_work
 from rclpy.node import Node
 from servo import System, study
 from std_msgs.msg import Float64
@@ -25,32 +19,13 @@ from bo_tuner.errors import StudyError
 @pytest.fixture(scope="module")
 def machine():
     """The system, at work in a thread, and a node whose services nobody serves."""
-    context = Context()
-    rclpy.init(context=context, domain_id=int(os.environ["ROS_DOMAIN_ID"]))
-    system, idle = System(context), Node("idle", context=context)
-    idle.create_service(Trigger, "hang", lambda request, response: response)
-    idle.create_publisher(Float64, "twice", 10)
-    system.create_publisher(Float64, "twice", 10)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(system)
-    stop = threading.Event()
-
-    def spin():
-        while not stop.is_set():
-            # To rclpy it is an error if a client or a node has left in this moment.
-            with contextlib.suppress(RCLError, InvalidHandle):
-                executor.spin_once(timeout_sec=0.05)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    system.executor_of_thread = executor
-    yield system
-    stop.set()
-    thread.join()
-    executor.shutdown()
-    for node in (system, idle):
-        node.destroy_node()
-    context.try_shutdown()
+    with at_work(System) as system:
+        idle = Node("idle", context=system.context)
+        idle.create_service(Trigger, "hang", lambda request, response: response)
+        for node in (system, idle):
+            node.create_publisher(Float64, "twice", 10)
+        yield system
+        idle.destroy_node()
 
 
 @pytest.fixture
@@ -63,7 +38,7 @@ def system(machine):
 @pytest.fixture
 def join(machine):
     """Function that makes a node and lets it work beside the system."""
-    executor, nodes = machine.executor_of_thread, []
+    executor, nodes = machine.executor, []
 
     def make(cls, *arguments):
         nodes.append(cls(*arguments, context=machine.context))
