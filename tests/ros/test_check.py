@@ -4,10 +4,14 @@ import json
 
 import pytest
 from commands import Fork, finish
+from in_process import call
 from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from std_msgs.msg import Float64
+
+from bo_tuner.backends.ros import preparation, steps
+from bo_tuner.cli import tune
 
 pytestmark = pytest.mark.ros
 
@@ -41,7 +45,7 @@ def servo():
         yield node
 
 
-def study(tmp_path, **changes):
+def write_study(tmp_path, **changes):
     node = {"node": "servo"}
     sections = {
         "parameters": {
@@ -68,6 +72,10 @@ def study(tmp_path, **changes):
         "budget": {"trials": 3, "initial_trials": 2, "drawn_contexts": 1, "validation_draws": 2},
     }
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
+
+
+def study(tmp_path, **changes):
+    write_study(tmp_path, **changes)
     return finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
 
 
@@ -117,9 +125,12 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
     assert "note: parameters.weights" not in out
 
 
-def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path):
+def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypatch, capsys):
     """One for each kind of step, beside a mistake in a signal."""
-    code, _, err = study(
+    # What is there is known by now; what is not is waited for, one after the other.
+    for module in (preparation, steps):
+        monkeypatch.setattr(module, "CONNECT_TIMEOUT", 1.0)
+    write_study(
         tmp_path,
         signals={"torque": {"topic": "/torque", "field": "data"}},
         run={
@@ -136,6 +147,7 @@ def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path):
             "clock": "sim",
         },
     )
+    code, _, err = call(tune, capsys, "--check", tmp_path / "servo.yaml")
     assert code == 2
     *lines, count = err.splitlines()
     assert count == "8 found; nothing was set"
