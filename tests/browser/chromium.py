@@ -153,7 +153,7 @@ class Chromium:
             raise BrowserError(json.dumps(answer["exceptionDetails"])[:2000])
         return answer["result"].get("value")
 
-    def wait_for(self, expression: str, timeout: float = 60.0) -> None:
+    def wait_for(self, expression: str, timeout: float = 120.0) -> None:
         """Wait until an expression is true."""
         end = time.monotonic() + timeout
         while not self.evaluate(expression):
@@ -186,7 +186,7 @@ class Chromium:
                     raise BrowserError(f"{method}: {answer['error']}")
                 return answer["result"]
 
-    def _wait(self, event: str, timeout: float = 60.0) -> None:
+    def _wait(self, event: str, timeout: float = 120.0) -> None:
         end = time.monotonic() + timeout
         while not any(seen["method"] == event for seen in self._events):
             self._receive(end, event)
