@@ -9,10 +9,11 @@ import struct
 from dataclasses import replace
 
 import pytest
-from axis import node, write_study
-from commands import Fork, finish, run
+from axis import node
+from command_runs import Runs
+from commands import finish, run
 from functions import planned
-from waiting import count_in, wait_until
+from waiting import wait_until
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
@@ -23,53 +24,14 @@ from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import summary_from_record, with_summary
 
-RESULTS = ("trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
-
-
-class Runs:
-    """Runs of the command on a small object; each counts its evaluations in a file of its own."""
-
-    def __init__(self, folder, study):
-        self.folder = folder
-        error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
-        self.study = write_study(folder, study, error=error, peak="self.load * self.gain")
-
-    def start(self, name, *arguments, kill=0):
-        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
-        return Fork("tune", *arguments, folder=self.folder, env=environment)
-
-    def run(self, name, *arguments, kill=0):
-        return finish(self.start(name, *arguments, kill=kill))
-
-    def begin(self, name, kill=0):
-        arguments = ("--study", self.study, "--backend", "inprocess", "--output", name)
-        return self.run(name, *arguments, kill=kill)
-
-    def resume(self, name, *arguments, kill=0):
-        return self.run(name, "--resume", self.latest(name), *arguments, kill=kill)
-
-    def latest(self, name):
-        return self.folder / name / "latest"
-
-    def copy(self, name, new):
-        """Copy a run's folder, so that the copy may be changed."""
-        shutil.copytree(self.latest(name), self.folder / new / "run")
-        self.latest(new).symlink_to("run")
-
-    def evaluations(self, name):
-        return count_in(self.folder / f"{name}.evaluations")
-
-    def results(self, name):
-        summary = json.loads((self.latest(name) / "summary.json").read_text())
-        files = [(self.latest(name) / file).read_bytes() for file in RESULTS]
-        return [summary, *files]
-
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
     seed = {"node": "axis", "parameter": "seed"}
     study = make_study(nodes=node("counting_axis"), seed_parameter=seed)
-    return Runs(tmp_path_factory.mktemp("runs"), study)
+    error = "25 * (self.gain - 0.3) ** 2 + self.load * (1 + 0.001 * (self.seed % 100))"
+    folder = tmp_path_factory.mktemp("runs")
+    return Runs(folder, study, error=error, peak="self.load * self.gain")
 
 
 @pytest.fixture(scope="module")

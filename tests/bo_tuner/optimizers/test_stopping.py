@@ -3,10 +3,10 @@
 import json
 import signal
 
-import commands
 import numpy as np
 import pytest
-from axis import node, write_study
+from axis import node
+from command_runs import Runs
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
@@ -173,32 +173,20 @@ def test_the_gain_is_the_largest_improvement_on_a_dense_grid(make_study, make_tr
     assert found.noise == pytest.approx((models.objective.noise_variance / 5) ** 0.5, rel=0.05)
 
 
-class Runs:
-    """Runs of the command on an object for which all parameter sets are equal."""
-
-    def __init__(self, folder, study):
-        self.folder = folder
-        write_study(folder, study, error="5.0 + self.load")
-
-    def run(self, name, *arguments, kill=0):
-        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
-        return commands.run("tune", *arguments, folder=self.folder, env=environment)
-
-    def begin(self, name, kill=0):
-        arguments = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
-        return self.run(name, *arguments, "--stop-early", kill=kill)
+STOP = ("--stop-early",)
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
+    """Of an object for which all parameter sets are equal."""
     study = make_study(nodes=node("flat_axis"), budget=BUDGET)
-    return Runs(tmp_path_factory.mktemp("flat"), study)
+    return Runs(tmp_path_factory.mktemp("flat"), study, error="5.0 + self.load")
 
 
 @pytest.fixture(scope="module")
 def whole(runs):
     """A run that nothing disturbed, and its folder."""
-    code, _, err = runs.begin("whole")
+    code, _, err = runs.begin("whole", *STOP)
     assert code == 0, err
     return err, runs.folder / "whole" / "latest"
 
@@ -222,13 +210,11 @@ class TestStopEarly:
         _, folder = whole
         evaluations = len(read_journal(folder / "journal.sqlite").evaluations)
         name = f"killed-{moment}"
-        code, _, _ = runs.begin(name, kill=round(moment * evaluations))
+        code, _, _ = runs.begin(name, *STOP, kill=round(moment * evaluations))
         assert code == -signal.SIGKILL
-        code, _, err = runs.run(name, "--resume", f"{name}/latest")
+        code, _, err = runs.resume(name)
         assert code == 0, err
-        again = runs.folder / name / "latest"
-        for file in ("summary.json", "trials.csv", "evaluations.csv", "best.yaml"):
-            assert (again / file).read_bytes() == (folder / file).read_bytes()
+        assert runs.results(name) == runs.results("whole")
 
 
 def test_advice_and_optimizer_start_their_search_from_the_feasible_points(

@@ -1,0 +1,45 @@
+"""Runs of the command `tune` on a small object, which are killed, resumed and compared."""
+
+import shutil
+
+from axis import write_study
+from commands import Fork, finish
+from waiting import count_in
+
+RESULTS = ("summary.json", "trials.csv", "evaluations.csv", "best.yaml", "study.yaml")
+
+
+class Runs:
+    """Runs of the command on a small object; each counts its evaluations in a file of its own."""
+
+    def __init__(self, folder, study, **expressions):
+        self.folder = folder
+        self.study = write_study(folder, study, **expressions)
+
+    def start(self, name, *arguments, kill=0):
+        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
+        return Fork("tune", *arguments, folder=self.folder, env=environment)
+
+    def run(self, name, *arguments, kill=0):
+        return finish(self.start(name, *arguments, kill=kill))
+
+    def begin(self, name, *arguments, kill=0):
+        new = ("--study", self.study, "--backend", "inprocess", "--output", name)
+        return self.run(name, *new, *arguments, kill=kill)
+
+    def resume(self, name, *arguments, kill=0):
+        return self.run(name, "--resume", self.latest(name), *arguments, kill=kill)
+
+    def latest(self, name):
+        return self.folder / name / "latest"
+
+    def copy(self, name, new):
+        """Copy a run's folder, so that the copy may be changed."""
+        shutil.copytree(self.latest(name), self.folder / new / "run")
+        self.latest(new).symlink_to("run")
+
+    def evaluations(self, name):
+        return count_in(self.folder / f"{name}.evaluations")
+
+    def results(self, name):
+        return [(self.latest(name) / file).read_bytes() for file in RESULTS]
