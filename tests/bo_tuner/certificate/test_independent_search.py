@@ -9,14 +9,19 @@ import pytest
 from bo_tuner.certificate.independent_search import (
     APART,
     CANDIDATES,
+    SPREAD_EVALUATIONS,
     find_worst_contexts,
-    most_evaluations,
+    most_searched,
 )
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, TruncatedNormal, Uniform
 
 FACTOR = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 PLANE = ContextSpace({"stiffness": FACTOR, "damping": FACTOR})
+
+
+OPEN = math.nan
+"""A limit of which it is never clear whether it is kept, so that the search is a whole one."""
 
 
 class Metric:
@@ -33,11 +38,11 @@ class Metric:
         return float(self.function(**context) + self.noise * self.rng.standard_normal())
 
 
-def search(space, metric, draws=50, known=()):
+def search(space, metric, draws=50, known=(), limit=OPEN):
     rng = np.random.default_rng(5)
     drawn = [space.to_dict(row) for row in space.draw(draws, rng)]
     seen = [(context, metric.function(**context)) for context in drawn]
-    return find_worst_contexts(space, metric, seen, known, rng)
+    return find_worst_contexts(space, metric, seen, known, limit, rng)
 
 
 def bump(stiffness, damping, at, width):
@@ -62,7 +67,7 @@ class TestSearch:
                 other = 0.6 * bump(stiffness, damping, (0.7, 0.7), 0.09)
                 return bump(stiffness, damping, at, 0.08) + other
 
-            contexts = find_worst_contexts(PLANE, Metric(function, 0.02), [], [], rng)
+            contexts = find_worst_contexts(PLANE, Metric(function, 0.02), [], [], OPEN, rng)
             found.append(max(function(**context) for context in contexts))
         assert sum(value > 0.9 for value in found) >= 7
 
@@ -90,7 +95,7 @@ class TestSearch:
         line = np.linspace(0.7, 1.3, 200).tolist()
         drawn = [({"stiffness": value, "damping": 1.0}, 0.0) for value in line] + [(spike, 5.0)]
         rng = np.random.default_rng(1)
-        found = find_worst_contexts(PLANE, lambda _: 0.0, drawn, [], rng)
+        found = find_worst_contexts(PLANE, lambda _: 0.0, drawn, [], OPEN, rng)
         assert any(math.dist(c.values(), spike.values()) < 1e-9 for c in found)
 
     def test_candidates_are_different_and_few(self):
@@ -103,7 +108,7 @@ class TestSearch:
     def test_no_more_evaluations_than_promised(self):
         metric = Metric(lambda stiffness, damping: math.sin(20 * stiffness) * damping)
         search(PLANE, metric, known=[{"stiffness": 1.0, "damping": 1.0}])
-        assert len(metric.calls) <= most_evaluations(PLANE, 1)
+        assert len(metric.calls) <= most_searched(PLANE, 1)
 
     def test_discrete_contexts_stay_possible(self):
         tool = Discrete(values=(1.0, 2.0, 5.0), probabilities=(0.5, 0.3, 0.2))
@@ -115,11 +120,37 @@ class TestSearch:
 
     def test_nothing_varies(self):
         assert find_worst_contexts(
-            ContextSpace({}), lambda _: 1.0, [({}, 1.0)], [{}], np.random.default_rng(0)
+            ContextSpace({}), lambda _: 1.0, [({}, 1.0)], [{}], OPEN, np.random.default_rng(0)
         ) == [{}]
-        assert most_evaluations(ContextSpace({}), 1) == 0
+        assert most_searched(ContextSpace({}), 1) == 0
 
     def test_every_evaluation_fails(self):
-        found = find_worst_contexts(PLANE, lambda _: None, [], [], np.random.default_rng(0))
+        found = find_worst_contexts(PLANE, lambda _: None, [], [], OPEN, np.random.default_rng(0))
         corners = [list(context.values()) for context in found]
         assert sorted(corners) == [[0.7, 0.7], [0.7, 1.3], [1.3, 0.7], [1.3, 1.3]]
+
+
+class TestEnd:
+    """The metric rises from 0 to 1 along the diagonal, with a noise of 0.05."""
+
+    def calls(self, limit):
+        metric = Metric(lambda stiffness, damping: (stiffness + damping - 1.4) / 1.2, 0.05)
+        rng = np.random.default_rng(5)
+        contexts = [PLANE.to_dict(row) for row in PLANE.draw(50, rng)]
+        drawn = [(context, metric(context)) for context in contexts]
+        metric.calls.clear()
+        known = [{"stiffness": 1.0, "damping": 1.0}]
+        found = find_worst_contexts(PLANE, metric, drawn, known, limit, rng)
+        assert found[0] == {"stiffness": pytest.approx(1.3), "damping": pytest.approx(1.3)}
+        return len(metric.calls)
+
+    def test_a_clear_violation_ends_it_after_the_corners(self):
+        assert self.calls(0.5) == 1 + 4
+
+    def test_a_limit_clearly_kept_ends_it_before_the_rounds(self):
+        assert self.calls(2.0) == 1 + 4 + SPREAD_EVALUATIONS
+
+    @pytest.mark.parametrize("limit", [0.98, 1.08])
+    def test_a_limit_near_the_worst_case_takes_a_whole_search(self, limit):
+        """Two standard deviations of a run may be luck, in a context that nobody looked at."""
+        assert self.calls(limit) > 1 + 4 + SPREAD_EVALUATIONS

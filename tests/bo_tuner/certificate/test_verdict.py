@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bo_tuner.certificate.certification import LEAST_DRAWS, Certification, Subject
+from bo_tuner.certificate.certification import (
+    LEAST_DRAWS,
+    Certification,
+    MostEvaluations,
+    Subject,
+    most_evaluations,
+)
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.verdict import judge, most_draws_needed
 from bo_tuner.certificate.winners_curse import training_gaps
@@ -272,6 +278,51 @@ class TestEvaluations:
         assert worst.mean.value == pytest.approx(height, rel=1e-3)
         assert worst.evaluations < 10
         assert verdict.passed is (height < LIMIT)
+
+    @pytest.mark.parametrize("height", [0.2, 0.99, 2.0])
+    def test_no_more_than_it_says_before(self, make_study, function_backend, height):
+        """Clearly kept, hardly kept (which no number of runs shows here), clearly violated."""
+        study = make_study(**PLANE)
+        rng = np.random.default_rng(3)
+
+        def function(load, wear, **_):
+            return {"error": 1.0, "peak": height * load * wear + 0.2 * rng.standard_normal()}
+
+        backend = function_backend(study, function)
+        subject = Subject("tuned", {"gain": 0.5}, ({"load": 0.9, "wear": 0.9},))
+        most = most_evaluations(study, [subject], 60)
+        # Four corners, a design of twelve, one suspected, four rounds of five; five contexts.
+        assert most == MostEvaluations(60, 4 + 12 + 1 + 20, 5 * 60)
+        assert most.total == 60 + 37 + 300
+        (found,) = Certification(study, backend, confidence=0.95).collect([subject], 60)
+        assert len(found.drawn) <= most.drawn
+        assert len(found.search) <= most.searched
+        assert sum(map(len, found.repeated)) <= most.repeated
+        assert len(backend.calls) == len(found.evaluations)
+        clear = height != 0.99
+        assert clear is (len(found.evaluations) < 100)
+
+    def test_the_most_without_contexts_and_with_two_subjects(self, make_study):
+        study = make_study(contexts={})
+        both = [Subject("default", {"gain": 0.1}), Subject("tuned", {"gain": 0.5})]
+        assert most_evaluations(study, both, 40) == MostEvaluations(80, 0, 80)
+        assert most_evaluations(make_study(**CHANCE), both, 40) == MostEvaluations(80, 0, 0)
+
+    def test_a_failure_in_the_search_ends_it(self, make_study, function_backend, failed):
+        study = make_study(**PLANE)
+
+        def function(load, wear, **_):
+            if load == wear == 1.0:
+                return failed("stalled")
+            return {"error": 1.0, "peak": 0.5}
+
+        backend = function_backend(study, function)
+        (found,) = collect(study, backend, 40, tuned=0.5)
+        last = found.search[-1]
+        assert backend.calls[-1] | last.context == backend.calls[-1]
+        assert last.outcome.state is EvaluationState.FAILED
+        assert found.repeated == ()
+        assert not judge(study, found, 0.95).passed
 
     def test_nothing_varies(self, make_study, function_backend):
         study = make_study(contexts={})

@@ -92,8 +92,19 @@ class TestVerdict:
         assert code == 0, err
         assert out.startswith("PASS: the tuned parameter set is shown to keep all limits\n")
         assert f"certificate: {folder}/certificates/0001.json" in out
-        # One line for each phase, since this is no terminal.
-        assert [line.split(":")[0] for line in err.splitlines()] == [
+        # What it takes at most, then one line for each phase, since this is no terminal.
+        most, *phases = err.splitlines()
+        told = re.fullmatch(
+            r"at most (\d+) evaluations \((\d+) draws, (\d+) to search for the worst contexts, "
+            r"(\d+) in these\), fewer once the verdict is clear",
+            most,
+        )
+        assert told, most
+        total, *parts = map(int, told.groups())
+        assert total == sum(parts)
+        assert parts[0] == 120
+        assert certificate(folder)["tuned"]["evaluations"] <= total
+        assert [line.split(":")[0] for line in phases] == [
             "draws", "worst case of tuned", "warning", "report", "bundle",
         ]  # fmt: skip
         found = certificate(folder)

@@ -1,6 +1,6 @@
 """The evaluations of a certificate: common fresh draws, then the worst contexts of each subject.
 
-They end as soon as the verdict is clear.
+They end as soon as the verdict is clear; `most_evaluations` says when at the latest.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +13,9 @@ from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.independent_search import (
     CANDIDATES,
     find_worst_contexts,
-    most_evaluations,
+    most_searched,
 )
-from bo_tuner.certificate.verdict import decide_context, decide_draws
+from bo_tuner.certificate.verdict import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
@@ -50,6 +50,41 @@ class Subject:
     name: str
     parameters: Mapping[str, Value]
     suspected: tuple[Mapping[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class MostEvaluations:
+    """Largest number of evaluations of a certificate, by their purpose.
+
+    Attributes
+    ----------
+    drawn, searched, repeated
+        In draws, in the search for the worst contexts, and in these.
+    """
+
+    drawn: int
+    searched: int
+    repeated: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.drawn + self.searched + self.repeated
+
+
+def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> MostEvaluations:
+    """Return the largest number of evaluations of `Certification.collect`; its arguments."""
+    space, constraints = study.context_space(), len(study.worst_case_constraints)
+    places = CANDIDATES if space.dimension else 1
+    return MostEvaluations(
+        drawn=len(subjects) * draws,
+        searched=constraints * sum(most_searched(space, len(s.suspected)) for s in subjects),
+        repeated=len(subjects) * constraints * places * draws,
+    )
+
+
+class _FailedError(Exception):
+    """An evaluation of a search failed: a FAIL."""
 
 
 class Certification:
@@ -148,23 +183,28 @@ class Certification:
 
         def evaluated(context: Mapping[str, float]) -> Evaluation:
             search.append(run(Stage.SEARCH, context, len(search), SEARCHED, len(search)))
+            if is_failed(search):
+                raise _FailedError
             return search[-1]
 
         self._observer.begin(
             f"worst case of {subject.name}",
             len(constraints)
             * (
-                most_evaluations(self._contexts, len(subject.suspected))
+                most_searched(self._contexts, len(subject.suspected))
                 + CANDIDATES * EXPECTED_REPEATS
             ),
         )
         rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
         candidates: list[dict[str, float]] = []
-        for constraint in constraints:
-            known = [*search, *drawn]
-            for context in self._find(constraint, evaluated, known, subject.suspected, rng):
-                if context not in candidates:
-                    candidates.append(context)
+        try:
+            for constraint in constraints:
+                known = [*search, *drawn]
+                for context in self._find(constraint, evaluated, known, subject.suspected, rng):
+                    if context not in candidates:
+                        candidates.append(context)
+        except _FailedError:
+            return Evidence(subject.parameters, tuple(drawn), tuple(search))
         repeated: list[tuple[Evaluation, ...]] = []
         for place, context in enumerate(candidates):
             here: list[Evaluation] = []
@@ -202,6 +242,7 @@ class Certification:
                 if evaluation.outcome.state is EvaluationState.COMPLETE
             ],
             suspected,
+            sign * constraint.limit,
             rng,
         )
 

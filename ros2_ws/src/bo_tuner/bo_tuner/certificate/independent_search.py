@@ -4,6 +4,10 @@ Stage two spends ten evaluations on a parameter set and starts in contexts that 
 others. A maximum that it missed is also missed by a check in the worst context that it found. Here
 the evaluations go to every corner of the box, to a space-filling design, and then to the local
 maxima of a model of all these evaluations, from many starts.
+
+`most_searched` bounds their number. The search ends before where the limit is clearly violated
+in some context, or clearly kept in all; the verdict rests on the repetitions in the contexts that
+it returns in any case.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -42,12 +46,19 @@ APART = 0.02
 """Candidates closer than this in the unit cube count as one. A maximum near a corner, and the
 corner, are two: the model is too smooth to tell which is worse."""
 
+CLEAR = 3.0
+"""Standard deviations between the mean and the limit that end a search.
+
+A violation ends it by the error of the mean in a context that was evaluated; a kept limit by that
+of a single run all over the box, which leaves room for what a model overlooks.
+"""
+
 MOST_MODELLED = 150
 """Further drawn contexts are left out of the model, whose cost grows with the cube of their
 number."""
 
 
-def most_evaluations(space: ContextSpace, known: int) -> int:
+def most_searched(space: ContextSpace, known: int) -> int:
     """Return the largest number of evaluations of `find_worst_contexts` with `known` contexts."""
     if space.dimension == 0:
         return 0
@@ -59,6 +70,7 @@ def find_worst_contexts(
     evaluate: Evaluate,
     drawn: Sequence[tuple[Mapping[str, float], float]],
     known: Sequence[Mapping[str, float]],
+    limit: float,
     rng: np.random.Generator,
 ) -> list[Context]:
     """Find contexts in which a metric may be the largest.
@@ -73,6 +85,8 @@ def find_worst_contexts(
         Contexts that are already evaluated, with the metric.
     known
         Contexts suspected to be the worst, such as stage two's.
+    limit
+        Upper limit of the metric.
     rng
         Draws the space-filling design and the starts.
 
@@ -87,11 +101,15 @@ def find_worst_contexts(
     tried = _Tried(space, drawn[:MOST_MODELLED])
     spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
     known_points = _points(space, known)
-    for point in np.vstack([space.corners(), spread, known_points]):
+    for point in np.vstack([known_points, space.corners()]):
         tried.evaluate(point, evaluate)
+    model = tried.fit(rng)
+    if model is None or not _is_violated(model, limit):
+        for point in spread:
+            tried.evaluate(point, evaluate)
     for _ in range(ROUNDS):
         model = tried.fit(rng)
-        if model is None:
+        if model is None or _is_violated(model, limit) or _is_kept(space, model, limit, rng):
             break
         for point in _local_maxima(space, model, _upper(model), rng)[:EVALUATIONS_A_ROUND]:
             tried.evaluate(point, evaluate)
@@ -148,6 +166,26 @@ class _Tried:
         return self._space.to_contexts(np.vstack([first, rest])[:CANDIDATES])
 
 
+def _is_violated(model: GaussianProcess, limit: float) -> bool:
+    """Return whether the mean clearly exceeds the limit in a context of the data."""
+    mean, variance = model.predict(model.points)
+    return bool((mean - CLEAR * np.sqrt(variance) > limit).any())
+
+
+def _is_kept(
+    space: ContextSpace, model: GaussianProcess, limit: float, rng: np.random.Generator
+) -> bool:
+    """Return whether single runs clearly keep the limit all over the box."""
+    mean, variance = model.predict(_all_over(space, model, rng))
+    upper = mean + CLEAR * np.sqrt(variance + model.noise_variance)
+    return bool((upper <= limit).all())
+
+
+def _all_over(space: ContextSpace, model: GaussianProcess, rng: np.random.Generator) -> Array:
+    """Return the points of the data, the corners and a space-filling design, (m, e)."""
+    return np.vstack([model.points, space.corners(), latin_hypercube(OTHERS, space.dimension, rng)])
+
+
 def _upper(model: GaussianProcess) -> Callable[[Array], Array]:
     def upper(x: Array) -> Array:
         mean, variance = model.predict(x)
@@ -163,9 +201,7 @@ def _local_maxima(
     rng: np.random.Generator,
 ) -> Array:
     """Distinct local maxima (m, e) of a function on the unit cube, the largest first."""
-    starts = np.vstack(
-        [model.data.x, space.corners(), latin_hypercube(OTHERS, space.dimension, rng)]
-    )
+    starts = _all_over(space, model, rng)
     best = starts[np.argsort(-function(starts), kind="stable")]
     found = [
         minimize(

@@ -111,8 +111,7 @@ def decide_draws(
         True if they show all chance constraints. False if a PASS is out of reach.
     """
     if _failed(drawn):
-        # Lost or disturbed ones can be followed by more, which end it without a verdict.
-        return None if drawn[-1].outcome.spoilt else False
+        return False if is_failed(drawn) else None
     undecided = False
     for constraint in study.constraints.values():
         events, values = _events(constraint, drawn), _values(drawn, constraint.metric)
@@ -148,7 +147,7 @@ def decide_context(
         True if they show that it holds. False if a PASS is out of reach.
     """
     if _failed(repeated):
-        return None if repeated[-1].outcome.spoilt else False
+        return False if is_failed(repeated) else None
     events, values = _events(constraint, repeated), _values(repeated, constraint.metric)
     if _refuted(constraint, events, values, confidence):
         return False
@@ -158,6 +157,14 @@ def decide_context(
         events, most, constraint.allowed, confidence
     )
     return False if hopeless else None
+
+
+def is_failed(evaluations: Sequence[Evaluation]) -> bool:
+    """Return whether failed evaluations decide the verdict: a FAIL.
+
+    Those lost or disturbed at the end can be followed by more, which end it without a verdict.
+    """
+    return bool(_failed(evaluations)) and not evaluations[-1].outcome.spoilt
 
 
 def _judge(

@@ -19,7 +19,7 @@ from bo_tuner.certificate.certificate import (
     make_certificate,
     write_certificate,
 )
-from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.certification import Certification, Subject, most_evaluations
 from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
@@ -55,6 +55,7 @@ from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.parts import ROS
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
@@ -260,6 +261,7 @@ def _certify(
     subjects = [Subject(TUNED, trial.parameters, suspected)]
     if with_default:
         subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))
+    _tell_most(study, subjects, draws, console)
     attempt = next_attempt(folder.path)
     unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
     if unfinished.evaluations:
@@ -290,6 +292,20 @@ def _certify(
     path = write_certificate(folder.path, certificate, evidence)
     unfinished.remove()
     return certificate, path
+
+
+def _tell_most(study: Study, subjects: Sequence[Subject], draws: int, console: Console) -> None:
+    """Say how many evaluations it takes at most."""
+    most = most_evaluations(study, subjects, draws)
+    parts = [f"{most.drawn} draws"]
+    if most.searched:
+        parts.append(f"{most.searched} to search for the worst contexts")
+    if most.repeated:
+        parts.append(f"{most.repeated} in these")
+    console.print(
+        f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is clear",
+        soft_wrap=True,
+    )
 
 
 class _Bar(RunObserver):
