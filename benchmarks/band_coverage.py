@@ -9,8 +9,7 @@ often
 
 - a 90 % band holds the truth, from all evaluations and from the first few alone: draws, and the
   beginning of the search, as a report on a run has them;
-- the bound behind the verdict holds the true worst mean, or the true largest probability of a
-  violation;
+- the bound behind a PASS holds the true worst mean, or the true largest probability of a violation;
 - the verdict is PASS, of parameter sets that in truth keep the limit and of others.
 
 The result goes to benchmarks/results/band_coverage.json, from which results_page.py writes a
@@ -142,12 +141,12 @@ def case(seed: int) -> dict[str, object]:
         "truth": metric.worst,
         "bands": bands,
     }
-    if constraint.worst and single:
+    if found.passed and single:
         result["violation"] = {
             "bound": max(w.violation_bound for w in constraint.worst),
             "truth": violation,
         }
-    elif constraint.worst:
+    elif found.passed:
         bound = max(w.mean.upper for w in constraint.worst)
         result["mean"] = {"bound": bound, "truth": metric.worst}
     return result
