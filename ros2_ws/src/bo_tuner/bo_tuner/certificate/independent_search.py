@@ -107,9 +107,12 @@ def find_worst_contexts(
     if model is None or not _is_violated(model, limit):
         for point in spread:
             tried.evaluate(point, evaluate)
-    for _ in range(ROUNDS):
+    for done in range(ROUNDS):
         model = tried.fit(rng)
-        if model is None or _is_violated(model, limit) or _is_kept(space, model, limit, rng):
+        if model is None or _is_violated(model, limit):
+            break
+        # A model with few data is too sure of itself until its maxima were looked at.
+        if done > 0 and _is_kept(space, model, limit, rng):
             break
         for point in _local_maxima(space, model, _upper(model), rng)[:EVALUATIONS_A_ROUND]:
             tried.evaluate(point, evaluate)
