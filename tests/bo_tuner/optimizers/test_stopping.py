@@ -13,11 +13,12 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.particle_swarm import maximise
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.bayesian import BayesianOptimization
+from bo_tuner.optimizers.ranking import rank
 from bo_tuner.optimizers.stopping import StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.tuning.loop import Tuning
 
-ALGORITHM = ALGORITHMS["IV"]
+ALGORITHM, BOUNDARY = ALGORITHMS["IV"], ALGORITHMS["boundary"]
 BUDGET = {
     "trials": 40,
     "initial_trials": 8,
@@ -34,7 +35,7 @@ def run(make_study, function_backend):
     The load, uniform in [1, 2], adds noise of the given standard deviation.
     """
 
-    def start(objective, noise, parameters=1, **budget):
+    def start(objective, noise, parameters=1, algorithm=ALGORITHM, **budget):
         numeric = {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}
         study = make_study(
             parameters={f"gain_{k}": numeric for k in range(parameters)}, budget=BUDGET | budget
@@ -44,14 +45,14 @@ def run(make_study, function_backend):
             error = objective(np.array(list(gains.values())))
             return {"error": error + noise * (load - 1.5) * 12**0.5, "peak": 0.2}
 
-        tuning = Tuning(study, function_backend(study, function), ALGORITHM)
+        tuning = Tuning(study, function_backend(study, function), algorithm)
         return study, (tuning.trials for _ in tuning)
 
     return start
 
 
-def advice_of(study, steps):
-    advisor = StopAdvisor(study, ALGORITHM)
+def advice_of(study, steps, algorithm=ALGORITHM):
+    advisor = StopAdvisor(study, algorithm)
     for trials in steps:
         if advisor.consider(trials) is not None:
             return advisor.advice
@@ -93,6 +94,32 @@ class TestAdvice:
         assert left > 1e-2
         assert advisor.advice is None
 
+    def test_with_pooled_evaluations(self, run):
+        """Where all are equal: the error is that of a run in a drawn context, over all its runs."""
+        study, steps = run(lambda gains: 5.0, noise=0.3, algorithm=BOUNDARY)
+        advisor = StopAdvisor(study, BOUNDARY)
+        for trials in steps:
+            if advisor.consider(trials):
+                break
+        advice = advisor.advice
+        assert advice is not None
+        assert advice.trials < 40
+        (answer, *_) = rank(study, trials, BOUNDARY.models)
+        expected = 0.3 / len(answer.trial.evaluations) ** 0.5
+        assert advice.noise == pytest.approx(expected, rel=0.15)
+        assert advice.expected_gain < advice.noise
+
+    def test_none_with_pooled_evaluations_as_long_as_much_is_left_to_gain(self, run):
+        study, steps = run(distance, noise=1e-3, parameters=5, algorithm=BOUNDARY, trials=20)
+        advisor = StopAdvisor(study, BOUNDARY)
+        seen = []
+        for trials in steps:
+            assert advisor.consider(trials) is None
+            if len(trials) in (10, 15):
+                seen.append((20 - len(trials), outlook(study, trials, BOUNDARY)))
+        for remaining, found in seen:
+            assert remaining * found.gain > found.noise
+
     def test_none_for_random_search_and_none_after_the_last_trial(self, run):
         study, steps = run(lambda gains: 5.0, noise=0.3, trials=10)
         assert advice_of(study, steps) is None
@@ -109,6 +136,7 @@ class TestAdvice:
             for k, g in enumerate(rng.random(12))
         ]
         assert outlook(study, trials, ALGORITHM) is None
+        assert outlook(study, trials, BOUNDARY) is None
         assert outlook(study, [make_trial(0, {"gain": 0.5})], ALGORITHM) is None
 
 
@@ -158,7 +186,6 @@ class Runs:
 
     def begin(self, name, kill=0):
         arguments = ("--study", "axis.yaml", "--backend", "inprocess", "--output", name)
-        arguments += ("--algorithm", "IV")
         return self.run(name, *arguments, "--stop-early", kill=kill)
 
 

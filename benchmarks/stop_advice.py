@@ -1,0 +1,126 @@
+"""What the trials gain that the advice to stop would have spared.
+
+    python benchmarks/stop_advice.py
+
+Each run optimizes a robust problem with a known optimum (`tuning_benchmark.problems.closed_form`)
+up to its budget. Where the advice to stop is given, the answer is also settled from the trials up
+to then, as `tune --stop-early` does. The realised gain is the difference of the true expected costs
+of both answers; beside it stands the gain that the advice expected of the models. The result goes
+to benchmarks/results/stop_advice.json, from which results_page.py writes a section of
+docs/performance.md.
+"""
+
+import argparse
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+from common import RESULTS, provenance, table, write_result
+from threadpoolctl import threadpool_limits
+
+from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
+from bo_tuner.optimizers.stopping import StopAdvisor
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Trial, count_evaluations
+from bo_tuner.tuning.loop import Tuning
+from bo_tuner.tuning.recommendation import recommend
+from bo_tuner.tuning.settling import most_repetitions, settle
+from tuning_benchmark.problems.closed_form import CONSTANT, LIMIT, ClosedForm
+
+PROBLEM = ClosedForm(parameters=2, contexts=1, noise=CONSTANT)
+TRIALS = 40
+
+
+def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str, object] | None:
+    """Settle the answer from trials, and return its true cost and worst mean; None without one."""
+    backend = InProcessBackend(study)
+    backend.open()
+    if algorithm.models.pooled:
+        most = most_repetitions(study, count_evaluations(trials))
+        found = settle(study, backend, trials, algorithm.models, most=most)
+    else:
+        most = algorithm.most_checked
+        found = recommend(study, backend, trials, algorithm.models, most_checked=most)
+    backend.close()
+    if found is None:
+        return None
+    point = PROBLEM.point(found.candidate.trial.parameters)
+    worst, _ = PROBLEM.worst(point)
+    return {
+        "trial": found.candidate.trial.number,
+        "shown_feasible": found.candidate.believed_feasible,
+        "cost": float(PROBLEM.cost(point)),
+        "worst": worst,
+    }
+
+
+def run(name: str, seed: int) -> dict[str, object]:
+    """Optimize once, and compare the answers with and without the advice."""
+    study, algorithm = PROBLEM.study(), ALGORITHMS[name]
+    study = replace(study, seed=seed, budget=replace(study.budget, trials=TRIALS))
+    backend = InProcessBackend(study)
+    backend.open()
+    advisor, tuning = StopAdvisor(study, algorithm), Tuning(study, backend, algorithm)
+    for _ in tuning:
+        advisor.consider(tuning.trials)
+    backend.close()
+    whole = answer(study, algorithm, tuning.trials)
+    result: dict[str, object] = {"seed": seed, "algorithm": name, "whole": whole, "advice": None}
+    if advisor.advice is not None:
+        stopped = answer(study, algorithm, tuning.trials[: advisor.advice.trials])
+        result |= {"advice": asdict(advisor.advice), "stopped": stopped}
+        result["gain"] = None if None in (whole, stopped) else stopped["cost"] - whole["cost"]
+    return result
+
+
+def summarize(runs: list[dict[str, object]]) -> dict[str, object]:
+    """Compare expected and realised gains over the runs with an advice."""
+    advised = [r for r in runs if r.get("gain") is not None]
+    summary: dict[str, object] = {"runs": len(runs), "advised": len(advised)}
+    if not advised:
+        return summary
+    gains = np.array([r["gain"] for r in advised])
+    expected = np.array([r["advice"]["expected_gain"] for r in advised])
+    noise = np.array([r["advice"]["noise"] for r in advised])
+    return summary | {
+        "trials": float(np.median([r["advice"]["trials"] for r in advised])),
+        "expected": float(np.median(expected)),
+        "realised": float(np.median(gains)),
+        "largest_realised": float(gains.max()),
+        "noise": float(np.median(noise)),
+        "within_expected": int((gains <= expected).sum()),
+        "within_noise": int((gains <= noise).sum()),
+        "feasible_stopped": sum(r["stopped"]["worst"] <= LIMIT for r in advised),
+        "feasible_whole": sum(r["whole"]["worst"] <= LIMIT for r in advised),
+    }
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=20, help="(default: %(default)s)")
+    parser.add_argument("--first", type=int, default=1, help="first seed (default: %(default)s)")
+    parser.add_argument("--algorithms", nargs="+", default=["boundary"], choices=list(ALGORITHMS))
+    parser.add_argument("--result", type=Path, default=RESULTS / "stop_advice.json")
+    arguments = parser.parse_args()
+    seeds = list(range(arguments.first, arguments.first + arguments.seeds))
+    about = provenance() | {"seeds": seeds}
+    runs = []
+    with threadpool_limits(1):
+        for name in arguments.algorithms:
+            for seed in seeds:
+                runs.append(run(name, seed))
+                print(runs[-1], flush=True)
+    found = {
+        name: summarize([r for r in runs if r["algorithm"] == name])
+        for name in arguments.algorithms
+    }
+    best = {"problem": PROBLEM.name, "trials": TRIALS, "optimum": PROBLEM.best}
+    write_result(arguments.result, {"provenance": about} | best | {"summary": found, "runs": runs})
+    for name, summary in found.items():
+        print(table([name, ""], [[key, value] for key, value in summary.items()]), "\n")
+
+
+if __name__ == "__main__":
+    main()
