@@ -9,7 +9,9 @@ import pytest
 from bo_tuner.certificate.independent_search import (
     APART,
     CANDIDATES,
+    DISTINCT,
     EVALUATIONS_A_ROUND,
+    ROUNDS,
     SPREAD_EVALUATIONS,
     find_worst_contexts,
     most_searched,
@@ -71,6 +73,17 @@ class TestSearch:
             contexts = find_worst_contexts(PLANE, Metric(function, 0.02), [], [], OPEN, rng)
             found.append(max(function(**context) for context in contexts))
         assert sum(value > 0.9 for value in found) >= 7
+
+    def test_a_round_looks_at_other_contexts_than_the_one_maximum(self):
+        """On a plane that is the same corner in each round."""
+        metric = Metric(lambda stiffness, damping: stiffness + damping, 0.01)
+        search(PLANE, metric)
+        rounds = PLANE.to_cube([list(c.values()) for c in metric.calls[4 + SPREAD_EVALUATIONS :]])
+        assert len(rounds) == ROUNDS * EVALUATIONS_A_ROUND
+        for k in range(0, len(rounds), EVALUATIONS_A_ROUND):
+            together = rounds[k : k + EVALUATIONS_A_ROUND]
+            for one, other in itertools.combinations(together, 2):
+                assert np.abs(one - other).max() > DISTINCT
 
     def test_a_corner_beside_the_maximum_of_the_model(self):
         """Which of the two is the worse one takes more than a smooth model to tell."""

@@ -2,8 +2,10 @@
 
 Stage two spends ten evaluations on a parameter set and starts in contexts that were the worst for
 others. A maximum that it missed is also missed by a check in the worst context that it found. Here
-the evaluations go to every corner of the box, to a space-filling design, and then to the local
-maxima of a model of all these evaluations, from many starts.
+the evaluations go to every corner of the box, to a space-filling design, and then to where a model
+of all these evaluations does not exclude the largest value: the local maxima of its upper bound,
+from many starts, and the next largest of it elsewhere. Local maxima alone are often one, again and
+again the same, and a model that is too smooth never looks beside it.
 
 `most_searched` bounds their number. The search ends before where the limit is clearly violated
 in some context, or clearly kept in all; the verdict rests on the repetitions in the contexts that
@@ -28,7 +30,10 @@ SPREAD_EVALUATIONS = 12
 """Evaluations of the space-filling design, a Latin hypercube."""
 
 ROUNDS, EVALUATIONS_A_ROUND = 4, 5
-"""Rounds of local searches, and the largest number of maxima evaluated after each."""
+"""Rounds of local searches, and the largest number of contexts evaluated after each."""
+
+UPPER = 2.0
+"""Standard deviations from the mean to the upper bound of which the maxima are searched."""
 
 STARTS = 10
 """Local searches per round, from the contexts with the largest predictions."""
@@ -114,7 +119,11 @@ def find_worst_contexts(
         # A model with few data is too sure of itself until its maxima were looked at.
         if done > 0 and _is_kept(space, model, limit, rng):
             break
-        for point in _local_maxima(space, model, _upper(model), rng)[:EVALUATIONS_A_ROUND]:
+        upper = _upper(model)
+        maxima = _local_maxima(space, model, upper, rng)
+        others = space.to_cube(space.to_contexts(_all_over(space, model, rng)))
+        others = others[np.argsort(-upper(others), kind="stable")]
+        for point in _distinct([*maxima, *others])[:EVALUATIONS_A_ROUND]:
             tried.evaluate(point, evaluate)
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
@@ -192,7 +201,7 @@ def _all_over(space: ContextSpace, model: GaussianProcess, rng: np.random.Genera
 def _upper(model: GaussianProcess) -> Callable[[Array], Array]:
     def upper(x: Array) -> Array:
         mean, variance = model.predict(x)
-        return mean + np.sqrt(variance)
+        return mean + UPPER * np.sqrt(variance)
 
     return upper
 
