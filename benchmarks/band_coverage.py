@@ -17,13 +17,11 @@ section of docs/performance.md. Seeds up to 2000, and from 100001 on, were used 
 those of the result were not.
 """
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 from scipy.stats import binomtest, norm
 from synthetic_responses import Response, largest, response
 from threadpoolctl import threadpool_limits
@@ -45,6 +43,9 @@ MARGINS = (-1.0, -0.3, 0.3, 1.0, 3.0)
 """From the worst case to the limit, in standard deviations of the noise there."""
 
 ALL, FEW = "all evaluations", "few evaluations"
+WORST = "worst mean"
+"""The band of which each single one is in the result."""
+
 FEW_DRAWS, FEW_SEARCHED = 25, 10
 """Draws and evaluations of the search that are the few."""
 
@@ -164,7 +165,7 @@ def _bands(
         return float(metric.mean(u[None])[0])
 
     bands = [
-        ("worst mean", found.worst, metric.worst),
+        (WORST, found.worst, metric.worst),
         ("nominal mean", found.nominal, mean(nominal)),
     ]
     for variable in found.variables:
@@ -207,7 +208,7 @@ def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
     """Count how often each band and bound holds the truth."""
     bands: dict[str, dict[str, object]] = {}
     for source in (ALL, FEW):
-        for name in ("worst mean", "nominal mean", "relief", "drift"):
+        for name in (WORST, "nominal mean", "relief", "drift"):
             chosen = [
                 (c, b) for c in cases for b in c["bands"] if b["of"] == name and b["from"] == source
             ]
@@ -238,16 +239,17 @@ def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
 
 def main() -> None:
     """Count and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "band_coverage.json")
     parser.add_argument("--cases", type=int, default=200, help="(default: %(default)s)")
     parser.add_argument("--first", type=int, default=2001, help="first seed (default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "band_coverage.json")
     arguments = parser.parse_args()
     seeds = list(range(arguments.first, arguments.first + arguments.cases))
     about = provenance() | {"seeds": seeds}
     with threadpool_limits(1):
         cases = [case(seed) for seed in seeds]
     found = summarize(cases)
+    for item in cases:
+        item["bands"] = [band for band in item["bands"] if band["of"] == WORST]
     write_result(arguments.result, {"provenance": about, "summary": found, "cases": cases})
     for name, part in found.items():
         header = list(next(iter(part.values())))

@@ -10,12 +10,10 @@ to benchmarks/results/stop_advice.json, from which results_page.py writes a sect
 docs/performance.md.
 """
 
-import argparse
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -98,11 +96,10 @@ def summarize(runs: list[dict[str, object]]) -> dict[str, object]:
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "stop_advice.json")
     parser.add_argument("--seeds", type=int, default=20, help="(default: %(default)s)")
     parser.add_argument("--first", type=int, default=1, help="first seed (default: %(default)s)")
     parser.add_argument("--algorithms", nargs="+", default=["boundary"], choices=list(ALGORITHMS))
-    parser.add_argument("--result", type=Path, default=RESULTS / "stop_advice.json")
     arguments = parser.parse_args()
     seeds = list(range(arguments.first, arguments.first + arguments.seeds))
     about = provenance() | {"seeds": seeds}
