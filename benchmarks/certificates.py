@@ -125,7 +125,7 @@ def main() -> None:
     rows = []
     for name, case_name in CASES:
         experiment = load_experiment(name)
-        (case,) = (case for case in experiment.cases if case.name == case_name)
+        case = experiment.cases[case_name]
         truth = truth_of(case.study, experiment.judge)
         runs = []
         for seed, answer in answers(arguments.records, name, case_name):
