@@ -62,8 +62,9 @@ def suggestion_section(result: Result) -> str:
             "## Time of a suggestion",
             origin(result),
             "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
-            "that of `boundary` and of IV (median and range over the turns); "
-            "`benchmarks/suggestion_time.py` tells the set-up.",
+            "that of `boundary` and of IV (median and range over the turns). The models of "
+            "`boundary` have all six evaluations of each trial as their data, those of the others "
+            "means and worst cases. `benchmarks/suggestion_time.py` tells the set-up.",
             table(["trials", "optimizer", "to boundary", "to IV"], rows),
             f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
             f"the medians: {growth}.",
