@@ -16,8 +16,6 @@ from tuning_benchmark.pages.field_figure import field_figure
 from tuning_benchmark.pages.summary import Record, RowSummary, summarise
 
 FOLDER = "figures"
-MOST_BRIEF = 10
-"""Lines at the head of the page."""
 
 LEGEND = """\
 How to read the tables. *Held in validation*: the run called its answer feasible, and 25 fresh
@@ -118,7 +116,7 @@ def markdown(parts: Sequence[Section], title: str, introduction: str) -> str:
     brief = [f"- {part.brief}" for part in parts if part.brief]
     text = [f"# {title}"]
     if brief:
-        text += ["What was found, case by case:", "\n".join(brief[:MOST_BRIEF])]
+        text += ["What was found, case by case:", "\n".join(brief)]
     text += [introduction.strip(), LEGEND.strip()]
     for part in parts:
         text += [f"## {part.title}", part.text.strip()]
