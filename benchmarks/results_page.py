@@ -126,6 +126,8 @@ def ablations_section(result: Result) -> str:
         "95 % interval.",
     ]
     for case in result["cases"].values():
+        if len(case["variants"]) < 2:
+            continue
         rows = []
         for title, found in case["variants"].items():
             pairs = f"{found['only']} : {found['only_shipped']} (p = {found['mcnemar']:.2g})"
