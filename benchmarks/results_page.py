@@ -92,6 +92,9 @@ def certificates_section(result: Result) -> str:
         for which in ("answer", "infeasible")
         if (found := case[which])
     ]
+    runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
+    wrong = [run for run in runs if not run["feasible"]]
+    passed = sum(run["answer"]["passed"] for run in runs if run["feasible"])
     return "\n\n".join(
         [
             "## Certificates",
@@ -99,7 +102,9 @@ def certificates_section(result: Result) -> str:
             "The answers that `boundary` called feasible in the published campaigns, certified by "
             "the study's default certificate, and beside each a parameter set that is truly "
             "infeasible by as little as bisection finds. The interval is that of Clopper and "
-            "Pearson, 95 %.",
+            f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
+            f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
+            f"{sum(run['answer']['passed'] for run in wrong)} pass.",
             table(
                 [
                     "problem",
