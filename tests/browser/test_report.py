@@ -32,7 +32,7 @@ def test_every_panel_is_drawn_without_an_error(chromium, feed_axis_page, theme):
     browser = opened(chromium, feed_axis_page, theme=theme)
     drawn = browser.evaluate(
         "[...document.querySelectorAll('figure')].map(f => [f.id, "
-        "JSON.parse(f.querySelector('script').textContent).length, "
+        "JSON.parse(f.querySelector('script').textContent).panels.length, "
         "f.querySelectorAll('.plot .plot-container').length])"
     )
     names = {name.removeprefix("figure-") for name, _, _ in drawn}
@@ -65,6 +65,26 @@ def test_the_numbers_shown_are_those_of_the_journal(chromium, feed_axis_page, fe
     best = record.trials[record.summary["trial"]].parameters
     assert cells["lambda_mpc"][1] == f"{best['lambda_mpc']:.4g}"
     assert cells["control_horizon"][1] == str(best["control_horizon"])
+
+
+def test_a_point_tells_of_its_own_trial(chromium, feed_axis_page, feed_axis_run):
+    """The panels of a figure share their texts."""
+    browser = opened(chromium, feed_axis_page)
+    shown = browser.evaluate(
+        "[...document.querySelectorAll('#figure-slices .plot')].map(p => p.data.flatMap(t => "
+        "(t.hovertext || []).map((text, k) => [text, t.x[k]])))"
+    )
+    trials = {trial.number: trial for trial in read_run(feed_axis_run).trials}
+    tuned = read_run(feed_axis_run).study.search_space().names
+    seen = 0
+    for points in filter(None, shown):
+        numbered = [(int(re.match(r"trial (\d+)", text)[1]), x) for text, x in points]
+        assert any(
+            all(x == pytest.approx(trials[n].parameters[name], rel=1e-4) for n, x in numbered)
+            for name in tuned
+        )
+        seen += 1
+    assert seen >= len(tuned)
 
 
 def test_a_legend_hides_and_shows(chromium, feed_axis_page):

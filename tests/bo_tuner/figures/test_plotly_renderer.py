@@ -20,7 +20,7 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, DIVERGING, LIGHT
-from bo_tuner.figures.plotly_renderer import panel_data, resolve
+from bo_tuner.figures.plotly_renderer import figure_data, panel_data, resolve
 
 
 def panel_of(*elements):
@@ -62,6 +62,23 @@ def test_texts_are_no_markup():
     assert trace["name"] == "&lt;b&gt;a&lt;/b&gt; &amp; b"
     assert trace["hovertext"] == ["&lt;i&gt;one&lt;/i&gt;<br>two"]
     assert data["layout"]["shapes"][0]["name"] == "&lt;u&gt;"
+
+
+def test_panels_share_the_texts_of_a_figure():
+    points = [Points(x=[0.0, 1.0], y=[2.0, 3.0], hover=hover) for hover in (["a", "b"], ["b", "c"])]
+    bare = Points(x=[0.0], y=[2.0])
+    figure = Figure(
+        name="f",
+        title="F",
+        caption="",
+        alternative="",
+        panels=[panel_of(points[0]), panel_of(bare, points[1])],
+    )
+    data = figure_data(figure)
+    assert data["texts"] == ["a", "b", "c"]
+    (first,), (none, second) = (panel["data"] for panel in data["panels"])
+    assert (first["hovertext"], second["hovertext"]) == ([0, 1], [1, 2])
+    assert "hovertext" not in none
 
 
 def test_error_bars_end_where_they_should():

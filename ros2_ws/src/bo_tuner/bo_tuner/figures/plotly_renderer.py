@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bo_tuner.figures.figure import Axis, Bars, Color, Limit, Panel, Scale
+from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Limit, Panel, Scale
 from bo_tuner.figures.plotly_traces import DASHES, Trace, text_of, traces
 
 CHARACTER = 7.0
@@ -27,6 +27,22 @@ LITTLE, MUCH = 5.0, 100.0
 
 MARGINS = 78
 """Margins above and below a panel [px]."""
+
+
+def figure_data(figure: Figure) -> dict[str, Any]:
+    """Return all panels of a figure for its page, ready for JSON.
+
+    Returns
+    -------
+    dict
+        ``panels`` are as in `panel_data`, but ``hovertext`` has places in the list ``texts``: the
+        panels of a figure show the same trials, and these texts are most of a long run's page.
+    """
+    panels = [panel_data(panel, figure.panel_height) for panel in figure.panels]
+    places: dict[str, int] = {}
+    for trace in (trace for panel in panels for trace in panel["data"] if "hovertext" in trace):
+        trace["hovertext"] = [places.setdefault(text, len(places)) for text in trace["hovertext"]]
+    return {"texts": list(places), "panels": panels}
 
 
 def panel_data(panel: Panel, height: int) -> dict[str, Any]:

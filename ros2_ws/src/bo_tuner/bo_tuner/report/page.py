@@ -17,7 +17,7 @@ from bo_tuner.errors import OutputError
 from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
-from bo_tuner.figures.plotly_renderer import panel_data
+from bo_tuner.figures.plotly_renderer import figure_data
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.sections.answer import answer
@@ -206,16 +206,12 @@ def _environment() -> Environment:
     )
     environment.filters["legend"] = legend
     environment.filters["color_bars"] = color_bars
-    environment.filters["panels"] = _panels
+    environment.filters["figure_data"] = figure_data
     return environment
 
 
 def _macros() -> Any:
     return _environment().get_template("macros.html").module
-
-
-def _panels(figure: Figure) -> list[dict[str, Any]]:
-    return [panel_data(panel, figure.panel_height) for panel in figure.panels]
 
 
 @cache

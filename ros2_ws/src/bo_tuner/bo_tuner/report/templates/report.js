@@ -36,7 +36,7 @@
     // Draws all panels in a theme, each with a `width` [px] or that of its container.
     draw(theme, width, scale = 1) {
       const palette = shades[theme];
-      const panels = JSON.parse(
+      const { texts, panels } = JSON.parse(
         this.text.replace(/"@([a-z]+)(?:\/([0-9.]+))?"/g, (_, name, opacity) =>
           JSON.stringify(shade(palette, name, opacity))
         )
@@ -44,6 +44,7 @@
       panels.forEach((panel, k) => {
         for (const item of [...panel.data, ...panel.layout.shapes]) {
           if (this.hidden.has(item.name)) item.visible = false;
+          if (item.hovertext) item.hovertext = item.hovertext.map((place) => texts[place]);
         }
         panel.layout.width = width || this.plots[k].clientWidth;
         panel.layout.height *= scale;
