@@ -15,10 +15,11 @@ from pathlib import Path
 import pytest
 import yaml
 from commands import Fork, finish, python_path
+from ros_processes import claim_domain
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.__main__ import COMMANDS as OF_TUNER
-from bo_tuner.backends.ros.isolation import DomainClaim, isolated_environment
+from bo_tuner.backends.ros.isolation import isolated_environment
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
@@ -318,8 +319,8 @@ def nodes_of_example(folder, monkeypatch, *scripts):
     """Run the nodes of an example by themselves; yields the environment to find them in."""
     for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.delenv(name, raising=False)
-    claim = DomainClaim("/docs_test")
-    environment = isolated_environment(claim.domain) | {"ROS_LOG_DIR": str(folder / "log")}
+    domain, lock = claim_domain(os.environ.get("PYTEST_XDIST_WORKER", "gw"))
+    environment = isolated_environment(domain) | {"ROS_LOG_DIR": str(folder / "log")}
     nodes, logs = [], [folder / f"{script.stem}.txt" for script in scripts]
     try:
         for script, log in zip(scripts, logs, strict=True):
@@ -346,7 +347,7 @@ def nodes_of_example(folder, monkeypatch, *scripts):
         for node in nodes:
             node.kill()
             node.wait()
-        claim.release()
+        lock.close()
 
 
 @pytest.mark.ros

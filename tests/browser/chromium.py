@@ -31,6 +31,9 @@ FLAGS = (
 TO_BROWSER, FROM_BROWSER = 3, 4
 """Descriptors that Chromium expects."""
 
+GONE = "Inspected target navigated or closed"
+"""What the protocol answers of an expression when the page is left."""
+
 
 class BrowserError(Exception):
     """The browser refused something, or said nothing in time."""
@@ -154,12 +157,20 @@ class Chromium:
         return answer["result"].get("value")
 
     def wait_for(self, expression: str, timeout: float = 120.0) -> None:
-        """Wait until an expression is true."""
+        """Wait until an expression is true, also on the page that this one goes to."""
         end = time.monotonic() + timeout
-        while not self.evaluate(expression):
+        while not self._is_true(expression):
             if time.monotonic() > end:
                 raise BrowserError(f"never true: {expression}")
             time.sleep(0.02)
+
+    def _is_true(self, expression: str) -> bool:
+        try:
+            return bool(self.evaluate(expression))
+        except BrowserError as error:
+            if GONE in str(error):
+                return False
+            raise
 
     def screenshot(self, path: Path, *, whole: bool = True) -> None:
         """Write a PNG of the page, or of what the window shows of it."""
