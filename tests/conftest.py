@@ -20,6 +20,10 @@ for folder in ("references", "harness"):
 
 importlib.import_module("reaper").guard()
 
+# Under nohup a hang-up is ignored, and every process that a test starts would inherit that; some
+# are started before the first test.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
 # Studies that tests run are trusted by the tests alone.
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
@@ -39,8 +43,8 @@ settings.load_profile("repeatable")
 def signals_of_a_terminal() -> Iterator[None]:
     """Have each test start with the handlers that a shell leaves to a command, and leave its own.
 
-    Under nohup a hang-up is ignored, and a command called in this process ignores what comes
-    after its end; every process that a test starts would inherit both.
+    A command called in this process ignores the signals that come after its end, and processes that
+    are started then would inherit that.
     """
     before = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
