@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.models import conditioning
-from bo_tuner.models.conditioning import choose_basis, condition
+from bo_tuner.models.conditioning import Prior, choose_basis
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.models.kernel import latent_covariance
 
@@ -19,6 +19,10 @@ def data():
     variances = 10.0 ** rng.uniform(-4.0, -1.0, len(x))
     mean = np.sin(6.0 * x[:, 0]) + x[:, 1] + np.sqrt(variances) * rng.standard_normal(len(x))
     return x, mean, variances
+
+
+def condition(x, mean, variances, basis=None):
+    return Prior(THETA, x, basis).condition(mean, variances)
 
 
 def smoother(covariance, variances):
@@ -50,7 +54,7 @@ def test_is_exact_with_few_points(data):
     assert choose_basis(THETA, x, data[2]) is None
     covariance = latent_covariance(THETA, x, x)
     cross = latent_covariance(THETA, QUERY, x)
-    check(condition(THETA, *data), PRIOR, cross, covariance, data, QUERY)
+    check(condition(*data), PRIOR, cross, covariance, data, QUERY)
 
 
 def test_is_that_of_the_nystroem_covariance_on_a_basis(data):
@@ -59,11 +63,11 @@ def test_is_that_of_the_nystroem_covariance_on_a_basis(data):
     with_data = latent_covariance(THETA, x, x[basis])
     cross = latent_covariance(THETA, QUERY, x[basis]) @ inverse @ with_data.T
     covariance = with_data @ inverse @ with_data.T
-    check(condition(THETA, *data, basis), PRIOR, cross, covariance, data, QUERY)
+    check(condition(*data, basis), PRIOR, cross, covariance, data, QUERY)
 
 
 def test_a_basis_of_all_points_is_exact(data):
-    exact, projected = condition(THETA, *data), condition(THETA, *data, np.arange(60))
+    exact, projected = condition(*data), condition(*data, np.arange(60))
     kernel = latent_covariance(THETA, QUERY, data[0])
     assert kernel @ projected.weights == pytest.approx(kernel @ exact.weights, abs=1e-6)
     assert ((kernel @ projected.whitening.T) ** 2).sum(axis=1) == pytest.approx(
@@ -75,7 +79,7 @@ def test_a_chosen_basis_loses_next_to_nothing(monkeypatch, data):
     monkeypatch.setattr(conditioning, "BASIS", 40)
     basis = choose_basis(THETA, data[0], data[2])
     assert len(basis) == len(set(basis.tolist())) <= 40
-    exact, projected = condition(THETA, *data), condition(THETA, *data, basis)
+    exact, projected = condition(*data), condition(*data, basis)
     kernels = [latent_covariance(THETA, QUERY, p.basis) for p in (exact, projected)]
     means = [k @ p.weights for k, p in zip(kernels, (exact, projected), strict=True)]
     variances = [

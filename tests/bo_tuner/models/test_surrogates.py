@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.models.surrogates import ModelOptions, Surrogates
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.models.surrogates import ModelOptions, Surrogates, fitted_after
+from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 
+COMPLETE = TrialState.COMPLETE
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
 GRID = np.linspace(0.0, 1.0, 9)
@@ -130,3 +131,38 @@ def test_warm_start_gives_the_same_models(study, make_trial):
     again = Surrogates.fit(study, trials, rng=np.random.default_rng(1), start=first.warm_starts)
     x = np.array([[0.33]])
     assert again.objective.predict(x)[0] == pytest.approx(first.objective.predict(x)[0], abs=1e-3)
+
+
+class TestManyTrials:
+    """Beyond a hundred trials, hyperparameters are fitted when a twentieth has been added."""
+
+    def test_fits_grow_with_the_logarithm_of_the_trials(self):
+        assert all(fitted_after(n) for n in range(1, 101))
+        due = [n for n in range(101, 100_001) if fitted_after(n)]
+        assert len(due) == int(np.log(1000.0) / np.log(1.05))
+        assert np.diff(np.log([100, *due])) == pytest.approx(np.log(1.05), abs=0.01)
+
+    @pytest.mark.parametrize("pooled", [False, True])
+    def test_between_them_the_hyperparameters_are_kept(self, study, make_trial, pooled):
+        due = next(n for n in range(101, 200) if fitted_after(n))
+        x = np.random.default_rng(0).random(due)
+        # A third has failed: their process keeps what it found, too.
+        trials = [
+            make_trial(k, {"x": v}, [1.0 + v**2, 1.01 + v**2] if v < 0.7 else [], worst=2.0 * v)
+            for k, v in enumerate(x.tolist())
+        ]
+        options = ModelOptions(pooled=pooled)
+        earlier = Surrogates.fit(
+            study, trials[:100], rng=np.random.default_rng(0), options=options
+        ).warm_starts
+        assert ("failures" in earlier) is pooled
+        first, last = (
+            Surrogates.fit(
+                study, trials[:n], rng=np.random.default_rng(0), start=earlier, options=options
+            )
+            for n in (due - 1, due)
+        )
+        assert all(first.warm_starts[name] == pytest.approx(earlier[name]) for name in earlier)
+        assert all(last.warm_starts[name] != earlier[name] for name in earlier)
+        # They are conditioned on the trials since the fit all the same.
+        assert len(first.objective.points) == sum(t.state is COMPLETE for t in trials[: due - 1])

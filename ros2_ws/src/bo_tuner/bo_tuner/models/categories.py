@@ -172,9 +172,11 @@ def coded_fit(fit: FitModel, coding: Coding) -> FitModel:
         rng: np.random.Generator,
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
+        keep: bool = False,
     ) -> Model:
         minimum = None if minimum_length_scales is None else coding.spread(minimum_length_scales)
-        inner = fit(coding.encode(x), y, rng=rng, minimum_length_scales=minimum, start=start)
+        points = coding.encode(x)
+        inner = fit(points, y, rng=rng, minimum_length_scales=minimum, start=start, keep=keep)
         return coded(inner, coding)
 
     return fit if coding.is_plain else fit_coded

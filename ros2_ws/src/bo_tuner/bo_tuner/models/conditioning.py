@@ -75,7 +75,7 @@ def choose_basis(
     Parameters
     ----------
     hyperparameters, x, variances
-        As in `condition`.
+        As in `Prior` and `Prior.condition`.
     """
     if len(x) <= BASIS:
         return None
@@ -95,14 +95,8 @@ def choose_basis(
     return np.array(rows)
 
 
-def condition(
-    hyperparameters: Hyperparameters,
-    x: Array,
-    mean: Array,
-    variances: Array,
-    basis: NDArray[np.intp] | None = None,
-) -> Posterior:
-    """Condition the prior of `bo_tuner.models.kernel` on data.
+class Prior:
+    """Prior of `bo_tuner.models.kernel` at the points of data, to be conditioned on them.
 
     Parameters
     ----------
@@ -110,49 +104,66 @@ def condition(
         Of the kernel; their noise is not used.
     x : ndarray, shape (n, d)
         Distinct points.
-    mean : ndarray, shape (n,)
-        ȳ.
-    variances : ndarray, shape (n,)
-        λ > 0.
     basis : ndarray of int, shape (m,), optional
         Rows of x; without it the posterior is exact.
     """
-    if basis is not None:
-        return _projected(hyperparameters, x, mean, variances, x[basis])
-    covariance = latent_covariance(hyperparameters, x, x)
-    covariance[np.diag_indices(len(x))] += variances
-    factor, warnings = _factor(covariance)
-    weights, _ = lapack.dpotrs(factor, mean, lower=1)
-    whitening = lapack.dtrtri(factor, lower=1)[0]
-    own = np.einsum("ij,ij->j", whitening, whitening)
-    return Posterior(x, weights, whitening, variances * weights, 1.0 - variances * own, warnings)
 
+    def __init__(
+        self, hyperparameters: Hyperparameters, x: Array, basis: NDArray[np.intp] | None = None
+    ) -> None:
+        self._basis = x if basis is None else x[basis]
+        self._exact = basis is None
+        self._covariance = latent_covariance(hyperparameters, self._basis, self._basis)
+        if not self._exact:
+            factor, self._warnings = _factor(self._covariance)
+            self._whitening = lapack.dtrtri(factor, lower=1)[0]
+            cross = latent_covariance(hyperparameters, x, self._basis)
+            self._v = cross @ self._whitening.T  # K ≈ V Vᵀ
 
-def _projected(
-    hyperparameters: Hyperparameters, x: Array, mean: Array, variances: Array, basis: Array
-) -> Posterior:
-    factor, warnings = _factor(latent_covariance(hyperparameters, basis, basis))
-    whitening = lapack.dtrtri(factor, lower=1)[0]
-    v = latent_covariance(hyperparameters, x, basis) @ whitening.T  # K ≈ V Vᵀ
-    precise = v / variances[:, None]
-    inner = v.T @ precise
-    inner[np.diag_indices(len(inner))] += 1.0
-    factor, further = _factor(inner)
-    warnings += further
-    latent, _ = lapack.dpotrs(factor, precise.T @ mean, lower=1)
-    explained = -lapack.dpotri(factor, lower=1)[0]
-    explained[np.diag_indices(len(explained))] += 1.0
-    # Its factor Fᵀ F with F lower triangular is a Cholesky factor in reversed order.
-    reverse, further = _factor(explained[::-1, ::-1].T)
-    own = lapack.dtrtrs(factor, v.T, lower=1)[0]
-    return Posterior(
-        basis,
-        whitening.T @ latent,
-        reverse[::-1, ::-1].T @ whitening,
-        mean - v @ latent,
-        np.einsum("ij,ij->j", own, own) / variances,
-        warnings + further,
-    )
+    def condition(self, mean: Array, variances: Array) -> Posterior:
+        """Condition on data.
+
+        Parameters
+        ----------
+        mean : ndarray, shape (n,)
+            ȳ.
+        variances : ndarray, shape (n,)
+            λ > 0.
+        """
+        if self._exact:
+            return self._exactly(mean, variances)
+        return self._projected(mean, variances)
+
+    def _exactly(self, mean: Array, variances: Array) -> Posterior:
+        covariance = self._covariance.copy()
+        covariance[np.diag_indices(len(mean))] += variances
+        factor, warnings = _factor(covariance)
+        weights, _ = lapack.dpotrs(factor, mean, lower=1)
+        whitening = lapack.dtrtri(factor, lower=1)[0]
+        own = np.einsum("ij,ij->j", whitening, whitening)
+        left, leverages = variances * weights, 1.0 - variances * own
+        return Posterior(self._basis, weights, whitening, left, leverages, warnings)
+
+    def _projected(self, mean: Array, variances: Array) -> Posterior:
+        v = self._v
+        precise = v / variances[:, None]
+        inner = v.T @ precise
+        inner[np.diag_indices(len(inner))] += 1.0
+        factor, warnings = _factor(inner)
+        latent, _ = lapack.dpotrs(factor, precise.T @ mean, lower=1)
+        explained = -lapack.dpotri(factor, lower=1)[0]
+        explained[np.diag_indices(len(explained))] += 1.0
+        # Its factor Fᵀ F with F lower triangular is a Cholesky factor in reversed order.
+        reverse, further = _factor(explained[::-1, ::-1].T)
+        own = lapack.dtrtrs(factor, v.T, lower=1)[0]
+        return Posterior(
+            self._basis,
+            self._whitening.T @ latent,
+            reverse[::-1, ::-1].T @ self._whitening,
+            mean - v @ latent,
+            np.einsum("ij,ij->j", own, own) / variances,
+            self._warnings + warnings + further,
+        )
 
 
 def _factor(covariance: Array) -> tuple[Array, tuple[str, ...]]:

@@ -6,6 +6,7 @@ in which runs fail counts before a parameter set has been tried there. A process
 a region; close to a parameter set that failed, its nearest neighbours decide.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -57,6 +58,7 @@ class CrashModel:
         contexts: Array,
         neighbours: NeighbourClassifier,
         rng: np.random.Generator,
+        start: Sequence[float] | None = None,
     ) -> Self:
         """Fit to runs of the parameter sets x (N, d) in the contexts c (N, e).
 
@@ -74,12 +76,22 @@ class CrashModel:
             Of the parameter sets with a failed run.
         rng
             Draws starting points of the fit.
+        start
+            `warm_start` of an earlier fit, to be kept. A new fit starts anew: a few more failures
+            can change all that an indicator says.
         """
         if not labels.any():
             return cls(labels, None, neighbours)
         indicator = np.where(labels, 1.0, -1.0)
-        process = JointProcess.fit(x, c, indicator, coding=coding, rng=rng, priors=PRIORS)
+        process = JointProcess.fit(
+            x, c, indicator, coding=coding, rng=rng, priors=PRIORS, start=start, keep=True
+        )
         return cls(labels, EveryContext(process, 0.0, contexts), neighbours)
+
+    @property
+    def warm_start(self) -> tuple[float, ...] | None:
+        """Hyperparameters for a later fit; None while no run has failed."""
+        return None if self.constraint is None else self.constraint.process.warm_start
 
     def probability(self, x: Array) -> Array:
         """Return the probability (m,) of a failed run at x (m, d)."""

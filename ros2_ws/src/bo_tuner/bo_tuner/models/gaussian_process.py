@@ -76,6 +76,7 @@ class GaussianProcess:
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
         restart: bool = False,
+        keep: bool = False,
     ) -> Self:
         """Fit the hyperparameters by maximum a posteriori and condition on the data.
 
@@ -95,6 +96,8 @@ class GaussianProcess:
             `warm_start` of an earlier fit to similar data.
         restart : bool
             Whether the fit also starts as without `start`, see `maximise_posterior`.
+        keep : bool
+            Whether the hyperparameters of `start` are kept as they are.
 
         Raises
         ------
@@ -110,12 +113,15 @@ class GaussianProcess:
             raise ValueError(f"start: expected {dimension + 2} values, found {len(start)}")
         standardisation = Standardisation.of(responses)
         data = Replicates.group(points, standardisation.apply(responses))
-        posterior = LogPosterior(data, priors)
         warm = None
         if start is not None:
+            earlier = Hyperparameters.from_log(np.array(start))
+            if keep:
+                return cls._build(earlier, standardisation, data, ())
             # The round trip through exp rounds, as it did in recorded runs: without it, the search
             # would start elsewhere and the proposals would differ.
-            warm = Hyperparameters.from_log(np.array(start)).to_log()
+            warm = earlier.to_log()
+        posterior = LogPosterior(data, priors)
         phi, warnings = maximise_posterior(posterior, box, rng, warm, restart=restart)
         return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
 

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas
 
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.conditioning import Posterior, choose_basis, condition
+from bo_tuner.models.conditioning import Posterior, Prior, choose_basis
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, correlation
@@ -115,6 +115,7 @@ class JointProcess:
         priors: Hyperpriors | None = None,
         minimum_length_scales: Array | None = None,
         start: Sequence[float] | None = None,
+        keep: bool = False,
     ) -> Self:
         """Fit the hyperparameters by maximum a posteriori and condition on the data.
 
@@ -128,11 +129,13 @@ class JointProcess:
             Responses.
         coding : Coding
             Of the parameters' columns.
-        rng, priors, start
+        rng, priors, start, keep
             As `GaussianProcess.fit`.
         minimum_length_scales : ndarray, shape (d,), optional
             Lower bounds of the parameters' length scales.
         """
+        if keep and start is not None:
+            return cls.condition(start, x, c, y, coding=coding)
         minimum = None
         if minimum_length_scales is not None:
             minimum = np.append(coding.spread(minimum_length_scales), np.zeros(c.shape[1]))
@@ -181,7 +184,8 @@ class JointProcess:
         columns, common = z.shape[1] - c.shape[1], hyperparameters.noise**2
         error = common / data.count
         basis = choose_basis(hyperparameters, data.x, error)
-        equal = condition(hyperparameters, data.x, data.mean, error, basis)
+        prior = Prior(hyperparameters, data.x, basis)
+        equal = prior.condition(data.mean, error)
         within = np.bincount(
             data.index, (standardised - data.mean[data.index]) ** 2, minlength=len(data.x)
         )
@@ -189,7 +193,7 @@ class JointProcess:
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
         local = _local_ratio(data.x, data.x, columns, squares, degrees)[0]
-        posterior = condition(hyperparameters, data.x, data.mean, error * local, basis)
+        posterior = prior.condition(data.mean, error * local)
         return cls(
             hyperparameters,
             standardisation,

@@ -86,6 +86,7 @@ class FitModel(Protocol):
         rng: np.random.Generator,
         minimum_length_scales: ArrayLike | None = None,
         start: Sequence[float] | None = None,
+        keep: bool = False,
     ) -> Model:
         """Fit to points x (N, d), where equal rows are replicates, and responses y (N,).
 
@@ -99,4 +100,6 @@ class FitModel(Protocol):
             Lower bounds (d,) of the length scales.
         start
             `Model.warm_start` of an earlier fit.
+        keep
+            Whether `start` is good enough as it is, since little is new since that fit.
         """

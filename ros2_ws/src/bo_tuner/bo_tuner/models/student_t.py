@@ -252,6 +252,7 @@ def find_outliers(
     priors: Hyperpriors | None = None,
     minimum_length_scales: ArrayLike | None = None,
     start: Sequence[float] | None = None,
+    keep: bool = False,
 ) -> tuple[NDArray[np.bool_], GaussianProcess]:
     """Mark the outliers among all observations (paper, Section 3).
 
@@ -262,7 +263,7 @@ def find_outliers(
 
     Parameters
     ----------
-    x, y, rng, priors, minimum_length_scales, start
+    x, y, rng, priors, minimum_length_scales, start, keep
         As `GaussianProcess.fit`.
 
     Returns
@@ -286,6 +287,7 @@ def find_outliers(
         priors=priors,
         minimum_length_scales=minimum_length_scales,
         start=start,
+        keep=keep,
     )
     return StudentTProcess.fit(points, responses, reference).outliers(), reference
 

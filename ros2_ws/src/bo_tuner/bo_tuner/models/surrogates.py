@@ -32,7 +32,7 @@ from bo_tuner.study.parts import Constraint, Objective
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Trial, TrialState, pooled
 
-OBJECTIVE, OUTLIERS = "objective", "outliers"
+OBJECTIVE, OUTLIERS, FAILURES = "objective", "outliers", "failures"
 
 BELIEVED_FEASIBLE = 0.5
 """Lowest probability of feasibility of a parameter set that counts as feasible."""
@@ -49,6 +49,16 @@ EXPECTED_OVER = 256
 
 CHANCE_OVER = 64
 """Number of contexts, the same in every fit, that the probability of a chance limit is over."""
+
+FITTED_EACH = 100
+"""Number of trials up to which the hyperparameters are fitted anew after each of them."""
+
+GROWTH = 0.05
+"""Part by which the number of trials grows between fits of the hyperparameters after that.
+
+A fit is most of the time of a suggestion then, and one of many trials changes it little. So the
+number of fits grows with the logarithm of the trials.
+"""
 
 Classifier = NeighbourClassifier | CrashModel
 
@@ -112,7 +122,10 @@ class Surrogates:
     @property
     def warm_starts(self) -> dict[str, tuple[float, ...]]:
         """Starting points for the next fit, by model name."""
-        return {name: model.warm_start for name, model in self.models.items()}
+        found = {name: model.warm_start for name, model in self.models.items()}
+        if isinstance(self.failures, CrashModel) and self.failures.warm_start is not None:
+            found[FAILURES] = self.failures.warm_start
+        return found
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -141,7 +154,8 @@ class Surrogates:
         rng
             Draws starting points of the hyperparameter fits.
         start
-            `warm_starts` of an earlier fit.
+            `warm_starts` of an earlier fit; kept as they are unless it is time for a new fit, see
+            `fitted_after`.
         options
             Which models to fit.
         weights : ndarray, shape (k,), optional
@@ -150,7 +164,8 @@ class Surrogates:
         """
         if options.pooled:
             trials = pooled(trials)
-        fitting = _Fitting(study, rng, start or {}, options)
+        keep = not fitted_after(len(trials))
+        fitting = _Fitting(study, rng, start or {}, options, keep)
         complete = [t for t in trials if t.state is TrialState.COMPLETE]
         outliers: frozenset[int] = frozenset()
         objective = None
@@ -211,6 +226,14 @@ class Surrogates:
         return tuple(c for c in (self.failures, self.outlying) if c is not None)
 
 
+def fitted_after(trials: int) -> bool:
+    """Return whether hyperparameters are fitted after so many trials, or those before are kept."""
+    if trials <= FITTED_EACH:
+        return True
+    now, before = (np.log(n / FITTED_EACH) // np.log1p(GROWTH) for n in (trials, trials - 1))
+    return bool(now > before)
+
+
 def _log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
     """Return the log probability (m,) that all constraints hold at x (m, d)."""
     total = np.zeros(len(x))
@@ -228,6 +251,7 @@ class _Fitting:
         rng: np.random.Generator,
         start: Mapping[str, Sequence[float]],
         options: ModelOptions,
+        keep: bool,
     ) -> None:
         self._study = study
         self._space = study.search_space()
@@ -236,6 +260,8 @@ class _Fitting:
         self._rng = rng
         self._start = start
         self._options = options
+        self._keep = keep
+        self._cubes: dict[int, Array] = {}
         self.models: dict[str, Fitted] = {}
 
     def outliers(self, complete: Sequence[Trial]) -> frozenset[int]:
@@ -255,6 +281,7 @@ class _Fitting:
             rng=self._rng,
             minimum_length_scales=self._coding.spread(self._minimum),
             start=self._start.get(name),
+            keep=self._keep,
         )
         self.models[name] = coded(bulk, self._coding)
         return frozenset(number[mask].tolist())
@@ -281,7 +308,8 @@ class _Fitting:
         chebyshev = Chebyshev.between(means, feasible, weights)
         x = np.repeat(points, [len(values) for values in costs], axis=0)
         y = np.concatenate([chebyshev.linearized(values) for values in costs])
-        return self._fit(OBJECTIVE, x, y, self._minimum)
+        # Other weights than in the fit before make another response.
+        return self._fit(OBJECTIVE, x, y, self._minimum, keep=False)
 
     def constraints(self, trials: Sequence[Trial]) -> dict[str, LimitedResponse]:
         found: dict[str, LimitedResponse] = {}
@@ -358,6 +386,7 @@ class _Fitting:
             contexts=contexts.candidates(),
             neighbours=self.classifier(trials, lambda t: t.state is TrialState.FAILED),
             rng=self._rng,
+            start=self._start.get(FAILURES) if self._keep else None,
         )
 
     def _process(
@@ -377,18 +406,31 @@ class _Fitting:
             rng=self._rng,
             minimum_length_scales=self._minimum,
             start=self._start.get(name),
+            keep=self._keep,
         )
         self.models[name] = process
         return process
 
-    def _fit(self, name: str, x: Array, y: Array, minimum: Array) -> Model:
+    def _fit(
+        self, name: str, x: Array, y: Array, minimum: Array, *, keep: bool | None = None
+    ) -> Model:
         fit = coded_fit(self._options.fit, self._coding)
-        model = fit(x, y, rng=self._rng, minimum_length_scales=minimum, start=self._start.get(name))
+        model = fit(
+            x,
+            y,
+            rng=self._rng,
+            minimum_length_scales=minimum,
+            start=self._start.get(name),
+            keep=self._keep if keep is None else keep,
+        )
         self.models[name] = model
         return model
 
     def _points(self, trials: Sequence[Trial]) -> Array:
-        rows = [self._space.to_cube(t.parameters) for t in trials]
+        for trial in trials:
+            if trial.number not in self._cubes:
+                self._cubes[trial.number] = self._space.to_cube(trial.parameters)
+        rows = [self._cubes[trial.number] for trial in trials]
         return np.array(rows).reshape(-1, self._space.dimension)
 
     def _observations(

@@ -16,6 +16,7 @@ from bo_tuner.models.surrogates import (
     BELIEVED_FEASIBLE,
     CONFIDENT,
     DEFAULT_MODELS,
+    FITTED_EACH,
     ModelOptions,
     Surrogates,
 )
@@ -107,11 +108,12 @@ def ranking_models(
 ) -> Surrogates:
     """Fit the surrogates that `rank` asks; its arguments.
 
-    Those of pooled evaluations start from the hyperparameters of the latest trial, as these are
-    the costliest fits.
+    Those of pooled evaluations or of many trials start from the hyperparameters of the latest
+    trial, as these are the costliest fits.
     """
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    start = latest_hyperparameters(trials) if options.pooled else None
+    many = options.pooled or len(trials) > FITTED_EACH
+    start = latest_hyperparameters(trials) if many else None
     count = len(study.objectives)
     weights = equal_weights(count) if count > 1 else None
     return Surrogates.fit(study, trials, rng=rng, start=start, options=options, weights=weights)

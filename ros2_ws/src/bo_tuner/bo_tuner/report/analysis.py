@@ -10,7 +10,7 @@ from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.errors import RunRecordError
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, rank, ranking_models
+from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
@@ -97,7 +97,8 @@ class Analysis:
     @cached_property
     def ranked(self) -> list[Candidate]:
         """Complete trials, the recommended one first."""
-        return rank(self.study, self.trials, ALGORITHMS[self.record.algorithm].models)
+        options = ALGORITHMS[self.record.algorithm].models
+        return ranked_by(self.models, self.study, self.trials, options)
 
     @cached_property
     def certificate(self) -> CertificateFile | None:
