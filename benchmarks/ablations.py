@@ -6,14 +6,12 @@ the exact test of McNemar (1947), and the difference of the true objective where
 Student's t interval.
 """
 
-import argparse
 import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 from unittest.mock import patch
@@ -21,7 +19,7 @@ from unittest.mock import patch
 # Before the libraries that read it.
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 from bo_tuner.models import joint_process, surrogates
 from bo_tuner.optimizers import boundary
@@ -132,10 +130,9 @@ def compare(
 
 def main() -> None:
     """Run all variants and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "ablations.json")
     parser.add_argument("--runs", type=int, default=20, help="seeds (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "ablations.json")
     arguments = parser.parse_args()
     about = provenance() | {"seeds": list(range(1, arguments.runs + 1))}
     cases: dict[str, Any] = {}

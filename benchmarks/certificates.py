@@ -8,7 +8,6 @@ worst context of the answer is known to its certificate, as that of a run's own 
 the infeasible parameter set nothing is known.
 """
 
-import argparse
 import json
 import os
 import statistics
@@ -21,7 +20,7 @@ from typing import Any
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 import numpy as np
-from common import BENCHMARKS, RESULTS, provenance, table, write_result
+from common import BENCHMARKS, provenance, result_parser, table, write_result
 from scipy.stats import binomtest
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -115,11 +114,10 @@ def interval(count: int, total: int) -> tuple[float, float]:
 
 def main() -> None:
     """Certify and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "certificates.json")
     parser.add_argument(
         "--records", type=Path, default=BENCHMARKS.parent / "docs" / "records", metavar="DIR"
     )
-    parser.add_argument("--result", type=Path, default=RESULTS / "certificates.json")
     arguments = parser.parse_args()
     result: dict[str, Any] = {"provenance": provenance(), "cases": {}}
     rows = []

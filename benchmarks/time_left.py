@@ -7,7 +7,6 @@ load of the machine changes after a quarter of the trials: two processes that co
 begin there, or have computed until there.
 """
 
-import argparse
 import contextlib
 import json
 import os
@@ -17,9 +16,8 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 
 BURN = "import time\nend = time.monotonic() + 900.0\nwhile time.monotonic() < end: pass"
 """Computes until it is ended, and never for longer than a run takes."""
@@ -102,13 +100,12 @@ def points(found: Sequence[dict[str, object]]) -> list[dict[str, object]]:
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "time_left.json")
     parser.add_argument("--study", default="benchmark", help="(default: %(default)s)")
     parser.add_argument(
         "--seeds", type=int, default=2, help="runs of a case (default: %(default)s)"
     )
     parser.add_argument("--cases", nargs="+", choices=[case.name for case in CASES], metavar="CASE")
-    parser.add_argument("--result", type=Path, default=RESULTS / "time_left.json")
     arguments = parser.parse_args()
     about = provenance()
     chosen = [case for case in CASES if case.name in (arguments.cases or [c.name for c in CASES])]
