@@ -96,6 +96,7 @@ def test_a_page_that_hangs_does_not_hold_the_run(tmp_path, make_study):
     status = RunStatus(study, ALGORITHMS["IV"])
     warnings = []
     with LivePage(study, tmp_path, status, listen(0), warnings.append) as page:
+        wait_until(lambda: page_processes(tmp_path), "the process of the page")
         (pid,) = page_processes(tmp_path)
         os.kill(pid, signal.SIGSTOP)
         status.begin(Phase.TUNING, 5)
