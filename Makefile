@@ -32,7 +32,7 @@ CHECK_ENV := ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET FASTDDS_BUILTIN_TRANSPORTS=UDP
 JOBS ?= $(shell nproc 2>/dev/null || echo 1)
 # Tests wait for nodes and browsers for more than half of their time.
 TESTERS ?= $(shell expr 2 \* $(JOBS))
-EXPERIMENTS ?= paper peers choices boundary promise closed_form
+EXPERIMENTS ?= paper peers choices boundary promise closed_form risk
 
 .PHONY: help setup tune quadrotor cessna benchmark test lint types format check colcon clean
 .NOTPARALLEL:
