@@ -21,7 +21,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 from common import provenance, result_parser, table, write_result
 
-from bo_tuner.models import joint_process, surrogates
+from bo_tuner.models import fitting, joint_process
 from bo_tuner.optimizers import boundary
 from tuning_benchmark.campaign import runs
 from tuning_benchmark.experiments.experiment import Row
@@ -61,7 +61,7 @@ VARIANTS = (
     Variant("fits continue only, never start anew", ((joint_process, "RESTARTED", 0),)),
     Variant(
         "worst contexts at the corners and the hypercube only",
-        ((surrogates, "searched_contexts", lambda _: ()),),
+        ((fitting, "searched_contexts", lambda _: ()),),
     ),
     Variant(
         "5 drawn contexts and 10 searched, as in the paper, for each trial of the search",

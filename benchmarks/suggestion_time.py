@@ -56,7 +56,7 @@ from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.models import surrogates
+from bo_tuner.models import fitting, surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
@@ -228,8 +228,8 @@ def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict
                 if repeat >= 0:  # The first turn only warms up imports and caches.
                     seconds[contender].append(time.process_time() - begin)
     share = 1.0
-    if count > surrogates.FITTED_EACH:
-        share = np.log1p(1.0 / count) / np.log1p(surrogates.GROWTH)
+    if count > fitting.FITTED_EACH:
+        share = np.log1p(1.0 / count) / np.log1p(fitting.GROWTH)
     for name in ("boundary", "IV"):
         pairs = zip(seconds[name], seconds[name + FITTED], strict=True)
         seconds[name] = [share * fitted + (1.0 - share) * kept for kept, fitted in pairs]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bo_tuner.metrics.source import MissingMetricError
-from bo_tuner.models.surrogates import ModelOptions
+from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.base import ACQUISITION
 from bo_tuner.tuning.loop import Tuning

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.models.surrogates import ModelOptions, Surrogates, fitted_after
+from bo_tuner.models.fitting import ModelOptions, fitted_after
+from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
 
 COMPLETE = TrialState.COMPLETE

@@ -7,7 +7,7 @@ import pytest
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
-from bo_tuner.models.surrogates import CONFIDENT
+from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
 from bo_tuner.optimizers.ranking import looks, rank, required_of, runs_until
 from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS

@@ -1,6 +1,7 @@
 """Probability that a response keeps its limit, from its surrogate model."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -10,6 +11,12 @@ from scipy.special import ndtri
 from bo_tuner.models.protocol import Model
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_normal_cdf
+
+BELIEVED_FEASIBLE = 0.5
+"""Lowest probability of feasibility of a parameter set that counts as feasible."""
+
+CONFIDENT = 0.975
+"""Lowest probability of feasibility of the answer of an algorithm with pooled evaluations."""
 
 
 class LimitedResponse(ABC):
@@ -49,6 +56,14 @@ class LimitedResponse(ABC):
     def least_log_probability(self, x: Array) -> Array:
         """Return the least `log_probability` (m,) of all contexts that the response knows."""
         return self.log_probability(x)
+
+
+def log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
+    """Return the log probability (m,) that all constraints hold at x (m, d)."""
+    total = np.zeros(len(x))
+    for constraint in constraints:
+        total += constraint.log_probability(x)
+    return total
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 
 from bo_tuner.acquisition.acquisition import AcquisitionRule, constrained_improvement
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
 from bo_tuner.models.observations import joint_observations
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
 from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.boundary import BoundaryOptimization

@@ -11,7 +11,9 @@ from bo_tuner.acquisition.acquisition import (
     constrained_improvement,
 )
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.surrogates import BELIEVED_FEASIBLE, DEFAULT_MODELS, ModelOptions, Surrogates
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
+from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
+from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
 from bo_tuner.numerics.seeds import Stream, generator

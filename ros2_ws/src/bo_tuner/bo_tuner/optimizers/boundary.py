@@ -23,8 +23,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.joint_responses import FutureBound, PooledResponse
-from bo_tuner.models.surrogates import CONFIDENT, Surrogates
+from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
 from bo_tuner.optimizers.bayesian import (
     AcquisitionSearch,

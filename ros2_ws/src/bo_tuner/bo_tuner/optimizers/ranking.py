@@ -11,15 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE, CONFIDENT
+from bo_tuner.models.fitting import DEFAULT_MODELS, FITTED_EACH, ModelOptions
 from bo_tuner.models.scalarization import equal_weights
-from bo_tuner.models.surrogates import (
-    BELIEVED_FEASIBLE,
-    CONFIDENT,
-    DEFAULT_MODELS,
-    FITTED_EACH,
-    ModelOptions,
-    Surrogates,
-)
+from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.models.surrogates import DEFAULT_MODELS, ModelOptions
+from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study

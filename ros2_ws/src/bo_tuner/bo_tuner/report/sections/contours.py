@@ -20,7 +20,7 @@ from bo_tuner.figures.figure import (
     Region,
     Scale,
 )
-from bo_tuner.models.surrogates import BELIEVED_FEASIBLE
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted

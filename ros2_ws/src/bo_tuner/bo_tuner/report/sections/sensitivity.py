@@ -8,7 +8,7 @@ from bo_tuner.certificate.parameter_sensitivity import (
     parameter_sensitivity,
 )
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
-from bo_tuner.models.surrogates import BELIEVED_FEASIBLE
+from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
