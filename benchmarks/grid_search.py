@@ -32,9 +32,9 @@ from common import BENCHMARKS, provenance, table, write_result
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import EXPECTATION
+from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study
+from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import Value
 from feed_axis_common.errors import FeedAxisError
 from tuning_benchmark.experiments.optima import study_digest
@@ -217,9 +217,19 @@ def coarse_axis(parameter: Parameter, complete: bool) -> list[Value]:
     return [round(float(v), 6) for v in np.linspace(low, high, steps + 1)]
 
 
+def on_the_mean(study: Study) -> Study:
+    """Return a study whose worst-case limits are on the mean over noise."""
+    content: dict[str, Any] = study_to_mapping(study)
+    for constraint in content["constraints"].values():
+        if constraint["kind"] == WORST_CASE:
+            constraint.pop("probability", None)
+    return study_from_mapping(content)
+
+
 def search(study: Study, jobs: int, starts: int) -> dict[str, Any]:
     """Search a study; returns its entry of the result file."""
     begin = time.monotonic()
+    study = on_the_mean(study)
     names = study.search_space().names
     tuned = [study.parameters[name] for name in names]
     complete = len(tuned) <= 2
