@@ -69,6 +69,16 @@ def test_tracking_error_is_the_sum_of_squares(pairs):
     assert tracking_error(reference, velocity) == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
+@given(st.integers(0, 2**32), st.integers(1, 300), st.integers(0, 40))
+def test_rows_score_what_they_score_alone(seed, samples, window):
+    rng = np.random.default_rng(seed)
+    reference, rows = rng.normal(size=samples), rng.normal(size=(7, samples))
+    assert list(tracking_error(reference, rows)) == [tracking_error(reference, v) for v in rows]
+    assert list(overshoot(reference, rows, window)) == [
+        overshoot(reference, v, window) for v in rows
+    ]
+
+
 def test_effort_is_the_total_variation_of_the_command():
     # Up by 0.3, down by 0.5, and no move.
     assert effort(np.array([0.2, 0.5, 0.0, 0.0])) == pytest.approx(0.8, rel=1e-12)

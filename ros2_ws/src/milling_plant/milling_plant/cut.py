@@ -22,19 +22,23 @@ def reference_velocity(settings: PlantSettings) -> Array:
     return np.repeat(np.array(settings.reference_levels), settings.samples_per_level)
 
 
-def tracking_error(reference: Array, velocity: Array) -> float:
-    """Squared tracking error of a cut, the sum of (v_ref,k - v_k)^2 [(m/s)^2], Eq. 3a."""
-    return float(np.sum((reference - velocity) ** 2))
+def tracking_error(reference: Array, velocity: Array) -> Array:
+    """Squared tracking error of cuts, the sum of (v_ref,k - v_k)^2 [(m/s)^2], Eq. 3a.
+
+    Shape (...) for velocities (..., N).
+    """
+    return np.asarray(np.sum((reference - velocity) ** 2, axis=-1))
 
 
-def overshoot(reference: Array, velocity: Array, window: int) -> float:
+def overshoot(reference: Array, velocity: Array, window: int) -> Array:
     """Largest excess of v_k over the highest reference within `window` samples of k [m/s].
 
-    The window keeps a late step down from counting as overshoot. Never below 0.
+    The window keeps a late step down from counting as overshoot. Never below 0. Shape (...) for
+    velocities (..., N).
     """
     padded = np.pad(reference, window, mode="edge")
     ceiling = np.lib.stride_tricks.sliding_window_view(padded, 2 * window + 1).max(axis=-1)
-    return max(float(np.max(velocity - ceiling)), 0.0)
+    return np.asarray(np.maximum(np.max(velocity - ceiling, axis=-1), 0.0))
 
 
 def effort(commands: Array) -> float:
@@ -135,8 +139,9 @@ class Cut:
             "samples": self.sample,
         }
         if self.done and not self.failure:
-            summary["tracking_error"] = tracking_error(self.reference, self._velocity)
-            summary["overshoot"] = overshoot(self.reference, self._velocity, s.overshoot_window)
+            summary["tracking_error"] = float(tracking_error(self.reference, self._velocity))
+            excess = overshoot(self.reference, self._velocity, s.overshoot_window)
+            summary["overshoot"] = float(excess)
             summary["effort"] = effort(self._commands)
         return summary
 

@@ -214,8 +214,8 @@ class CutBatch:
                 failed |= diverged
                 x[diverged], x_hat[diverged], u[diverged] = 0.0, 0.0, law.lower
         window = self._plant.overshoot_window
-        C = np.array([tracking_error(self.reference, v) for v in velocity])
-        excess = np.array([overshoot(self.reference, v, window) for v in velocity])
+        C = tracking_error(self.reference, velocity)
+        excess = overshoot(self.reference, velocity, window)
         return BatchResult(
             tracking_error=np.where(failed, np.nan, C),
             overshoot=np.where(failed, np.nan, excess),
