@@ -1,6 +1,7 @@
 """Runs that are cut short, by a kill or a full disk, and go on; a wall clock that jumps."""
 
 import dataclasses
+import functools
 import json
 import random
 import resource
@@ -44,13 +45,15 @@ def small_study(trials=7):
     return json.loads(json.dumps(study))
 
 
-def uninterrupted(study):
-    """Trials of the same run without ROS and without faults."""
-    backend = InProcessBackend(study_from_mapping(study))
+@functools.cache
+def uninterrupted(trials=7):
+    """Trials of a run of `small_study` without ROS and without faults."""
+    study = study_from_mapping(small_study(trials))
+    backend = InProcessBackend(study)
     backend.open()
     # As the command does: with another number of threads the last bits differ.
     with threadpool_limits(1):
-        return list(Tuning(study_from_mapping(study), backend, ALGORITHMS[DEFAULT_ALGORITHM]))
+        return tuple(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
 
 
 def figures(trials):
@@ -173,7 +176,7 @@ def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
         run.resume()
     run.wait_for_trials(study["budget"]["trials"])
     run.interrupt()
-    assert figures(run.record().trials) == figures(uninterrupted(study))
+    assert figures(run.record().trials) == figures(uninterrupted())
 
 
 def limit_file_size(run):
@@ -201,7 +204,7 @@ def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
     run.resume()
     run.wait_for_trials(study["budget"]["trials"])
     run.interrupt()
-    assert figures(run.record().trials) == figures(uninterrupted(study))
+    assert figures(run.record().trials) == figures(uninterrupted())
 
 
 CLOCK = """\
@@ -236,4 +239,4 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     record = run.record()
     assert {trial.state for trial in record.trials} == {TrialState.COMPLETE}
     assert {recorded.outcome.state for recorded in record.evaluations} == {EvaluationState.COMPLETE}
-    assert figures(record.trials) == figures(uninterrupted(study))
+    assert figures(record.trials) == figures(uninterrupted(trials=4))
