@@ -57,11 +57,14 @@ class Chromium:
     errors
         Errors and warnings in the console, exceptions, and what the network was asked for, since
         the page was opened.
+    untouched
+        What its user calls the page that is open, if nobody has changed anything on it.
     """
 
     def __init__(self, profile: Path) -> None:
         self.errors: list[str] = []
         self.requests: list[str] = []
+        self.untouched: object = None
         self._events: list[dict[str, Any]] = []
         self._buffer = b""
         self._number = 0
@@ -115,6 +118,7 @@ class Chromium:
         self, page: Path | str, *, theme: str = "light", width: int = 1280, height: int = 900
     ) -> None:
         """Open a file or an address and wait until it is loaded."""
+        self.untouched = None
         # What the page before still has under way, such as a request to a server that has ended,
         # is none of this one's errors.
         self._events.clear()
