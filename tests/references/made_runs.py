@@ -51,7 +51,7 @@ def summary_of(record, result):
         "study_sha256": study_sha256(study),
         "trials": len(record.trials),
         "evaluations": len(record.evaluations),
-        "feasible": True,
+        "passed_check": True,
         "trial": result,
         "stopped_early": False,
         "default": of_both | {"parameters": study.search_space().defaults},

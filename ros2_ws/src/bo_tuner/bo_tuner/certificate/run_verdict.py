@@ -49,8 +49,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
     try:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
-        # Later, "feasible" is that of a certificate.
-        passed_check = bool(summary.get("passed_check", summary["feasible"]))
+        passed_check = bool(summary["passed_check"])
         return validated(
             record.study,
             trial.number,

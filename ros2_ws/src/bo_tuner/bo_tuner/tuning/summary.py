@@ -41,11 +41,6 @@ class Conclusion:
     default: Validation
     tuned: Validation
 
-    @property
-    def feasible(self) -> bool:
-        """Whether the parameter set held in the checks and in the validation."""
-        return self.recommendation.feasible and self.tuned.feasible
-
 
 def conclude(
     study: Study,
@@ -109,7 +104,7 @@ def summarize(
     trials: int,
     evaluations: int,
 ) -> dict[str, object]:
-    """Return the content of ``summary.json``.
+    """Return the content of ``summary.json`` but for the verdict.
 
     Parameters
     ----------
@@ -127,7 +122,6 @@ def summarize(
         "study_sha256": study_sha256(study),
         "trials": trials,
         "evaluations": evaluations,
-        "feasible": conclusion.feasible,
         "trial": best.candidate.trial.number,
         "passed_check": best.feasible,
         "checked_trials": best.checked,
@@ -205,7 +199,7 @@ def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
     }
     if any(repr(summary.get(key)) != repr(value) for key, value in expected.items()):
         return False
-    number, flags = summary.get("trial"), ("feasible", "stopped_early")
+    number, flags = summary.get("trial"), ("passed_check", "stopped_early")
     if type(number) is not int or not 0 <= number < len(record.trials):
         return False
     if any(type(summary.get(key)) is not bool for key in flags):
