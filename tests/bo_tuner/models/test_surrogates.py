@@ -126,6 +126,23 @@ def test_the_joint_model_uses_every_evaluation(study, make_trial):
     assert mean == pytest.approx([0.5, 1.5], abs=0.05)
 
 
+@pytest.mark.parametrize("options", [{}, {"joint": True}, {"pooled": True}], ids=str)
+@pytest.mark.parametrize("sign", ["upper", "lower"])
+def test_the_mean_of_a_limited_response_alone_is_the_predicted_one(
+    make_study, make_trial, options, sign
+):
+    limits = {
+        "mean": {"kind": "chance", "metric": "error", sign: 1.5, "probability": 0.9},
+        "peak": {"kind": "worst_case", "metric": "peak", sign: 1.0, "probability": 0.9},
+    }
+    study = make_study(parameters={"x": DOUBLE}, constraints=limits)
+    found = fit(study, sloped(make_trial, noise=0.1), **options)
+    x = np.linspace(0.0, 1.0, 7)[:, None]
+    assert len(found.constraints) == 2
+    for constraint in found.constraints.values():
+        np.testing.assert_allclose(constraint.predict_mean(x), constraint.predict(x)[0], rtol=1e-9)
+
+
 def test_warm_start_gives_the_same_models(study, make_trial):
     trials = sloped(make_trial)
     first = fit(study, trials)

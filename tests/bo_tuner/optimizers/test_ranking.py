@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.models.surrogates import FITTED_EACH, ModelOptions
+from bo_tuner.optimizers import ranking
+from bo_tuner.optimizers.ranking import first_by, rank, ranked_by, ranking_models
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
@@ -169,3 +171,66 @@ class TestFaults:
     def test_the_same_trials_give_the_same_rank(self, study, make_trial):
         trials = along(make_trial, GRID, bowl)
         assert rank(study, trials) == rank(study, trials)
+
+
+class TestFirst:
+    """The first alone, which most of the others need not be asked for."""
+
+    @pytest.mark.parametrize("pooled", [False, True])
+    @pytest.mark.parametrize(
+        "worst",
+        [lambda x: 0.5, lambda x: 1.5 + (x - 0.8) ** 2, lambda x: 1.4 - x],
+        ids=["all feasible", "none feasible", "some feasible"],
+    )
+    def test_is_that_of_the_ranking(self, study, make_trial, monkeypatch, worst, pooled):
+        # Fewer in a block than trials, so that it has several to choose from.
+        monkeypatch.setattr(ranking, "BLOCK", 3)
+        points = np.random.default_rng(1).random(25)
+        trials = [*along(make_trial, points, bowl, worst), make_trial(25, {"x": 0.4})]
+        options = ModelOptions(pooled=pooled)
+        models = ranking_models(study, trials, options)
+        self.compare(models, study, trials, options)
+
+    def compare(self, models, study, trials, options):
+        found, (first, *_) = (f(models, study, trials, options) for f in (first_by, ranked_by))
+        assert found.trial is first.trial
+        # Other blocks round otherwise.
+        for name in ("objective", "feasibility", "violation", "penalty", "score", "required"):
+            assert getattr(found, name) == pytest.approx(getattr(first, name), abs=1e-9)
+
+    def test_of_a_narrow_optimum(self, study, make_trial, monkeypatch):
+        """The lowest cost has a penalty, so that it is not in the first block that the first is."""
+        monkeypatch.setattr(ranking, "BLOCK", 1)
+        trials = along(make_trial, np.linspace(0.0, 1.0, 41), lambda x: 1.0 + abs(x - 0.4) ** 0.5)
+        models = ranking_models(study, trials)
+        self.compare(models, study, trials, ModelOptions())
+
+    def test_of_nothing(self, study, make_trial):
+        trials = [make_trial(0, {"x": 0.4})]
+        models = ranking_models(study, trials)
+        assert first_by(models, study, trials, ModelOptions()) is None
+
+
+class TestManyTrials:
+    """Beyond some number of trials, hyperparameters are not fitted for each ranking."""
+
+    @pytest.fixture
+    def trials(self, make_trial):
+        """So many that those with hyperparameters would be kept, but there are none."""
+        points = np.random.default_rng(2).random(FITTED_EACH + 3)
+        return along(make_trial, points, bowl, lambda x: 1.4 - x)
+
+    def test_without_hyperparameters_on_record(self, study, trials):
+        models = ranking_models(study, trials)
+        assert models.warm_starts == ranking_models(study, trials).warm_starts
+        x = np.linspace(0.05, 0.95, 19)
+        # A few standard errors of the mean of a hundred trials.
+        np.testing.assert_allclose(models.objective.predict_mean(x[:, None]), bowl(x), atol=NOISE)
+        (limit,) = models.constraints.values()
+        np.testing.assert_allclose(limit.predict_mean(x[:, None]), 1.4 - x, atol=NOISE)
+
+    def test_those_of_another_fit_are_kept(self, study, trials):
+        start = ranking_models(study, trials[:50]).warm_starts
+        found = ranking_models(study, trials, start=start).warm_starts
+        for name, values in start.items():
+            np.testing.assert_allclose(found[name], values)

@@ -13,7 +13,7 @@ from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.grid import parameter_grid, permitted
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.contours import contours
-from bo_tuner.report.sections.convergence import convergence
+from bo_tuner.report.sections.convergence import MOST_INCUMBENTS, _counts, convergence
 from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.slices import slices
 from bo_tuner.report.sections.surrogates import surrogates
@@ -44,6 +44,15 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
     np.testing.assert_array_equal(
         named(over_evaluations, "incumbent", Line).x, [evaluations[int(k)] for k in expected]
     )
+
+
+@pytest.mark.parametrize("total", [1, 2, 39, 41, 99, 101, 1000, 2357])
+def test_incumbents_of_a_long_run_are_few_and_known_when_a_trial_has_been_added(total):
+    counts = _counts(total)
+    assert counts == sorted(set(counts))
+    assert (counts[0], counts[-1]) == (1, total)
+    assert len(counts) <= MOST_INCUMBENTS + 1
+    assert set(counts[:-1]) < set(_counts(total + 1))
 
 
 def test_an_incumbent_far_above_the_others_is_at_the_top_as_its_trial_is(analysis):

@@ -29,6 +29,10 @@ class LimitedResponse(ABC):
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
 
+    def predict_mean(self, x: Array) -> Array:
+        """Return the mean (m,) alone at x (m, d); a response may know a cheaper way."""
+        return self.predict(x)[0]
+
     def log_probability(self, x: Array) -> Array:
         """Return the log probability that the constraint holds.
 
@@ -51,7 +55,7 @@ class LimitedResponse(ABC):
 
     def excess(self, x: Array) -> Array:
         """Return by how much the mean response (m,) at x (m, d) violates the limit."""
-        return self.sign * (self.predict(x)[0] - self.limit)
+        return self.sign * (self.predict_mean(x) - self.limit)
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the least `log_probability` (m,) of all contexts that the response knows."""
@@ -135,6 +139,10 @@ class SurrogateConstraint(LimitedResponse):
         """Return mean and variance (m,) of the constrained latent response at x (m, d)."""
         return self.model.predict(x)
 
+    def predict_mean(self, x: Array) -> Array:
+        """Return the mean (m,) alone at x (m, d)."""
+        return self.model.predict_mean(x)
+
 
 @dataclass(frozen=True, eq=False)
 class JointConstraint(SurrogateConstraint):
@@ -156,9 +164,17 @@ class JointConstraint(SurrogateConstraint):
 
     def predict(self, x: Array) -> tuple[Array, Array]:
         """Return mean and variance (m,) in the worst candidate context of each x (m, d)."""
+        worst = (self.sign * self._means(x)).argmax(axis=1)
+        return self.model.predict(np.hstack([x, self.contexts[worst]]))
+
+    def predict_mean(self, x: Array) -> Array:
+        """Return the mean (m,) alone in the worst candidate context of each x (m, d)."""
+        worst: Array = self.sign * (self.sign * self._means(x)).max(axis=1)
+        return worst
+
+    def _means(self, x: Array) -> Array:
+        """Return the mean (m, k) at x (m, d) in each candidate context."""
         joint = np.hstack(
             [np.repeat(x, len(self.contexts), axis=0), np.tile(self.contexts, (len(x), 1))]
         )
-        mean = self.model.predict_mean(joint).reshape(len(x), -1)
-        worst = (self.sign * mean).argmax(axis=1)
-        return self.model.predict(np.hstack([x, self.contexts[worst]]))
+        return self.model.predict_mean(joint).reshape(len(x), -1)

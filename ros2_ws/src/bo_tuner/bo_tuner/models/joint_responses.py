@@ -161,6 +161,12 @@ class EveryContext(PooledResponse):
         rows, mean = self._worst(x)
         return self._quantile(x, rows, mean)
 
+    def predict_mean(self, x: Array) -> Array:
+        """Return the mean (m,) of the limited quantile alone at x (m, d)."""
+        rows, mean = self._worst(x)
+        noise, _ = self.process.noise(x, self.contexts, rows)
+        return mean + self.sign * (self.deviations * np.sqrt(noise))
+
     def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
         means = self.process.means(x, self.contexts)

@@ -6,13 +6,14 @@ influence of a single noisy evaluation; the penalty prefers a wide optimum to a 
 slightly lower cost. With several objectives, the cost is that of the compromise between them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE, CONFIDENT
 from bo_tuner.models.fitting import DEFAULT_MODELS, FITTED_EACH, ModelOptions
+from bo_tuner.models.protocol import Model
 from bo_tuner.models.scalarization import equal_weights
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
@@ -99,56 +100,121 @@ def rank(
 
 
 def ranking_models(
-    study: Study, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
+    study: Study,
+    trials: Sequence[Trial],
+    options: ModelOptions = DEFAULT_MODELS,
+    start: Mapping[str, Sequence[float]] | None = None,
 ) -> Surrogates:
     """Fit the surrogates that `rank` asks; its arguments.
 
     Those of pooled evaluations or of many trials start from the hyperparameters of the latest
-    trial, as these are the costliest fits.
+    trial, as these are the costliest fits. If there are none, as in random search, those of many
+    trials start from `start`, by default from a fit to `FITTED_EACH` trials, evenly chosen.
     """
     rng = generator(study.seed, Stream.ACQUISITION, 2**31, len(trials))
-    many = options.pooled or len(trials) > FITTED_EACH
-    start = latest_hyperparameters(trials) if many else None
+    many = len(trials) > FITTED_EACH
     count = len(study.objectives)
     weights = equal_weights(count) if count > 1 else None
-    return Surrogates.fit(study, trials, rng=rng, start=start, options=options, weights=weights)
+    known: Mapping[str, Sequence[float]] = {}
+    if options.pooled or many:
+        known = latest_hyperparameters(trials)
+    if many and not known:
+        some = trials[:: -(-len(trials) // FITTED_EACH)]
+        known = (
+            start
+            or Surrogates.fit(study, some, rng=rng, options=options, weights=weights).warm_starts
+        )
+    return Surrogates.fit(study, trials, rng=rng, start=known, options=options, weights=weights)
 
 
 def ranked_by(
     models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
 ) -> list[Candidate]:
     """Rank trials by surrogates that were fitted to them; otherwise as `rank`."""
-    space = study.search_space()
-    log_feasibility = models.log_feasibility
-    if options.pooled:
-        trials, log_feasibility = pooled(trials), models.log_confidence
-    # The data of the objective's model exclude the outliers, so it cannot judge them.
-    complete = [
-        t for t in trials if t.state is TrialState.COMPLETE and t.number not in models.outliers
-    ]
+    ranking = _Ranking(models, study, options)
+    complete = comparable(models, trials, options)
+    blocks = (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK))
+    return sorted((c for block in blocks for c in ranking.candidates(block)), key=_place)
+
+
+def first_by(
+    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
+) -> Candidate | None:
+    """Return the first of `ranked_by`, None without one; of many trials it asks about few."""
+    ranking = _Ranking(models, study, options)
+    complete = comparable(models, trials, options)
+    if not complete:
+        return None
+    cost = ranking.cost(complete)
+    order = np.argsort(cost, kind="stable")
+    first: Candidate | None = None
+    for k in range(0, len(order), BLOCK):
+        # No penalty is negative, so the score of those left is at least their cost.
+        if first and first.believed_feasible and first.score < cost[order[k]]:
+            break
+        # In the order of the run, as `ranked_by` has a single block.
+        found = ranking.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
+        first = min([*([first] if first else []), *found], key=_place)
+    return first
+
+
+def comparable(
+    models: Surrogates, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
+) -> list[Trial]:
+    """Return the complete trials, except outliers; `ranked_by` ranks these."""
     if models.objective is None:
         return []
-    several = len(study.objectives) > 1
-    logarithmic = study.objective.scale == "log" and not several
-    scale = 1.0 if logarithmic else models.objective.scale
-    candidates = []
-    for block in (complete[k : k + BLOCK] for k in range(0, len(complete), BLOCK)):
-        x = np.array([space.to_cube(trial.parameters) for trial in block])
-        around = [neighbourhood(space, trial, models) for trial in block]
+    # The data of the objective's model exclude the outliers, so it cannot judge them.
+    return [
+        t
+        for t in (pooled(trials) if options.pooled else trials)
+        if t.state is TrialState.COMPLETE and t.number not in models.outliers
+    ]
+
+
+def _place(candidate: Candidate) -> tuple[int, float, int]:
+    """Return what candidates are sorted by; of equal ones the earlier trial is first."""
+    if candidate.believed_feasible:
+        return 0, candidate.score, candidate.trial.number
+    return 1, candidate.violation, candidate.trial.number
+
+
+class _Ranking:
+    """Asks surrogates about the trials that they were fitted to."""
+
+    def __init__(self, models: Surrogates, study: Study, options: ModelOptions) -> None:
+        self._models = models
+        self._study = study
+        self._space = study.search_space()
+        self._pooled = options.pooled
+        self._several = len(study.objectives) > 1
+
+    def cost(self, trials: Sequence[Trial]) -> Array:
+        """Return the posterior mean (n,) of the cost of trials."""
+        return self._objective.predict_mean(self._points(trials))
+
+    def candidates(self, trials: Sequence[Trial]) -> list[Candidate]:
+        """Estimate trials; at most `BLOCK` of them, for speed with little memory."""
+        models, study, space = self._models, self._study, self._space
+        logarithmic = study.objective.scale == "log" and not self._several
+        scale = 1.0 if logarithmic else self._objective.scale
+        x = self._points(trials)
+        around = [neighbourhood(space, trial, models) for trial in trials]
         sizes = [len(points) for points in around]
         neighbours = np.vstack(around)
-        cost = models.objective.predict(x)[0]
-        loss = (models.objective.predict(neighbours)[0] - np.repeat(cost, sizes)) / scale
+        cost = self._objective.predict_mean(x)
+        loss = (self._objective.predict_mean(neighbours) - np.repeat(cost, sizes)) / scale
         losses = intolerable(loss) + intolerable(relative_excess(models, neighbours))
         penalties = [part.mean() for part in np.split(losses, np.cumsum(sizes)[:-1])]
-        feasibility = np.exp(log_feasibility(x))
+        feasibility = np.exp((models.log_confidence if self._pooled else models.log_feasibility)(x))
         excess = relative_excess(models, x)
-        for k, trial in enumerate(block):
+        found = []
+        for k, trial in enumerate(trials):
             objective = float(study.objective.from_cost(cost[k]))
-            if several:
+            if self._several:
                 # The cost is that of the compromise, which has no unit.
                 objective = float(np.mean(trial.observations(study.objective.metric)))
-            candidates.append(
+            found.append(
                 Candidate(
                     trial=trial,
                     objective=objective,
@@ -156,13 +222,19 @@ def ranked_by(
                     violation=float(excess[k]),
                     penalty=float(penalties[k]),
                     score=float(cost[k] + scale * penalties[k]),
-                    required=required_of(trial) if options.pooled else BELIEVED_FEASIBLE,
+                    required=required_of(trial) if self._pooled else BELIEVED_FEASIBLE,
                 )
             )
-    return sorted(
-        candidates,
-        key=lambda c: (0, c.score) if c.believed_feasible else (1, c.violation),
-    )
+        return found
+
+    @property
+    def _objective(self) -> Model:
+        if self._models.objective is None:
+            raise ValueError("no trial is complete")
+        return self._models.objective
+
+    def _points(self, trials: Sequence[Trial]) -> Array:
+        return np.array([self._space.to_cube(trial.parameters) for trial in trials])
 
 
 def looks(trial: Trial) -> int:

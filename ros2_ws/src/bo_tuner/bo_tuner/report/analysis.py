@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.errors import RunRecordError
+from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
+from bo_tuner.optimizers.ranking import Candidate, comparable, first_by, ranked_by, ranking_models
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
@@ -63,13 +64,18 @@ class Analysis:
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
         """The trials, each with the evaluations that checked it as a candidate."""
-        if not self._pooled:
+        if not self._options.pooled:
             return self._checked
         return tuple(estimated(self.study, self.models, trial) for trial in self._checked)
 
     @property
-    def _pooled(self) -> bool:
-        return ALGORITHMS[self.record.algorithm].models.pooled
+    def _options(self) -> ModelOptions:
+        return ALGORITHMS[self.record.algorithm].models
+
+    @cached_property
+    def checked(self) -> bool:
+        """Whether trials have evaluations that checked them as candidates."""
+        return any(evaluation.stage in CHECKS for evaluation in self.record.evaluations)
 
     @cached_property
     def _checked(self) -> tuple[Trial, ...]:
@@ -82,7 +88,7 @@ class Analysis:
         trials = []
         for trial in self.record.trials:
             check = list(checks.get(trial.number, {}).values())
-            if self._pooled:
+            if self._options.pooled:
                 trials.append(with_repetitions(trial, check))
             else:
                 trials.append(with_check(self.study, trial, check)[0])
@@ -91,14 +97,22 @@ class Analysis:
     @cached_property
     def models(self) -> Surrogates:
         """Surrogates of all trials, the same as in `rank`."""
-        options = ALGORITHMS[self.record.algorithm].models
-        return ranking_models(self.study, self._checked, options)
+        return ranking_models(self.study, self._checked, self._options)
 
     @cached_property
     def ranked(self) -> list[Candidate]:
         """Complete trials, the recommended one first."""
-        options = ALGORITHMS[self.record.algorithm].models
-        return ranked_by(self.models, self.study, self.trials, options)
+        return ranked_by(self.models, self.study, self.trials, self._options)
+
+    @cached_property
+    def leader(self) -> Candidate | None:
+        """The first of `ranked`; None without a complete trial."""
+        return first_by(self.models, self.study, self.trials, self._options)
+
+    @cached_property
+    def comparable(self) -> list[Trial]:
+        """The trials of `ranked`, in the order of the run."""
+        return comparable(self.models, self.trials, self._options)
 
     @cached_property
     def certificate(self) -> CertificateFile | None:
@@ -109,7 +123,7 @@ class Analysis:
     def answer(self) -> Trial | None:
         """The trial of the result; before there is one, the trial recommended so far."""
         if self.record.summary is None:
-            return self.ranked[0].trial if self.ranked else None
+            return self.leader.trial if self.leader else None
         number = self.record.summary.get("trial")
         for trial in self.trials:
             if trial.number == number:
@@ -164,3 +178,38 @@ class Analysis:
             if evaluation.outcome.state is EvaluationState.COMPLETE
             and space.key(evaluation.parameters) == key
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class Preliminary(Analysis):
+    """A run before the models of all its trials are fitted: those of fewer trials stand in.
+
+    Attributes
+    ----------
+    earlier
+        The run with fewer trials.
+    """
+
+    earlier: Analysis = field(kw_only=True)
+
+    @cached_property
+    def trials(self) -> tuple[Trial, ...]:
+        """The trials; worst cases are estimated as in the `earlier` run, as far as it had them."""
+        known = {trial.number: trial for trial in self.earlier.trials}
+        return tuple(
+            known[trial.number]
+            if trial.number in known
+            and len(known[trial.number].evaluations) == len(trial.evaluations)
+            else trial
+            for trial in self._checked
+        )
+
+    @cached_property
+    def models(self) -> Surrogates:
+        """Surrogates of the `earlier` run."""
+        return self.earlier.models
+
+    @cached_property
+    def answer(self) -> Trial | None:
+        """The answer of the `earlier` run."""
+        return self.earlier.answer

@@ -78,7 +78,7 @@ def answer(analysis: Analysis) -> Answer:
         tiles, table = _tiles(analysis), _comparison(analysis)
     else:
         tiles, table = [], _parameters(analysis)
-        leader = analysis.ranked[0] if analysis.ranked else None
+        leader = analysis.leader
         found = incumbent_in_words(leader, analysis.study)
         sentences.append(f"{found[0].upper()}{found[1:]}.")
     return Answer(

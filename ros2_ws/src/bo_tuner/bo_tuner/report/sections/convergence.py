@@ -1,5 +1,6 @@
 """Convergence: every trial, and the incumbent after each."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from functools import partial
@@ -19,9 +20,10 @@ from bo_tuner.figures.figure import (
     Points,
     Scale,
 )
+from bo_tuner.models.surrogates import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import Candidate, rank
+from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, numbered, quantity, values
 from bo_tuner.study.parts import EXPECTATION, LOG, Constraint
@@ -29,7 +31,12 @@ from bo_tuner.trials import EvaluationState, Trial, TrialState, count_evaluation
 from bo_tuner.tuning.limits import worst_case_holds
 
 MOST_INCUMBENTS = 40
-"""The incumbent is computed after at most this many numbers of trials, at some 0.1 s each."""
+"""The incumbent of a run of up to `FITTED_EACH` trials is computed at about so many points."""
+GROWTH = 1.2
+"""Ratio of the numbers of trials between two points of a longer run.
+
+At even distances, the models of hundreds of trials would take most of the time of the report.
+"""
 
 LOOKS = {
     Outcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
@@ -196,10 +203,7 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
 
 def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
-    total = len(analysis.record.trials)
-    # Multiples, so that most of them are known already when a trial has been added.
-    step = max(1, -(-total // MOST_INCUMBENTS))
-    counts = sorted({1, *range(step, total, step), total}) if total else []
+    counts = _counts(len(analysis.record.trials))
     found = [
         (n - 1, analysis.remember(("incumbent", n), partial(_incumbent, analysis, n)))
         for n in counts
@@ -207,11 +211,30 @@ def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     return [(k, candidate) for k, candidate in found if candidate is not None]
 
 
+def _counts(total: int) -> list[int]:
+    """Return the numbers of trials to compute the incumbent after, the last one included.
+
+    Most of them stay the same when a trial is added, so these incumbents are known already.
+    """
+    if total <= FITTED_EACH:
+        step = max(1, -(-total // MOST_INCUMBENTS))
+        return sorted({1, *range(step, total, step), total}) if total else []
+    powers = itertools.takewhile(lambda n: n < total, (int(GROWTH**k) for k in itertools.count()))
+    return sorted({*powers, total})
+
+
 def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
-    """Return the incumbent after the first `count` trials."""
+    """Return the incumbent after the first `count` trials.
+
+    Beyond `FITTED_EACH` trials, the models have the hyperparameters that the run had then, or if it
+    recorded none, as random search, those of all trials.
+    """
+    if count == len(analysis.record.trials) and not analysis.checked:
+        return analysis.leader
+    study, trials = analysis.study, analysis.record.trials[:count]
     options = ALGORITHMS[analysis.record.algorithm].models
-    ranked = rank(analysis.study, analysis.record.trials[:count], options)
-    return ranked[0] if ranked else None
+    models = ranking_models(study, trials, options, analysis.models.warm_starts)
+    return first_by(models, study, trials, options)
 
 
 def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array, top: float) -> list[Element]:
@@ -282,8 +305,16 @@ def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
 
 def _notes(analysis: Analysis) -> list[str]:
     notes = []
-    if len(analysis.record.trials) > MOST_INCUMBENTS:
-        notes.append(f"The incumbent is shown at {MOST_INCUMBENTS} points, not after each trial.")
+    total = len(analysis.record.trials)
+    if total > MOST_INCUMBENTS:
+        points = len(_counts(total))
+        text = f"The incumbent is shown at {points} points, not after each trial"
+        if total > FITTED_EACH:
+            text += (
+                f", and beyond {FITTED_EACH} trials by models with hyperparameters that were not "
+                "fitted anew at each of them"
+            )
+        notes.append(f"{text}.")
     if analysis.record.summary is not None and analysis.record.summary.get("stopped_early"):
         notes.append("The run stopped early: what was left would have gained less than the noise.")
     lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)

@@ -164,16 +164,13 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
     """Return the complete trials close to the slice, without outliers."""
     space = analysis.study.search_space()
     at = space.to_cube(analysis.tuned_values(answer.parameters))
-    near = []
-    for candidate in analysis.ranked:
-        trial = candidate.trial
-        away = np.abs(space.to_cube(analysis.tuned_values(trial.parameters)) - at)
-        away[grid.column] = 0.0
-        # Another choice is not near, however many there are.
-        away[(away > 0.0) & np.array(space.levels, dtype=bool)] = 1.0
-        if away.max() <= NEARBY:
-            near.append(trial)
-    return near
+    trials = analysis.comparable
+    cubes = [space.to_cube(analysis.tuned_values(trial.parameters)) for trial in trials]
+    away = np.abs(np.array(cubes).reshape(-1, space.dimension) - at)
+    away[:, grid.column] = 0.0
+    # Another choice is not near, however many there are.
+    away[(away > 0.0) & np.array(space.levels, dtype=bool)] = 1.0
+    return [trials[k] for k in np.flatnonzero(away.max(axis=1) <= NEARBY)]
 
 
 def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:
