@@ -1,5 +1,6 @@
 """Terminal, page, bundle, summary, topics and exit code say the same of any run."""
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -7,6 +8,7 @@ import re
 import shutil
 from html import unescape
 from math import isfinite
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -16,6 +18,7 @@ from rich.console import Console
 from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
 from bo_tuner.monitoring.diagnostics import progress
@@ -141,8 +144,19 @@ def folder(tmp_path_factory):
     tuned=draws,
     passed_check=st.booleans(),
     certified=st.none() | st.tuples(draws, draws),
+    enough=st.booleans(),
 )
-def test_every_screen_says_the_same(tuned_run, folder, default, tuned, passed_check, certified):
+def test_every_screen_says_the_same(
+    tuned_run, folder, default, tuned, passed_check, certified, enough
+):
+    with pytest.MonkeyPatch.context() as patch:
+        if enough:
+            # So that a certificate of a few draws opens `apply`.
+            patch.setattr("bo_tuner.certificate.store.shortfall", lambda *_: "")
+        compare_screens(tuned_run, folder, default, tuned, passed_check, certified)
+
+
+def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     shutil.rmtree(folder / "certificates", ignore_errors=True)
     count = min(len(default), len(tuned))
     run = made(tuned_run(), default[:count], tuned[:count], passed_check)
@@ -210,6 +224,40 @@ def test_every_screen_says_the_same(tuned_run, folder, default, tuned, passed_ch
     assert event["verdict"] == mapping
     assert event["feasible"] == verdict.feasible
     assert event["problem"] == "; ".join(verdict.reasons)
+
+    refusal = refusal_of_apply(run)
+    assert (refusal == "") == (verdict.certificate == PASS and not verdict.apply_refuses)
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert not (refusal and any(command.startswith("apply") for command in commands))
+    if verdict.certificate == FAIL:
+        assert f"expected {PASS}, found {FAIL}" in refusal
+    elif verdict.apply_refuses:
+        assert f"apply refuses it all the same: {refusal}." in verdict.remarks
+    elif verdict.certificate != PASS:
+        assert f"no certificate of trial {verdict.trial}" in refusal
+
+
+class NotRefusedError(Exception):
+    """`apply` has not refused the result."""
+
+
+def refusal_of_apply(run):
+    """The line in which `apply` refuses the result; empty if it goes on to the nodes."""
+
+    def go_on(path):
+        raise NotRefusedError
+
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(io.StringIO()) as said:
+        patch.setattr("bo_tuner.cli.apply.read_result", lambda _: run)
+        patch.setattr("bo_tuner.cli.apply.RunFolder", go_on)
+        try:
+            code = apply.run(["run"], SimpleNamespace())
+        except NotRefusedError:
+            return ""
+    assert code == EXIT_INFEASIBLE
+    (line,) = said.getvalue().splitlines()
+    found = re.fullmatch(r"error: (.*) \(or use --without-certificate\)", line)
+    return found[1]
 
 
 def json_result(run, verdict):
