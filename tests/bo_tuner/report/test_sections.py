@@ -9,8 +9,9 @@ import pytest
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
-from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.analysis import Analysis, Outcome, Preliminary
 from bo_tuner.report.grid import parameter_grid, permitted
+from bo_tuner.report.sections.appendix import RESULT, all_trials
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.contours import contours
 from bo_tuner.report.sections.convergence import MOST_INCUMBENTS, _counts, convergence
@@ -44,6 +45,21 @@ def test_the_incumbent_is_the_one_that_rank_names(analysis):
     np.testing.assert_array_equal(
         named(over_evaluations, "incumbent", Line).x, [evaluations[int(k)] for k in expected]
     )
+
+
+def test_a_trial_that_is_not_in_the_models_yet_is_in_the_table(analysis):
+    record = replace(analysis.record, summary=None)
+    fewer = Analysis(replace(record, trials=record.trials[:-1]))
+    before, now, after = (
+        all_trials(run).tables[0].rows
+        for run in (fewer, Preliminary(record, earlier=fewer), Analysis(record))
+    )
+    # What the trial was; worst cases and marks are those of the models.
+    assert [row[:4] for row in now] == [row[:4] for row in after]
+    assert [row[-2] for row in now] == [row[-2] for row in after]
+    assert [row[0] for row in now if row[-1] == RESULT] == [
+        row[0] for row in before if row[-1] == RESULT
+    ]
 
 
 @pytest.mark.parametrize("total", [1, 2, 39, 41, 99, 101, 1000, 2357])

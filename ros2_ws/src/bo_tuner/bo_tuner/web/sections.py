@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.analysis import Analysis, Preliminary
 from bo_tuner.report.content import Section
 from bo_tuner.report.page import SECTIONS, answer_html, fill, section_html, trial_html
 from bo_tuner.report.sections.appendix import all_trials
 from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.sections.influence import influence
 from bo_tuner.report.trial_page import trial_sections
-from bo_tuner.storage.record import read_run
+from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.tuning.summary import with_summary
 
 Maker = Callable[[Analysis], Section | None]
@@ -21,16 +21,29 @@ ANSWER = "answer"
 SLOW = (influence,)
 """Sections that take longer than a trial may, and are made at the end only."""
 FAST = (failures, all_trials)
-"""Sections that need no model, and are made first: what a trial was shows at once."""
+"""Sections that are made first, also before a new trial is in the models: it shows at once."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A section as it stands on the page: its name, its place from the top, and its HTML."""
+    """A section as it stands on the page.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    place
+        Its place from the top.
+    html
+        Its HTML.
+    trials
+        Number of trials in the run that it shows.
+    """
 
     name: str
     place: int
     html: str
+    trials: int
 
 
 class LiveSections:
@@ -45,6 +58,7 @@ class LiveSections:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._known: dict[Hashable, Any] = {}
+        self._earlier: Analysis | None = None
 
     def analysis(self, *, ended: bool) -> Analysis:
         """Read the run as it stands now.
@@ -54,17 +68,28 @@ class LiveSections:
         RunRecordError
             If it cannot be read.
         """
+        return Analysis(self._record(ended=ended), self._known)
+
+    def _record(self, *, ended: bool) -> RunRecord:
         record = read_run(self._folder)
         # The summary of a run that goes on is one of an earlier session.
-        record = with_summary(record, _ignore) if ended else replace(record, summary=None)
-        return Analysis(record, self._known)
+        return with_summary(record, _ignore) if ended else replace(record, summary=None)
+
+    def preliminary(self) -> Iterator[Part]:
+        """Yield the first sections of a run that goes on, by the models of `parts` before.
+
+        This may be called while `parts` makes others. Nothing before `parts` had models.
+        """
+        if (earlier := self._earlier) is not None:
+            yield from _made(Preliminary(self._record(ended=False), earlier=earlier), FAST)
 
     def parts(self, *, ended: bool) -> Iterator[Part]:
         """Yield the sections in the order in which they are ready."""
         analysis = self.analysis(ended=ended)
         later = [make for make in SECTIONS if make not in FAST and (ended or make not in SLOW)]
         yield from _made(analysis, FAST)
-        yield Part(ANSWER, 0, answer_html(analysis))
+        self._earlier = analysis
+        yield Part(ANSWER, 0, answer_html(analysis), len(analysis.record.trials))
         yield from _made(analysis, later)
 
     def shell(self, control: str) -> str:
@@ -90,7 +115,8 @@ class LiveSections:
 def _made(analysis: Analysis, makers: Iterable[Maker]) -> Iterator[Part]:
     for make in makers:
         if (section := make(analysis)) is not None:
-            yield Part(section.name, 1 + SECTIONS.index(make), section_html(section))
+            place, trials = 1 + SECTIONS.index(make), len(analysis.record.trials)
+            yield Part(section.name, place, section_html(section), trials)
 
 
 def _ignore(_: str) -> None:

@@ -109,7 +109,7 @@ class Home(Page):
             self.redirect("/")
             return
         self.state.watch()
-        self.finish(await self.state.call(self.state.sections.shell, self.state.control))
+        self.finish(await self.state.call_ahead(self.state.sections.shell, self.state.control))
 
 
 class State(Page):

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import secrets
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -16,6 +16,14 @@ LONGEST_WAIT = 20.0
 """Time [s] after which a request for news is answered without any."""
 WATCHED = 30.0
 """Time [s] for which the sections are kept up to date after a request."""
+REST = 4.0
+"""Shortest pause between two times that all sections are made, in multiples of the time for that.
+
+The models of many trials take seconds, and the run may need the processor. A trial that takes
+longer than that is in the models at once.
+"""
+SHORT_REST = 1.0
+"""As `REST`, of the sections that show what a trial was."""
 
 
 class LiveState:
@@ -46,8 +54,11 @@ class LiveState:
         self._watched_until = 0.0
         self._changed = asyncio.Event()
         self._due = asyncio.Event()
+        self._over = asyncio.Event()
         # One thread: the sections share what they know.
         self._executor = ThreadPoolExecutor(1)
+        # Another for those that need not wait for the models.
+        self._ahead = ThreadPoolExecutor(1)
         # Another, so that a comparison does not hold up the page of the run.
         self._aside = ThreadPoolExecutor(1)
 
@@ -56,6 +67,10 @@ class LiveState:
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._executor, function, *arguments)
 
+    async def call_ahead(self, function: Any, *arguments: Any) -> Any:
+        """Call a function of `sections` that needs no models, while these may be fitted."""
+        return await asyncio.get_running_loop().run_in_executor(self._ahead, function, *arguments)
+
     async def call_aside(self, function: Any, *arguments: Any) -> Any:
         """Call a function of `runs` in their thread."""
         return await asyncio.get_running_loop().run_in_executor(self._aside, function, *arguments)
@@ -63,6 +78,8 @@ class LiveState:
     def take(self, now: Mapping[str, Any]) -> None:
         """Take what the run tells."""
         self.now = now
+        if now.get("ended"):
+            self._over.set()
         self._due.set()
         self._publish()
 
@@ -86,37 +103,89 @@ class LiveState:
     async def keep_up(self) -> None:
         """Make the sections anew whenever the run has come further and somebody looks."""
         made: object = None
+        behind = False
+        others = asyncio.create_task(asyncio.sleep(0.0))
         while True:
             await self._due.wait()
             self._due.clear()
             if not self.watched:
                 continue
             reached = (self.now.get("trials"), self.now.get("phase"), self.now.get("ended"))
-            if reached == made:
+            if self._over.is_set():
+                await others
+                if reached != made:
+                    made = reached
+                    await self._finish()
                 continue
-            made = reached
-            ended = bool(self.now.get("ended"))
-            # A run that was interrupted has no result to show.
-            if not ended or self.now.get("verdict"):
-                await self._make(ended=ended)
-            if ended:
-                self.complete = True
-                self._publish()
+            if reached != made:
+                made, behind = reached, True
+                first = self._make(self._ahead, self.sections.preliminary())
+                await self._and_rest(first, SHORT_REST)
+            if behind and others.done():
+                behind = False
+                others = asyncio.create_task(self._make_all())
 
-    async def _make(self, *, ended: bool) -> None:
+    async def _finish(self) -> None:
+        """Show the result; a run that was interrupted has none."""
+        if self.now.get("verdict"):
+            await self._make_whole(self.sections.parts(ended=True), last=True)
+        self.complete = True
+        self._publish()
+
+    async def _make_all(self) -> None:
+        """Make all sections of a run that goes on, and rest."""
+        await self._and_rest(self._make_whole(self.sections.parts(ended=False)), REST)
+        # What has come meanwhile is due now.
+        self._due.set()
+
+    async def _and_rest(self, making: Awaitable[object], factor: float) -> None:
+        """Wait for what is made, and then a multiple of that time or until the run is over."""
+        clock = asyncio.get_running_loop().time
+        begin = clock()
+        await making
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(factor * (clock() - begin)):
+                await self._over.wait()
+
+    async def _make_whole(self, parts: Iterator[Part], *, last: bool = False) -> None:
+        """Show the parts of the page, and no others; once the run is over, only the `last` ones."""
+        names = await self._make(self._executor, parts, lambda: self._over.is_set() and not last)
+        if names is not None:
+            self.parts = {name: self.parts[name] for name in names}
+
+    async def _make(
+        self,
+        executor: ThreadPoolExecutor,
+        parts: Iterator[Part],
+        stop: Callable[[], bool] = lambda: False,
+    ) -> list[str] | None:
+        """Show parts as they are ready, and return their names; None if not all were made."""
+        loop = asyncio.get_running_loop()
         names = []
         try:
-            parts = self.sections.parts(ended=ended)
-            while (part := await self.call(next, parts, None)) is not None:
+            while (part := await loop.run_in_executor(executor, next, parts, None)) is not None:
+                if stop():
+                    return None
                 names.append(part.name)
-                if part.name not in self.parts or self.parts[part.name][1] != part:
-                    self.parts[part.name] = self.version + 1, part
-                    self._publish()
-            # Without those that no longer apply.
-            self.parts = {name: self.parts[name] for name in names}
-            problem = ""
+                self._show(part)
         except BoTunerError as error:
-            problem = f"The page cannot be brought up to date: {error}"
+            self._tell(f"The page cannot be brought up to date: {error}")
+            return None
+        self._tell("")
+        return names
+
+    def _show(self, part: Part) -> None:
+        """Show a part, unless one of more trials is there already."""
+        version, shown = self.parts.get(part.name, (-1, None))
+        if shown is not None and part.trials < shown.trials:
+            return
+        new = shown is None or part.html != shown.html
+        self.parts[part.name] = (self.version + 1 if new else version, part)
+        if new:
+            self._publish()
+
+    def _tell(self, problem: str) -> None:
+        """Tell of a problem, or that there is none any more."""
         if problem != self.problem:
             self.problem = problem
             self._publish()
