@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bo_tuner.models.surrogates import FITTED_EACH, ModelOptions
+from bo_tuner.models.fitting import FITTED_EACH, ModelOptions
 from bo_tuner.optimizers import ranking
 from bo_tuner.optimizers.ranking import first_by, rank, ranked_by, ranking_models
 

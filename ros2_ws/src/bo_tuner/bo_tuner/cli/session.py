@@ -19,7 +19,7 @@ from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
 from bo_tuner.monitoring.node import LiveNode
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
-from bo_tuner.optimizers.ranking import Candidate, rank
+from bo_tuner.optimizers.ranking import Candidate, incumbent
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
@@ -303,8 +303,7 @@ class Session:
             yield trial
 
     def _best(self, tuning: Tuning) -> Candidate | None:
-        ranked = rank(self._study, tuning.trials, self._algorithm.models)
-        return ranked[0] if ranked else None
+        return incumbent(self._study, tuning.trials, self._algorithm.models)
 
     def _verdict(self, found: Conclusion | None, trials: Sequence[Trial]) -> Verdict:
         if found is None:

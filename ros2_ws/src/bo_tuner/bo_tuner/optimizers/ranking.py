@@ -99,6 +99,13 @@ def rank(
     return ranked_by(ranking_models(study, trials, options), study, trials, options)
 
 
+def incumbent(
+    study: Study, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
+) -> Candidate | None:
+    """Return the first of `rank`, without the others; None if no trial is complete."""
+    return first_by(ranking_models(study, trials, options), study, trials, options)
+
+
 def ranking_models(
     study: Study,
     trials: Sequence[Trial],

@@ -42,7 +42,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparameters
 from bo_tuner.optimizers.boundary import provable
-from bo_tuner.optimizers.ranking import ranked_by
+from bo_tuner.optimizers.ranking import first_by
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Trial, count_evaluations
 
@@ -197,10 +197,9 @@ def _pooled(
     rng: np.random.Generator,
 ) -> Outlook | None:
     """Return the outlook of an algorithm with pooled evaluations."""
-    ranked = ranked_by(surrogates, study, trials, algorithm.models)
-    if not ranked or not ranked[0].believed_feasible:
+    best, space = first_by(surrogates, study, trials, algorithm.models), study.search_space()
+    if best is None or not best.believed_feasible:
         return None
-    best, space = ranked[0], study.search_space()
     search = AcquisitionSearch(provable(surrogates), space, algorithm.acquisition, rng)
     search.incumbent = float(study.objective.to_cost(best.objective))
     found = search.maximise()

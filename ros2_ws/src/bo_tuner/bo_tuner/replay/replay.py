@@ -7,7 +7,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.deploy.bundle import result_of
 from bo_tuner.errors import RunRecordError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
@@ -128,10 +128,10 @@ def find_trial(record: RunRecord, which: str) -> int:
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
-        ranked = rank(record.study, record.trials, ALGORITHMS[record.algorithm].models)
-        if not ranked:
+        best = incumbent(record.study, record.trials, ALGORITHMS[record.algorithm].models)
+        if best is None:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
-        return ranked[0].trial.number
+        return best.trial.number
     if which == WORST:
         complete = [trial for trial in record.trials if trial.state is TrialState.COMPLETE]
         if not complete:

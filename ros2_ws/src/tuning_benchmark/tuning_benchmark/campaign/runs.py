@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
-from bo_tuner.optimizers.ranking import rank
+from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
@@ -132,8 +132,8 @@ class Run:
 
     def first_ranked(self, algorithm: Algorithm) -> int | None:
         """Return the trial that an algorithm ranks first; None if none is believed feasible."""
-        ranked = rank(self.study, self.trials, algorithm.models)
-        return ranked[0].trial.number if ranked and ranked[0].believed_feasible else None
+        best = incumbent(self.study, self.trials, algorithm.models)
+        return best.trial.number if best is not None and best.believed_feasible else None
 
     def answer(self) -> tuple[int, bool] | None:
         """Return the trial recommended in the end and whether it is believed feasible, or None.

@@ -20,7 +20,7 @@ from bo_tuner.figures.figure import (
     Points,
     Scale,
 )
-from bo_tuner.models.surrogates import FITTED_EACH
+from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
