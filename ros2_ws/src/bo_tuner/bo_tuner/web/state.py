@@ -152,6 +152,7 @@ class LiveState:
         names = await self._make(self._executor, parts, lambda: self._over.is_set() and not last)
         if names is not None:
             self.parts = {name: self.parts[name] for name in names}
+            self._tell("")
 
     async def _make(
         self,
@@ -171,7 +172,6 @@ class LiveState:
         except BoTunerError as error:
             self._tell(f"The page cannot be brought up to date: {error}")
             return None
-        self._tell("")
         return names
 
     def _show(self, part: Part) -> None:
@@ -185,7 +185,7 @@ class LiveState:
             self._publish()
 
     def _tell(self, problem: str) -> None:
-        """Tell of a problem, or that there is none any more."""
+        """Tell of a problem, or with an empty text that there is none any more."""
         if problem != self.problem:
             self.problem = problem
             self._publish()
