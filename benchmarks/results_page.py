@@ -262,6 +262,7 @@ def report_section(result: Result) -> str:
         for name, key in (
             ("open: loaded, first figure drawn", "seconds_to_open"),
             ("all figures drawn", "seconds_to_draw_all"),
+            ("processor time of the browser for that", "processor_seconds_of_the_page"),
             ("write", "seconds_to_write"),
         )
     ]  # fmt: skip
@@ -286,7 +287,8 @@ def report_section(result: Result) -> str:
             origin(result),
             f"{result['trials']} trials of the study `{result['study']}`: "
             f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
-            "axe-core.",
+            f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes before "
+            "the end: other programs stretched all times by the clock.",
             table(["", "median [s]", "least", "most"], rows),
         ]
     )
