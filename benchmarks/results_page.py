@@ -287,8 +287,8 @@ def report_section(result: Result) -> str:
             origin(result),
             f"{result['trials']} trials of the study `{result['study']}`: "
             f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
-            f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes before "
-            "the end: other programs stretched all times by the clock.",
+            f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes "
+            "before the end: other programs stretch all times by the clock.",
             table(["", "median [s]", "least", "most"], rows),
         ]
     )
