@@ -121,7 +121,8 @@ class LiveState:
                 made, behind = reached, True
                 first = self._make(self._ahead, self.sections.preliminary())
                 await self._and_rest(first, SHORT_REST)
-            if behind and others.done():
+            # The end may have come meanwhile; the result need not wait for what it replaces.
+            if behind and others.done() and not self._over.is_set():
                 behind = False
                 others = asyncio.create_task(self._make_all())
 
