@@ -16,8 +16,10 @@ LONGEST_WAIT = 20.0
 """Time [s] after which a request for news is answered without any."""
 WATCHED = 30.0
 """Time [s] for which the sections are kept up to date after a request."""
+QUICK = 0.5
+"""Time [s] up to which sections that are made need no pause after them."""
 REST = 4.0
-"""Shortest pause between two times that all sections are made, in multiples of the time for that.
+"""Pause after all sections were made, in multiples of the time beyond `QUICK` that this took.
 
 The models of many trials take seconds, and the run may need the processor. A trial that takes
 longer than that is in the models at once.
@@ -140,12 +142,12 @@ class LiveState:
         self._due.set()
 
     async def _and_rest(self, making: Awaitable[object], factor: float) -> None:
-        """Wait for what is made, and then a multiple of that time or until the run is over."""
+        """Wait for what is made, and if that took long for a pause or until the run is over."""
         clock = asyncio.get_running_loop().time
         begin = clock()
         await making
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(factor * (clock() - begin)):
+            async with asyncio.timeout(factor * (clock() - begin - QUICK)):
                 await self._over.wait()
 
     async def _make_whole(self, parts: Iterator[Part], *, last: bool = False) -> None:
