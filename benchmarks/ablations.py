@@ -39,7 +39,7 @@ class Variant:
 
     title: str
     changes: Sequence[Change] = ()
-    budget: Mapping[str, int | None] = field(default_factory=dict)
+    budget: Mapping[str, int] = field(default_factory=dict)
     cases: Sequence[str] = ("mean",)
 
 
@@ -66,11 +66,6 @@ VARIANTS = (
     Variant(
         "5 drawn contexts and 10 searched, as in the paper, for each trial of the search",
         budget={"drawn_contexts": 5, "search_evaluations": 10},
-    ),
-    Variant(
-        "2 drawn contexts and 3 searched, for each trial of the search",
-        budget={"drawn_contexts": None, "search_evaluations": None},
-        cases=("single-run",),
     ),
 )
 
