@@ -65,7 +65,7 @@ def suggestion_section(result: Result) -> str:
             "that of `boundary` and of IV (median and range over the turns). The models of "
             "`boundary` have all six evaluations of each trial as their data, those of the others "
             "means and worst cases. Beyond a hundred trials, hyperparameters are fitted whenever "
-            "the trials have grown by a twentieth: the time is the mean over the trials between "
+            "the trials have grown by a tenth: the time is the mean over the trials between "
             "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
             table(["trials", "optimizer", "to boundary", "to IV"], rows),
             f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
@@ -308,6 +308,35 @@ def live_section(result: Result) -> str:
     )
 
 
+def web_section(result: Result) -> str:
+    """Cost of the live page, and how soon it shows a trial."""
+    rows = [
+        [
+            f"cost {how}",
+            f"{result[f'cost_by_{key}']:.1%} ± {result[f'standard_error_by_{key}']:.1%}",
+        ]
+        for how, key in (("by the clock", "clock"), ("in processor time of the run", "processor"))
+    ]
+    rows += [
+        [f"{what} after a trial", f"{delay['median']:.2f} s, at most {delay['largest']:.2f} s"]
+        for what, delay in (
+            ("state", result["delay_of_state"]),
+            ("table", result["delay_of_table"]),
+        )
+    ]
+    return "\n\n".join(
+        [
+            "## Cost of the live page",
+            origin(result),
+            f"{len(result['pairs'])} pairs of runs in process with {result['trials']} trials of "
+            f"the study `{result['study']}`, with `--web` and a reader that follows it, and "
+            "without; mean and its standard error. The load average was "
+            f"{min(result['load_average']):.1f} to {max(result['load_average']):.1f}.",
+            table(["", ""], rows),
+        ]
+    )
+
+
 def time_left_section(result: Result) -> str:
     """Errors of the announced time left."""
     rows = []
@@ -471,6 +500,7 @@ def main() -> None:
         ("closed_loop.json", closed_loop_section),
         ("recording.json", recording_section),
         ("live_overhead.json", live_section),
+        ("web_overhead.json", web_section),
         ("time_left.json", time_left_section),
         ("band_coverage.json", coverage_section),
         ("stop_advice.json", stop_section),

@@ -152,13 +152,13 @@ def test_warm_start_gives_the_same_models(study, make_trial):
 
 
 class TestManyTrials:
-    """Beyond a hundred trials, hyperparameters are fitted when a twentieth has been added."""
+    """Beyond a hundred trials, hyperparameters are fitted when a tenth has been added."""
 
     def test_fits_grow_with_the_logarithm_of_the_trials(self):
         assert all(fitted_after(n) for n in range(1, 101))
         due = [n for n in range(101, 100_001) if fitted_after(n)]
-        assert len(due) == int(np.log(1000.0) / np.log(1.05))
-        assert np.diff(np.log([100, *due])) == pytest.approx(np.log(1.05), abs=0.01)
+        assert len(due) == int(np.log(1000.0) / np.log(1.1))
+        assert np.diff(np.log([100, *due])) == pytest.approx(np.log(1.1), abs=0.01)
 
     @pytest.mark.parametrize("pooled", [False, True])
     def test_between_them_the_hyperparameters_are_kept(self, study, make_trial, pooled):

@@ -50,7 +50,7 @@ CHANCE_OVER = 64
 FITTED_EACH = 100
 """Number of trials up to which the hyperparameters are fitted anew after each of them."""
 
-GROWTH = 0.05
+GROWTH = 0.1
 """Part by which the number of trials grows between fits of the hyperparameters after that.
 
 A fit is most of the time of a suggestion then, and one of many trials changes it little. So the
@@ -313,10 +313,8 @@ class Fitting:
         self, trials: Sequence[Trial], metric: str
     ) -> tuple[Array, Array, NDArray[np.int_]]:
         """Return points (N, d), values (N,) and trial numbers (N,) of `Trial.observations`."""
-        x, y, number = [], [], []
-        for trial, point in zip(trials, self._points(trials), strict=True):
-            for value in trial.observations(metric):
-                x.append(point)
-                y.append(value)
-                number.append(trial.number)
-        return np.array(x), np.array(y), np.array(number)
+        values = [trial.observations(metric) for trial in trials]
+        counts = [len(found) for found in values]
+        x = np.repeat(self._points(trials), counts, axis=0)
+        number = np.repeat([trial.number for trial in trials], counts)
+        return x, np.array([value for found in values for value in found]), number

@@ -1,5 +1,6 @@
 """Interface of the optimizers of stage one (Sec. 4.1), and the initial design they share."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -79,6 +80,7 @@ class DesignedOptimizer:
         self.study = study
         self.space = study.search_space()
         self.trials: list[Trial] = []
+        self._keys: set[tuple[Value, ...]] = set()
         self._starts = study.starting_sets()
         drawn = study.budget.initial_trials - len(self._starts)
         self._design = np.empty((0, self.space.dimension))
@@ -89,12 +91,16 @@ class DesignedOptimizer:
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
         self.trials.append(trial)
+        self._keys.add(self.space.key(trial.parameters))
+
+    def has_tried(self, parameters: Mapping[str, Value]) -> bool:
+        """Return whether a trial had the same parameter set."""
+        return self.space.key(parameters) in self._keys
 
     def initial(self) -> Proposal | None:
         """Return the initial design's proposal for the next trial, or None after the last."""
-        tried = {self.space.key(trial.parameters) for trial in self.trials}
         for parameters in self._starts:
-            if self.space.key(parameters) not in tried:
+            if not self.has_tried(parameters):
                 is_default = parameters == self.space.defaults
                 return Proposal(parameters, DEFAULT if is_default else START)
         # Trials of an earlier run take the place of as many points.

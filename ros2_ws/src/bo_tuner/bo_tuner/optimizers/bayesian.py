@@ -1,6 +1,6 @@
 """Bayesian optimization, Algorithm 1 of the paper."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from bo_tuner.optimizers.base import (
 )
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, Value
+from bo_tuner.trials import Trial
 
 NEGLIGIBLE = 1e-3
 """Largest acquisition, in standard deviations of the cost, that is not worth a trial.
@@ -165,7 +165,7 @@ class BayesianOptimization(DesignedOptimizer):
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
         if cube is not None:
             parameters = self.space.to_parameters(cube)
-            if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
+            if not self.has_tried(parameters):
                 return Proposal(parameters, origin, warnings, warm, outliers=outliers)
         cube = space_filling(self.space, self._tried(), rng)
         parameters = self.space.to_parameters(cube)
@@ -204,9 +204,6 @@ class BayesianOptimization(DesignedOptimizer):
     def _tried(self) -> Array:
         rows = [self.space.to_cube(t.parameters) for t in self.trials]
         return np.array(rows).reshape(-1, self.space.dimension)
-
-    def _key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
-        return self.space.key(parameters)
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:

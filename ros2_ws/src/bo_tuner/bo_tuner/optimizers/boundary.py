@@ -103,7 +103,7 @@ class BoundaryOptimization(BayesianOptimization):
                 result = search.maximise(avoid=avoid)
                 if np.isfinite(result.value):
                     parameters = self.space.to_parameters(result.position)
-                    if self._key(parameters) not in {self._key(t.parameters) for t in self.trials}:
+                    if not self.has_tried(parameters):
                         return Proposal(
                             parameters, ACQUISITION, warnings, warm, new_point(self.study), outliers
                         )
