@@ -20,10 +20,9 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
 from bo_tuner.optimizers.stopping import StopAdvisor
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial, count_evaluations
+from bo_tuner.trials import Trial
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import recommend
-from bo_tuner.tuning.settling import most_repetitions, settle
+from bo_tuner.tuning.summary import choose_answer
 from tuning_benchmark.problems.closed_form import CONSTANT, LIMIT, ClosedForm
 
 PROBLEM = ClosedForm(parameters=2, contexts=1, noise=CONSTANT)
@@ -34,12 +33,7 @@ def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str,
     """Settle the answer from trials, and return its true cost and worst mean; None without one."""
     backend = InProcessBackend(study)
     backend.open()
-    if algorithm.models.pooled:
-        most = most_repetitions(study, count_evaluations(trials))
-        found = settle(study, backend, trials, algorithm.models, most=most)
-    else:
-        most = algorithm.most_checked
-        found = recommend(study, backend, trials, algorithm.models, most_checked=most)
+    found = choose_answer(study, backend, algorithm, trials)
     backend.close()
     if found is None:
         return None

@@ -51,12 +51,13 @@ def run(make_study, function_backend):
     return start
 
 
-def advice_of(study, steps, algorithm=ALGORITHM):
+def until_advice(study, steps, algorithm=ALGORITHM):
+    """The trials up to the advice, or all of them; and the advice."""
     advisor = StopAdvisor(study, algorithm)
     for trials in steps:
         if advisor.consider(trials) is not None:
-            return advisor.advice
-    return None
+            break
+    return trials, advisor.advice
 
 
 def distance(gains):
@@ -66,7 +67,7 @@ def distance(gains):
 class TestAdvice:
     def test_where_all_are_equal_there_is_nothing_to_gain(self, run):
         study, steps = run(lambda gains: 5.0, noise=0.3)
-        advice = advice_of(study, steps)
+        _, advice = until_advice(study, steps)
         assert advice is not None
         assert advice.trials + advice.remaining == 40
         # The standard error of five evaluations; drawn by quantiles they vary a little less.
@@ -75,11 +76,7 @@ class TestAdvice:
 
     def test_a_known_optimum_was_found_to_the_noise(self, run):
         study, steps = run(distance, noise=0.3)
-        advisor = StopAdvisor(study, ALGORITHM)
-        for trials in steps:
-            if advisor.consider(trials):
-                break
-        advice = advisor.advice
+        trials, advice = until_advice(study, steps)
         assert advice is not None
         best = min(distance(np.array([t.parameters["gain_0"]])) for t in trials)
         assert best < advice.noise
@@ -87,21 +84,15 @@ class TestAdvice:
     def test_there_is_none_as_long_as_much_is_left_to_gain(self, run):
         """Five parameters without noise: it takes more than 25 trials to come near the optimum."""
         study, steps = run(distance, noise=1e-3, parameters=5, trials=26)
-        advisor = StopAdvisor(study, ALGORITHM)
-        for trials in steps:
-            advisor.consider(trials)
+        trials, advice = until_advice(study, steps)
         left = min(distance(np.array(list(t.parameters.values()))) for t in trials)
         assert left > 1e-2
-        assert advisor.advice is None
+        assert advice is None
 
     def test_with_pooled_evaluations(self, run):
         """Where all are equal: the error is that of a run in a drawn context, over all its runs."""
         study, steps = run(lambda gains: 5.0, noise=0.3, algorithm=BOUNDARY)
-        advisor = StopAdvisor(study, BOUNDARY)
-        for trials in steps:
-            if advisor.consider(trials):
-                break
-        advice = advisor.advice
+        trials, advice = until_advice(study, steps, BOUNDARY)
         assert advice is not None
         assert advice.trials < 40
         (answer, *_) = rank(study, trials, BOUNDARY.models)
@@ -122,7 +113,7 @@ class TestAdvice:
 
     def test_none_for_random_search_and_none_after_the_last_trial(self, run):
         study, steps = run(lambda gains: 5.0, noise=0.3, trials=10)
-        assert advice_of(study, steps) is None
+        assert until_advice(study, steps)[1] is None
         study, steps = run(lambda gains: 5.0, noise=0.3, trials=25)
         trials = list(list(steps)[-1])
         random = StopAdvisor(study, ALGORITHMS["II"])

@@ -25,6 +25,9 @@ TUNING = (Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 """Stages in which a trial is evaluated again as a candidate."""
 
+SEEKING_WORST = (Stage.SEARCH, Stage.CHECK_WORST)
+"""Stages in what is taken for the worst context."""
+
 ESTIMATING = (Stage.NOMINAL, Stage.DRAWN, Stage.CHECK_DRAWN)
 """Stages whose contexts follow the distribution that the objective is an expectation over."""
 

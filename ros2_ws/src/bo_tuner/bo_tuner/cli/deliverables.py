@@ -41,8 +41,7 @@ def _with_verdict(record: RunRecord) -> RunRecord:
     """Bring the verdict in the summary's file up to date with the latest certificate."""
     if record.summary is None:
         return record
-    verdict = run_verdict(record)
-    current = {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
+    current = run_verdict(record).to_summary()
     if all(record.summary.get(key) == value for key, value in current.items()):
         return record
     summary = {**record.summary, **current}

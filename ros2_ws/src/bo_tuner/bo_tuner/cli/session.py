@@ -332,7 +332,7 @@ class Session:
             trials=trials,
             evaluations=evaluations,
         )
-        summary |= {"feasible": verdict.feasible, "verdict": verdict.to_mapping()}
+        summary |= verdict.to_summary()
         folder.write_json(SUMMARY, summary)
         parameters = found.recommendation.candidate.trial.parameters
         self._display.result(Result(self._study, verdict, parameters, path, summary))

@@ -8,7 +8,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.search_space import SearchSpace
-from bo_tuner.trials import EvaluationState, Stage, Trial
+from bo_tuner.trials import SEEKING_WORST, EvaluationState, Trial
 
 
 def joint_observations(
@@ -53,7 +53,7 @@ def searched_contexts(trials: Sequence[Trial]) -> list[Mapping[str, float]]:
         evaluation.context
         for trial in trials
         for evaluation in trial.evaluations
-        if evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
+        if evaluation.stage in SEEKING_WORST
     ]
 
 

@@ -154,15 +154,15 @@ def first_by(
         return None
     cost = ranking.cost(complete)
     order = np.argsort(cost, kind="stable")
-    first: Candidate | None = None
+    first: list[Candidate] = []
     for k in range(0, len(order), BLOCK):
         # No penalty is negative, so the score of those left is at least their cost.
-        if first and first.believed_feasible and first.score < cost[order[k]]:
+        if first and first[0].believed_feasible and first[0].score < cost[order[k]]:
             break
         # In the order of the run, as `ranked_by` has a single block.
         found = ranking.candidates([complete[i] for i in sorted(order[k : k + BLOCK])])
-        first = min([*([first] if first else []), *found], key=_place)
-    return first
+        first = [min(first + found, key=_place)]
+    return first[0]
 
 
 def comparable(

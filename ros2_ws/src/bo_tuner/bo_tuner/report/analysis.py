@@ -73,7 +73,7 @@ class Analysis:
         return ALGORITHMS[self.record.algorithm].models
 
     @cached_property
-    def checked(self) -> bool:
+    def has_checks(self) -> bool:
         """Whether trials have evaluations that checked them as candidates."""
         return any(evaluation.stage in CHECKS for evaluation in self.record.evaluations)
 

@@ -72,16 +72,7 @@ def conclude(
     RunError
         As in `validate`.
     """
-    models = algorithm.models
-    if models.pooled:
-        most = most_repetitions(study, count_evaluations(trials))
-        observer.begin(Phase.CHECKING, most)
-        best = settle(study, backend, trials, models, most=most, observer=observer)
-    else:
-        most = algorithm.most_checked
-        observer.begin(Phase.CHECKING, most)
-        best = recommend(study, backend, trials, models, most_checked=most, observer=observer)
-    observer.end(Phase.CHECKING)
+    best = choose_answer(study, backend, algorithm, trials, observer=observer)
     if best is None:
         return None
     observer.begin(Phase.VALIDATION, study.budget.validation_draws)
@@ -93,6 +84,50 @@ def conclude(
     )
     observer.end(Phase.VALIDATION)
     return Conclusion(best, default, tuned)
+
+
+def choose_answer(
+    study: Study,
+    backend: Backend,
+    algorithm: Algorithm,
+    trials: Sequence[Trial],
+    *,
+    most_repeated: int | None = None,
+    observer: RunObserver = NOBODY,
+) -> Recommendation | None:
+    """Evaluate the best candidates again, in the way of the algorithm, and recommend one.
+
+    Parameters
+    ----------
+    study, backend, algorithm, trials, observer
+        As in `conclude`.
+    most_repeated
+        Largest number of repetitions of an algorithm with pooled evaluations; by default
+        `most_repetitions`.
+
+    Returns
+    -------
+    Recommendation or None
+        None if no trial is complete.
+
+    Raises
+    ------
+    RunError
+        As in `settle` and `recommend`.
+    """
+    models = algorithm.models
+    if models.pooled:
+        most = most_repeated
+        if most is None:
+            most = most_repetitions(study, count_evaluations(trials))
+        observer.begin(Phase.CHECKING, most)
+        found = settle(study, backend, trials, models, most=most, observer=observer)
+    else:
+        most = algorithm.most_checked
+        observer.begin(Phase.CHECKING, most)
+        found = recommend(study, backend, trials, models, most_checked=most, observer=observer)
+    observer.end(Phase.CHECKING)
+    return found
 
 
 def summarize(

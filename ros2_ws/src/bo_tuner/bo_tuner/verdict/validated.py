@@ -6,6 +6,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
+    SEEKING_WORST,
     Evaluation,
     EvaluationState,
     Stage,
@@ -158,8 +159,7 @@ def _problems(study: Study, found: Validation) -> list[str]:
 def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> bool:
     """Return whether the worst context of a parameter set was searched."""
     return any(
-        evaluation.stage in (Stage.SEARCH, Stage.CHECK_WORST)
-        and dict(evaluation.parameters) == dict(parameters)
+        evaluation.stage in SEEKING_WORST and dict(evaluation.parameters) == dict(parameters)
         for evaluation in evaluations
     )
 

@@ -285,6 +285,10 @@ class Verdict:
             "quantities": [_plain(asdict(q) | {"change": str(q.change)}) for q in self.quantities],
         }
 
+    def to_summary(self) -> dict[str, object]:
+        """Return what ``summary.json`` has of the verdict."""
+        return {"feasible": self.feasible, "verdict": self.to_mapping()}
+
 
 def shown(value: float) -> str:
     """Format a number with four digits; a dash for NaN."""

@@ -13,8 +13,9 @@ from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Trial, TrialState, Value
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import most_check_evaluations, recommend
-from bo_tuner.tuning.settling import before_repetitions, settle
+from bo_tuner.tuning.recommendation import most_check_evaluations
+from bo_tuner.tuning.settling import before_repetitions
+from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
@@ -143,13 +144,10 @@ class Run:
         if self._peer is not None:
             number = self._peer.recommend()
             return None if number is None else (number, True)
-        models = self.algorithm.models
-        if models.pooled:
-            most = max(0, self._evaluations - self.backend.evaluations)
-            found = settle(self.study, self.backend, self.trials, models, most=most)
-        else:
-            most = self.algorithm.most_checked
-            found = recommend(self.study, self.backend, self.trials, models, most_checked=most)
+        left = max(0, self._evaluations - self.backend.evaluations)
+        found = choose_answer(
+            self.study, self.backend, self.algorithm, self.trials, most_repeated=left
+        )
         return None if found is None else (found.candidate.trial.number, found.feasible)
 
 

@@ -229,7 +229,7 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     Beyond `FITTED_EACH` trials, the models have the hyperparameters that the run had then, or if it
     recorded none, as random search, those of all trials.
     """
-    if count == len(analysis.record.trials) and not analysis.checked:
+    if count == len(analysis.record.trials) and not analysis.has_checks:
         return analysis.leader
     study, trials = analysis.study, analysis.record.trials[:count]
     options = ALGORITHMS[analysis.record.algorithm].models
