@@ -121,7 +121,7 @@ def parameter_sensitivity(
     space = study.search_space()
     around = [dict(parameters), *space.neighbours(parameters)]
     tuned = [{name: item[name] for name in space.names} for item in around]
-    points = np.array([space.to_cube(item) for item in tuned])
+    points = space.cube_of(tuned)
     cost = models.objective.predict_mean(points)
     # A difference of logarithms is relative as it is.
     scale = 1.0 if study.objective.scale == "log" else models.objective.scale

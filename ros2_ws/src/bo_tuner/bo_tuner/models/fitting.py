@@ -223,7 +223,7 @@ class Fitting:
 
     def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
         contexts = self._study.context_space()
-        x, c, y = joint_observations(self._space, contexts, trials, worst.metric)
+        x, c, y = joint_observations(self._points(trials), contexts, trials, worst.metric)
         minimum = np.append(self._minimum, np.zeros(contexts.dimension))
         model = self._fit(worst.name, np.hstack([x, c]), y, minimum)
         margin = worst.sign * worst.deviations * model.noise_variance**0.5
@@ -273,7 +273,7 @@ class Fitting:
         transform: Callable[[Array], Array] = np.asarray,
     ) -> JointProcess:
         contexts = self._study.context_space()
-        x, c, y = joint_observations(self._space, contexts, trials, metric)
+        x, c, y = joint_observations(self._points(trials), contexts, trials, metric)
         process = JointProcess.fit(
             x,
             c,

@@ -7,21 +7,22 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
-from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.trials import SEEKING_WORST, EvaluationState, Trial
 
 
 def joint_observations(
-    space: SearchSpace, contexts: ContextSpace, trials: Sequence[Trial], metric: str
+    points: Array, contexts: ContextSpace, trials: Sequence[Trial], metric: str
 ) -> tuple[Array, Array, Array]:
     """Return parameter sets, contexts and values of all complete evaluations.
 
     Parameters
     ----------
-    space, contexts
-        The study's, of dimensions d and e.
+    points : ndarray, shape (n, d)
+        Parameter sets of the trials, in the unit cube.
+    contexts
+        The study's, of dimension e.
     trials
-        The trials.
+        n trials.
     metric
         Name of the observed metric.
 
@@ -36,12 +37,12 @@ def joint_observations(
     """
     complete = [
         (point, evaluation)
-        for trial, point in ((trial, space.to_cube(trial.parameters)) for trial in trials)
+        for trial, point in zip(trials, points, strict=True)
         for evaluation in trial.evaluations
         if evaluation.outcome.state is EvaluationState.COMPLETE
     ]
     return (
-        np.array([point for point, _ in complete]).reshape(-1, space.dimension),
+        np.array([point for point, _ in complete]).reshape(-1, points.shape[1]),
         contexts.cube_of([evaluation.context for _, evaluation in complete]),
         np.array([evaluation.outcome.metrics[metric] for _, evaluation in complete]),
     )

@@ -124,7 +124,8 @@ class Algorithm:
         point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
         if self.models.pooled:
             kept = [t for t in trials if t.number not in proposal.outliers]
-            x, c, y = joint_observations(space, contexts, kept, constraint.metric)
+            points = space.cube_of(t.parameters for t in kept)
+            x, c, y = joint_observations(points, contexts, kept, constraint.metric)
             # Without context variables, drawn evaluations are those in the worst context.
             idle = contexts.dimension == 0 and proposal.protocol is None
             return PooledSearch(
@@ -142,7 +143,8 @@ class Algorithm:
             )
         if self.models.joint:
             kept = [t for t in trials if t.state is TrialState.COMPLETE]
-            x, c, y = joint_observations(space, contexts, kept, constraint.metric)
+            points = space.cube_of(t.parameters for t in kept)
+            x, c, y = joint_observations(points, contexts, kept, constraint.metric)
             return JointSearch(
                 contexts,
                 limit,
@@ -162,9 +164,7 @@ class Algorithm:
             self.worst_case,
             worst_contexts_nearby(
                 point,
-                coding.encode(
-                    np.array([space.to_cube(p) for p, _ in known]).reshape(-1, space.dimension)
-                ),
+                coding.encode(space.cube_of(p for p, _ in known)),
                 [worst for _, worst in known],
                 contexts,
                 self.neighbour_starts,

@@ -202,8 +202,7 @@ class BayesianOptimization(DesignedOptimizer):
         return 0.5
 
     def _tried(self) -> Array:
-        rows = [self.space.to_cube(t.parameters) for t in self.trials]
-        return np.array(rows).reshape(-1, self.space.dimension)
+        return self.space.cube_of(t.parameters for t in self.trials)
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:

@@ -241,7 +241,7 @@ class _Ranking:
         return self._models.objective
 
     def _points(self, trials: Sequence[Trial]) -> Array:
-        return np.array([self._space.to_cube(trial.parameters) for trial in trials])
+        return self._space.cube_of(trial.parameters for trial in trials)
 
 
 def looks(trial: Trial) -> int:

@@ -107,7 +107,7 @@ def _challenger(
     if not open_ones or surrogates.objective is None:
         return None
     space = study.search_space()
-    x = np.array([space.to_cube(c.trial.parameters) for c in open_ones])
+    x = space.cube_of(c.trial.parameters for c in open_ones)
     gain = np.zeros(len(open_ones))
     if best is not None:
         _, variance = surrogates.objective.predict(x)

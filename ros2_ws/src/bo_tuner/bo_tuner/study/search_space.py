@@ -143,6 +143,11 @@ class SearchSpace:
         """
         return self._to_unit(self._space.row(parameters))
 
+    def cube_of(self, parameter_sets: Iterable[Mapping[str, Value]]) -> Array:
+        """Return the points of the unit cube, shape (n, d), for n parameter sets, as `to_cube`."""
+        rows = [self.to_cube(parameters) for parameters in parameter_sets]
+        return np.array(rows).reshape(-1, self.dimension)
+
     def completed(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
         """Return all parameters, tied and fixed ones included, for the tuned ones.
 

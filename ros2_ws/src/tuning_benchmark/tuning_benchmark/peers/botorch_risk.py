@@ -108,7 +108,7 @@ class RiskAverse:
         return self._results[int(best)].parameters
 
     def _evaluated(self) -> Tensor:
-        return torch.tensor(np.array([self._space.to_cube(r.parameters) for r in self._results]))
+        return torch.tensor(self._space.cube_of(r.parameters for r in self._results))
 
     def _model(self) -> ModelListGP:
         """Return processes of cost and excess over parameters and context, for the whole set."""

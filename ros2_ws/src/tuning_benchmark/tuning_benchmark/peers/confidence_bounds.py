@@ -151,7 +151,7 @@ class ConfidenceBounds(ABC):
         return np.vstack([self._fixed, *(w[None] for w in self._found[-REMEMBERED:])])
 
     def _evaluated(self) -> Array:
-        return np.array([self._space.to_cube(r.parameters) for r in self._results])
+        return self._space.cube_of(r.parameters for r in self._results)
 
     def _condition(self, rng: np.random.Generator) -> None:
         """Bring the models up to date."""

@@ -89,7 +89,7 @@ def _indices(analysis: Analysis, trials: list[Trial], values: Array) -> Array:
     space = analysis.study.search_space()
     if np.ptp(values) == 0.0:
         return np.full(space.dimension, np.nan)
-    points = np.array([space.to_cube(trial.parameters) for trial in trials])
+    points = space.cube_of(trial.parameters for trial in trials)
     fit = coded_fit(GaussianProcess.fit, Coding(space.levels))
     rng = generator(analysis.study.seed, Stream.ACQUISITION, 2**31, len(trials))
     model = fit(points, values, rng=rng, minimum_length_scales=space.minimum_length_scales())

@@ -165,8 +165,7 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
     space = analysis.study.search_space()
     at = space.to_cube(analysis.tuned_values(answer.parameters))
     trials = analysis.comparable
-    cubes = [space.to_cube(analysis.tuned_values(trial.parameters)) for trial in trials]
-    away = np.abs(np.array(cubes).reshape(-1, space.dimension) - at)
+    away = np.abs(space.cube_of(analysis.tuned_values(t.parameters) for t in trials) - at)
     away[:, grid.column] = 0.0
     # Another choice is not near, however many there are.
     away[(away > 0.0) & np.array(space.levels, dtype=bool)] = 1.0
