@@ -21,7 +21,7 @@ from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.trials import CHECKS, Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 
@@ -144,6 +144,25 @@ class TestStudyOnRecord:
         first, second = read_journal(folder / "journal.sqlite").sessions
         assert first["study_sha256"] == before.provenance["study_sha256"] != second["study_sha256"]
         assert without_verdict(after.summary) == summary_from_record(after)
+
+    @pytest.mark.parametrize("kill", [3, 9, 14])
+    def test_more_trials_know_the_repetitions_also_after_a_kill(self, runs, whole, copy, kill):
+        before = read_run(runs.latest(whole))
+        assert any(evaluation.stage in CHECKS for evaluation in before.evaluations)
+        undisturbed = f"{copy}-undisturbed"
+        runs.copy(whole, undisturbed)
+        code, _, err = runs.resume(undisturbed, "--trials", 8)
+        assert code in (0, 3), err
+        expected = read_run(runs.latest(undisturbed))
+        assert runs.resume(copy, "--trials", 8, kill=kill)[0] == -signal.SIGKILL
+        assert runs.resume(copy)[0] == code
+        found = read_run(runs.latest(copy))
+        assert found.trials == expected.trials
+        assert found.summary == expected.summary
+        # None of them is run again.
+        added = expected.evaluations[len(before.evaluations) :]
+        repeated = {(e.trial, e.index) for e in before.evaluations if e.stage in CHECKS}
+        assert repeated.isdisjoint((e.trial, e.index) for e in added)
 
     def test_a_kill_before_the_study_is_rewritten(self, runs, copy):
         """The session is on record first; its study is what counts."""

@@ -11,7 +11,15 @@ from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
 from bo_tuner.optimizers.ranking import looks, rank, required_of, runs_until
 from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS
-from bo_tuner.trials import EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.trials import (
+    CHECKS,
+    EvaluationState,
+    Outcome,
+    Stage,
+    TrialState,
+    count_checks,
+    count_evaluations,
+)
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
@@ -19,6 +27,7 @@ from bo_tuner.tuning.settling import (
     before_repetitions,
     most_repetitions,
     settle,
+    with_known_repetitions,
     with_repetitions,
 )
 
@@ -129,6 +138,37 @@ def test_a_record_of_the_repetitions_leads_to_the_same_answer(study, trials, set
     assert settle(study, recorded, trials, ALGORITHM.models, most=25) == found
 
 
+def test_repetitions_that_trials_have_count_and_are_not_made_again(
+    study, trials, settled, function_backend
+):
+    found, watcher = settled
+    known = with_known_repetitions(trials, watcher.evaluations, more=True)
+    again = Watcher()
+    backend = function_backend(study, axis)
+    once_more = settle(study, backend, known, ALGORITHM.models, most=25, observer=again)
+    assert not again.evaluations
+    assert (once_more.candidate, once_more.ranked) == (found.candidate, found.ranked)
+    assert sorted(once_more.checked) == sorted(found.checked)
+    assert count_evaluations(known) == count_evaluations(trials)
+    assert count_checks(known) == len(watcher.evaluations)
+    assert [trial.unchecked for trial in known] == trials
+
+
+def test_a_trial_knows_the_repetitions_that_were_recorded_before_it(trials, settled):
+    """Not those after the last trial: the search for the answer takes its way anew."""
+    _, watcher = settled
+    runs = [evaluation for trial in trials for evaluation in trial.evaluations]
+    later = [e for e in runs if e.trial == trials[-1].number]
+    early = [e for e in runs if e.trial != trials[-1].number]
+    mine = len(watcher.evaluations) // 2
+    before, after = watcher.evaluations[:mine], watcher.evaluations[mine:]
+    record = [*early, *before, *later, *after]
+    for more, expected in ((False, before), (True, watcher.evaluations)):
+        known = with_known_repetitions(trials, record, more=more)
+        found = [e for trial in known for e in trial.evaluations if e.stage in CHECKS]
+        assert sorted(e.seed for e in found) == sorted(e.seed for e in expected)
+
+
 def test_the_rank_after_repetitions_is_that_of_the_answer(study, trials, settled):
     """A reader of the record ranks the trials with their repetitions, and finds the same."""
     found, watcher = settled
@@ -227,6 +267,8 @@ def test_the_number_of_repetitions(study, study_of):
     least = DRAWN_EVALUATIONS + WORST_EVALUATIONS
     assert most_repetitions(study, 20) == least
     assert most_repetitions(study, 300) == 100
+    assert most_repetitions(study, 300, made=40) == 60
+    assert most_repetitions(study, 300, made=95) == least
     assert most_repetitions(study_of(peak=None), 20) == DRAWN_EVALUATIONS
 
 

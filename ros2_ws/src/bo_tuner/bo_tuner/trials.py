@@ -193,10 +193,20 @@ class Trial:
         """Whether it failed for a reason that tells nothing of its parameters."""
         return any(evaluation.outcome.spoilt for evaluation in self.evaluations)
 
+    @property
+    def unchecked(self) -> "Trial":
+        """The trial without the evaluations that checked it as a candidate."""
+        return replace(self, evaluations=tuple(e for e in self.evaluations if e.stage in TUNING))
+
 
 def count_evaluations(trials: Iterable[Trial]) -> int:
     """Return how many evaluations the trials have together; those that check them do not count."""
-    return sum(len(trial.evaluations) for trial in trials)
+    return sum(e.stage in TUNING for trial in trials for e in trial.evaluations)
+
+
+def count_checks(trials: Iterable[Trial]) -> int:
+    """Return how many evaluations check the trials as candidates."""
+    return sum(e.stage in CHECKS for trial in trials for e in trial.evaluations)
 
 
 def pooled(trials: Iterable[Trial]) -> list[Trial]:

@@ -35,7 +35,7 @@ from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
-from bo_tuner.tuning.summary import Conclusion, conclude, summarize
+from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
 from bo_tuner.verdict.validated import doubt, open_verdict, validated
 from bo_tuner.verdict.verdict import Verdict
 from bo_tuner.web.address import Address
@@ -237,7 +237,14 @@ class Session:
                 f"{len(earlier.evaluations)} evaluations {on_record}"
             )
         study, observers = self._study, self._observers
-        tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=earlier.trials)
+        known = continued(
+            study,
+            self._algorithm,
+            earlier.trials,
+            earlier.evaluations,
+            stop_early=options.stop_early,
+        )
+        tuning = Tuning(study, backend, self._algorithm, observer=observers, trials=known)
         with self._watched(journal) as recording:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:

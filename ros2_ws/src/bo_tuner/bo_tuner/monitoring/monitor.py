@@ -39,9 +39,9 @@ class Advisor(RunObserver):
         return self._advisor.advice
 
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
-        """Repeat the computations for the recorded trials."""
+        """Repeat the computations for the recorded trials, as they were without later checks."""
         for trial in trials:
-            self.trial(trial, incumbent)
+            self.trial(trial.unchecked, incumbent)
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Compute the advice, and pass it on if there is one."""

@@ -22,7 +22,7 @@ from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DEFAULT, INITIAL, START
 from bo_tuner.optimizers.boundary import new_point, searches
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Trial
+from bo_tuner.trials import Evaluation, Stage, Trial, count_checks
 from bo_tuner.tuning.observer import Phase
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
@@ -84,6 +84,8 @@ class TimeLeft:
         self._clock = clock
         self._trials: list[_Times] = []
         self._evaluations = 0
+        # Before this session, by runs that had ended.
+        self._repeated = 0
         # Of an evaluation with no search or proposal before it.
         self._plain: deque[float] = deque(maxlen=4 * RECENT)
         self.begin("")
@@ -96,7 +98,8 @@ class TimeLeft:
 
     def recall(self, trials: Sequence[Trial]) -> None:
         """Take trials on record, which tell the times of their proposals and evaluations only."""
-        for trial in trials:
+        self._repeated += count_checks(trials)
+        for trial in (checked.unchecked for checked in trials):
             self._evaluations += len(trial.evaluations)
             ranking = trial.seconds / (RANKINGS - 1.0) if self._algorithm.models.pooled else 0.0
             self._take(trial, trial.seconds + ranking, ranking)
@@ -164,7 +167,7 @@ class TimeLeft:
                 trials, evaluations = trials + 1, evaluations + count
                 seconds += count * self._recent_evaluation()
                 seconds += self._rankings_of_trial() * self._ranking_of(evaluations)
-        most = most_repetitions(self._study, round(evaluations))
+        most = most_repetitions(self._study, round(evaluations), self._repeated)
         total = repeated + min(SETTLED * max(0, most - repeated), MOST_TO_SETTLE)
         # A ranking follows the first 2 repetitions of a candidate, and each doubling: log2 n in all
         # if they are of one candidate, n / 2 if each candidate has 2 of them. One is the last.

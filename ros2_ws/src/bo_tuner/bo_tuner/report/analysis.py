@@ -18,7 +18,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, EvaluationState, Trial, TrialState, Value
 from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
-from bo_tuner.tuning.settling import estimated, with_repetitions
+from bo_tuner.tuning.settling import estimated, repetitions_of, with_repetitions
 from bo_tuner.verdict.verdict import Verdict
 
 T = TypeVar("T")
@@ -80,14 +80,10 @@ class Analysis:
     @cached_property
     def _checked(self) -> tuple[Trial, ...]:
         """As `trials`, but all worst cases as they were estimated when the trials were run."""
-        checks: dict[int, dict[int, Evaluation]] = {}
-        for evaluation in self.record.evaluations:
-            if evaluation.stage in CHECKS:
-                # A later one of the same place replaces one that a kill left behind.
-                checks.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+        checks = repetitions_of(self.record.evaluations)
         trials = []
         for trial in self.record.trials:
-            check = list(checks.get(trial.number, {}).values())
+            check = checks.get(trial.number, [])
             if self._options.pooled:
                 trials.append(with_repetitions(trial, check))
             else:

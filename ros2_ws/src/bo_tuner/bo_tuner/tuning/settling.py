@@ -7,7 +7,7 @@ data.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from bo_tuner.backends.protocol import Backend
@@ -18,7 +18,16 @@ from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
 from bo_tuner.optimizers.repetition import next_repetition
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.trials import (
+    CHECKS,
+    TUNING,
+    Evaluation,
+    EvaluationState,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+)
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
@@ -27,12 +36,13 @@ SHARE = 1.0 / 3.0
 """Repetitions, at most, for each evaluation of the trials."""
 
 
-def most_repetitions(study: Study, evaluations: int) -> int:
+def most_repetitions(study: Study, evaluations: int, made: int = 0) -> int:
     """Return the largest number of repetitions after trials with so many evaluations.
 
-    They are a third as many, and at least as many as the check of one candidate takes.
+    They are a third as many, less those that were made already, and at least as many as the check
+    of one candidate takes.
     """
-    return max(most_check_evaluations(study), math.ceil(SHARE * evaluations))
+    return max(most_check_evaluations(study), math.ceil(SHARE * evaluations) - made)
 
 
 def before_repetitions(study: Study, evaluations: int) -> int:
@@ -55,11 +65,11 @@ def settle(
     Parameters
     ----------
     study, trials, options
-        As in `rank`.
+        As in `rank`; repetitions that the trials have already are data, too.
     backend
         Runs the evaluations; open.
     most
-        Largest number of repetitions.
+        Largest number of further repetitions.
     observer
         Is passed each evaluation, which is a step.
 
@@ -74,7 +84,8 @@ def settle(
         If three repetitions in a row were lost with their nodes or disturbed.
     """
     latest = {trial.number: trial for trial in trials}
-    repeated: list[int] = []
+    repeated = [t.number for t in trials for e in t.evaluations if e.stage in CHECKS]
+    most += len(repeated)
     candidates: list[Candidate] = []
     losses = Losses("repetitions")
     while True:
@@ -104,6 +115,36 @@ def settle(
             observer.advance()
             if evaluation.outcome.state is not EvaluationState.COMPLETE:
                 break
+
+
+def with_known_repetitions(
+    trials: Sequence[Trial], evaluations: Sequence[Evaluation], *, more: bool
+) -> list[Trial]:
+    """Give the trials of a run that is continued the repetitions that its next trial can know.
+
+    Parameters
+    ----------
+    trials
+        Without the repetitions.
+    evaluations
+        All evaluations of the run, in the order of the record.
+    more
+        Whether trials are to come. If not, what was recorded after the last trial belongs to the
+        search for the answer, which takes its way anew.
+    """
+    last = max((k for k, e in enumerate(evaluations) if e.stage in TUNING), default=0)
+    known = repetitions_of(evaluations if more else evaluations[:last])
+    return [with_repetitions(trial, known.get(trial.number, ())) for trial in trials]
+
+
+def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:
+    """Return the evaluations on record that checked trials, by number of the trial."""
+    found: dict[int, dict[int, Evaluation]] = {}
+    for evaluation in evaluations:
+        if evaluation.stage in CHECKS:
+            # A later one of the same place replaces one that a kill left behind.
+            found.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    return {trial: list(checks.values()) for trial, checks in found.items()}
 
 
 def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:

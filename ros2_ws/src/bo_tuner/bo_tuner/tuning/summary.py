@@ -17,11 +17,11 @@ from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY, without_nan
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Trial, count_evaluations
+from bo_tuner.trials import TUNING, Evaluation, Trial, count_checks, count_evaluations
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
-from bo_tuner.tuning.settling import most_repetitions, settle
+from bo_tuner.tuning.settling import most_repetitions, settle, with_known_repetitions
 from bo_tuner.tuning.validation import Validation, validate
 
 
@@ -86,6 +86,35 @@ def conclude(
     return Conclusion(best, default, tuned)
 
 
+def continued(
+    study: Study,
+    algorithm: Algorithm,
+    trials: Sequence[Trial],
+    evaluations: Sequence[Evaluation],
+    *,
+    stop_early: bool,
+) -> list[Trial]:
+    """Return the trials of a run on record as its next step is to know them.
+
+    Where models pool all evaluations, the repetitions of a run that had ended are data for the
+    trials that it is continued with. A run that may stop early does without: whether trials are to
+    come is not known before they are judged.
+
+    Parameters
+    ----------
+    study, algorithm
+        Of the run.
+    trials, evaluations
+        Of the record, in its order.
+    stop_early
+        Whether the run follows the advice to stop.
+    """
+    if stop_early or not algorithm.models.pooled:
+        return list(trials)
+    more = not study.budget.is_spent(len(trials), count_evaluations(trials))
+    return with_known_repetitions(trials, evaluations, more=more)
+
+
 def choose_answer(
     study: Study,
     backend: Backend,
@@ -102,7 +131,7 @@ def choose_answer(
     study, backend, algorithm, trials, observer
         As in `conclude`.
     most_repeated
-        Largest number of repetitions of an algorithm with pooled evaluations; by default
+        Largest number of further repetitions of an algorithm with pooled evaluations; by default
         `most_repetitions`.
 
     Returns
@@ -119,7 +148,7 @@ def choose_answer(
     if models.pooled:
         most = most_repeated
         if most is None:
-            most = most_repetitions(study, count_evaluations(trials))
+            most = most_repetitions(study, count_evaluations(trials), count_checks(trials))
         observer.begin(Phase.CHECKING, most)
         found = settle(study, backend, trials, models, most=most, observer=observer)
     else:
@@ -210,7 +239,10 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     later = [item for item in record.evaluations if item.stage not in TUNING]
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)
-        conclusion = conclude(study, backend, algorithm, record.trials)
+        trials = continued(
+            study, algorithm, record.trials, record.evaluations, stop_early=record.stop_early
+        )
+        conclusion = conclude(study, backend, algorithm, trials)
     except (_NotOnRecordError, RunError, KeyError):
         return None
     if conclusion is None:

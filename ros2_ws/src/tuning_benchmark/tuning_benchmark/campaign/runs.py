@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
+from bo_tuner.optimizers.boundary import new_point
 from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Trial, TrialState, Value
+from bo_tuner.trials import (
+    Evaluation,
+    Trial,
+    TrialState,
+    Value,
+    count_evaluations,
+)
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.recommendation import most_check_evaluations
-from bo_tuner.tuning.settling import before_repetitions
+from bo_tuner.tuning.observer import RunObserver
+from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
+from bo_tuner.tuning.settling import before_repetitions, with_known_repetitions
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
@@ -75,7 +83,7 @@ class Run:
     backend
         Runs the evaluations, and counts them.
     budget
-        Evaluations after which the trials end.
+        Evaluations after which the trials end, or are followed by repetitions.
     """
 
     def __init__(self, study: Study, row: Row, seed: int, size: RunSize) -> None:
@@ -107,6 +115,7 @@ class Run:
         self.backend = TimedBackend(self.study)
         self.backend.open()
         self._tuning = Tuning(self.study, self.backend, self.algorithm)
+        self._found: Recommendation | None = None
 
     @property
     def trials(self) -> Sequence[Trial]:
@@ -119,11 +128,39 @@ class Run:
         return self.backend.evaluations >= self.budget
 
     def __iter__(self) -> Iterator[Trial]:
-        """Run trials until one reaches the budget."""
-        for trial in self._tuning:
-            yield trial
-            if self.done:
+        """Run trials until one reaches the budget.
+
+        Where the models pool all evaluations, parameter sets are then run again until the answer is
+        settled, and a run with evaluations left is continued, as with ``--resume``.
+        """
+        while True:
+            for trial in self._tuning:
+                yield trial
+                if self.done:
+                    break
+            if not self.algorithm.models.pooled or not self._settled_early():
                 return
+
+    def _settled_early(self) -> bool:
+        """Settle the answer; return whether more trials follow, which know the repetitions."""
+        repetitions = _Repetitions()
+        left = self._evaluations - self.backend.evaluations
+        self._found = choose_answer(
+            self.study,
+            self.backend,
+            self.algorithm,
+            self.trials,
+            most_repeated=max(0, left),
+            observer=repetitions,
+        )
+        more = before_repetitions(self.study, self._evaluations - self.backend.evaluations)
+        if self._found is None or more < sum(new_point(self.study)):
+            return False
+        known = with_known_repetitions(self.trials, repetitions.evaluations, more=True)
+        self.budget = self.backend.evaluations + more
+        self.study = self.study.replace(evaluations=count_evaluations(known) + more)
+        self._tuning = Tuning(self.study, self.backend, self.algorithm, trials=known)
+        return True
 
     def incumbent(self) -> int | None:
         """Return the number of the trial believed feasible and best; None if there is none yet."""
@@ -144,11 +181,20 @@ class Run:
         if self._peer is not None:
             number = self._peer.recommend()
             return None if number is None else (number, True)
-        left = max(0, self._evaluations - self.backend.evaluations)
-        found = choose_answer(
-            self.study, self.backend, self.algorithm, self.trials, most_repeated=left
-        )
+        found = self._found
+        if not self.algorithm.models.pooled:
+            found = choose_answer(self.study, self.backend, self.algorithm, self.trials)
         return None if found is None else (found.candidate.trial.number, found.feasible)
+
+
+class _Repetitions(RunObserver):
+    """Keeps the evaluations while the answer is settled."""
+
+    def __init__(self) -> None:
+        self.evaluations: list[Evaluation] = []
+
+    def evaluation(self, evaluation: Evaluation) -> None:
+        self.evaluations.append(evaluation)
 
 
 def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) -> dict[str, Any]:
@@ -175,9 +221,10 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
             trajectory.append((backend.evaluations, run.incumbent()))
             begin = time.process_time()
     seconds += time.process_time() - begin
-    used, evaluation_seconds = backend.evaluations, backend.seconds
+    evaluation_seconds = backend.seconds
     answer = run.answer()
     trials = run.trials
+    used = count_evaluations(trials)
     record: dict[str, Any] = {
         "trials": len(trials),
         "failed_trials": sum(t.state is TrialState.FAILED for t in trials),
@@ -237,10 +284,7 @@ def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
 
 def _training(study: Study, trial: Trial) -> float:
     """Mean of the objective's metric over the evaluations of the tuning, without the checks."""
-    tuned = dataclasses.replace(
-        trial, evaluations=tuple(e for e in trial.evaluations if e.stage in TUNING)
-    )
-    return float(np.mean(tuned.observations(study.objective.metric)))
+    return float(np.mean(trial.unchecked.observations(study.objective.metric)))
 
 
 def _judged(
