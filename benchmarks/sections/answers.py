@@ -1,0 +1,163 @@
+"""Sections on what answers are worth: certificates, ablations, bands, and the advice to stop."""
+
+from sections.layout import Result, origin, table
+
+
+def certificates(result: Result) -> str:
+    """How often a certificate passes what is feasible, and what is just not."""
+    rows = [
+        [
+            case["title"],
+            "answers" if which == "answer" else "just infeasible",
+            f"{found['passed']} of {found['certified']}",
+            "{:.0%} to {:.0%}".format(*found["interval"]),
+            f"{found['median_evaluations']:g}",
+            found["most_evaluations"],
+        ]
+        for case in result["cases"].values()
+        for which in ("answer", "infeasible")
+        if (found := case[which])
+    ]
+    runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
+    wrong = [run for run in runs if not run["feasible"]]
+    passed = sum(run["answer"]["passed"] for run in runs if run["feasible"])
+    return "\n\n".join(
+        [
+            "## Certificates",
+            origin(result),
+            "The answers that `boundary` called feasible in the published campaigns, certified by "
+            "the study's default certificate, and beside each a parameter set that is truly "
+            "infeasible by as little as bisection finds. The interval is that of Clopper and "
+            f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
+            f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
+            f"{sum(run['answer']['passed'] for run in wrong)} pass.",
+            table(
+                [
+                    "problem",
+                    "parameter sets",
+                    "PASS",
+                    "interval",
+                    "evaluations, median",
+                    "largest",
+                ],
+                rows,
+            ),
+        ]
+    )
+
+
+def ablations(result: Result) -> str:
+    """Say what each choice of `boundary` is worth."""
+    parts = [
+        "## Choices of the algorithm `boundary`",
+        origin(result),
+        "Each variant with the same seeds as the algorithm as shipped. *Only*: seeds with a truly "
+        "feasible answer in the variant only, and as shipped only, with the exact test of McNemar. "
+        "The difference is that of the true objective in pairs where both are feasible, with its "
+        "95 % interval.",
+    ]
+    for case in result["cases"].values():
+        if len(case["variants"]) < 2:
+            continue
+        rows = []
+        for title, found in case["variants"].items():
+            pairs = f"{found['only']} : {found['only_shipped']} (p = {found['mcnemar']:.2g})"
+            difference = found["difference"]
+            shown = "{:+.4f} ({:+.4f} to {:+.4f})".format(*difference) if difference else "none"
+            objective = found["objective"]
+            rows.append(
+                [
+                    title,
+                    f"{found['feasible']} of {found['runs']}",
+                    "none" if objective is None else f"{objective:.4f}",
+                    f"{found['evaluations']:.0f}",
+                    *(("", "") if title == "as shipped" else (pairs, shown)),
+                ]
+            )
+        header = ["variant", "truly feasible", "objective", "evaluations", "only", "difference"]
+        parts += [f"### {case['title']}", table(header, rows)]
+    return "\n\n".join(parts)
+
+
+def coverage(result: Result) -> str:
+    """Lay out how often the bands and bounds of a certificate hold the truth."""
+    summary = result["summary"]
+    bands = [
+        [name, _share(b), _interval(b), _width(name, b)] for name, b in summary["bands"].items()
+    ]
+    names = {
+        "mean": "bound behind a PASS: worst mean",
+        "violation": "bound behind a PASS: probability of a violation",
+    }
+    bounds = [[names[name], _share(b), _interval(b)] for name, b in summary["bounds"].items()]
+    passed = [
+        [f"PASS of one that {name} its limit", _share(p), _interval(p)]
+        for name, p in summary["passed"].items()
+    ]
+    return "\n\n".join(
+        [
+            "## Bands and bounds of a certificate",
+            origin(result),
+            f"{len(result['cases'])} random metrics of one to three context variables with known "
+            "truth: samples of stationary processes, polynomials, kinks, resonances and "
+            "saturation, half of them with noise that depends on the context. How often a 90 % "
+            "band holds the truth, from all evaluations of a certificate and from few (25 draws "
+            "and 10 of the search), with 95 % intervals by Clopper and Pearson as if all bands of "
+            "a metric were independent, and the median width of the band in standard deviations of "
+            "a single run, of a drift as a part of the range:",
+            table(["90 % band", "holds the truth", "interval", "width"], bands),
+            "The verdicts, with 95 % confidence and limits that are kept or violated by 0.3 to 3 "
+            "standard deviations of a single run. The bounds are those of the contexts that the "
+            "search found; what they miss is a worse one that it did not find:",
+            table(["", "share", "interval"], [*bounds, *passed]),
+        ]
+    )
+
+
+def _width(name: str, band: Result) -> str:
+    if name.startswith("drift"):
+        return f"{band['median_width']:.0%}"
+    return f"{band['median_width_in_noise']:.2g}"
+
+
+def _share(count: Result) -> str:
+    return f"{count['held']} of {count['of']}"
+
+
+def _interval(count: Result) -> str:
+    return f"{count['low']:.1%} … {count['high']:.1%}"
+
+
+def stop(result: Result) -> str:
+    """Compare what the advice to stop expected with what the trials after it gained."""
+    rows = []
+    for name, s in result["summary"].items():
+        if s["advised"]:
+            rows.append(
+                [
+                    name,
+                    f"{s['advised']} of {s['runs']}",
+                    f"{s['trials']:g} of {result['trials']}",
+                    f"{s['expected']:.4f}",
+                    f"{s['realised']:.4f} ({s['largest_realised']:.4f})",
+                    f"{s['noise']:.4f}",
+                    f"{s['within_expected']} of {s['advised']}",
+                    f"{s['feasible_stopped']} / {s['feasible_whole']}",
+                ]
+            )
+    return "\n\n".join(
+        [
+            "## The advice to stop",
+            origin(result),
+            f"The problem `{result['problem']}`, whose optimum costs {result['optimum']:.4f}. "
+            "Realised is the difference of the true costs of both answers, the one at the advice "
+            "and the one after all trials; medians, and in brackets the largest.",
+            table(
+                [
+                    "algorithm", "advised", "after trials", "gain expected", "gain realised",
+                    "standard error", "realised within expected", "truly feasible, stopped / whole",
+                ],
+                rows,
+            ),
+        ]
+    )  # fmt: skip

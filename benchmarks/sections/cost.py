@@ -1,0 +1,215 @@
+"""Sections on what the tuner costs: its suggestions, nodes, records, pages, and time left."""
+
+import statistics
+
+from sections.layout import Result, origin, table
+
+
+def suggestion(result: Result) -> str:
+    """Time of a suggestion against other optimizers, and its growth."""
+    rows = [
+        [count, contender, *(_ratio(s, base) for base in ("boundary", "IV"))]
+        for count, entry in result["counts"].items()
+        for contender, s in entry["summary"].items()
+    ]
+    counts = list(result["counts"])
+    growth = "; ".join(f"{name} as trials^{k:.2f}" for name, k in result["growth"].items())
+    return "\n\n".join(
+        [
+            "## Time of a suggestion",
+            origin(result),
+            "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
+            "that of `boundary` and of IV (median and range over the turns). The models of "
+            "`boundary` have all six evaluations of each trial as their data, those of the others "
+            "means and worst cases. Beyond a hundred trials, hyperparameters are fitted whenever "
+            "the trials have grown by a tenth: the time is the mean over the trials between "
+            "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
+            table(["trials", "optimizer", "to boundary", "to IV"], rows),
+            f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
+            f"the medians: {growth}.",
+        ]
+    )
+
+
+def _ratio(summary: Result, base: str) -> str:
+    median, low, high = (summary[f"{which}_to_{base}"] for which in ("median", "lowest", "highest"))
+    return f"{median:.2f} ({low:.2f} … {high:.2f})"
+
+
+def closed_loop(result: Result) -> str:
+    """Cost of a cut over that of its parts."""
+    rows = [
+        [name, f"{r['median']:.2f}", f"{r['lowest']:.2f} … {r['highest']:.2f}", r["target"] or ""]
+        for name, r in result["ratios"].items()
+    ]
+    return "\n\n".join(
+        [
+            "## Cost of a cut, as ratios",
+            origin(result),
+            table(["ratio", "median", "range", "at most"], rows),
+        ]
+    )
+
+
+def recording(result: Result) -> str:
+    """Cost of recording a cut."""
+    low, high = result["ratio_quartiles"]
+    return "\n\n".join(
+        [
+            "## Cost of recording",
+            origin(result),
+            f"Time of a cut with recording over one without: median {result['ratio_median']:.2f}, "
+            f"quartiles {low:.2f} to {high:.2f}; {result['missing_messages']} messages missing.",
+        ]
+    )
+
+
+def live(result: Result) -> str:
+    """Cost of live monitoring."""
+    rows = [[part, f"{share:.2%}"] for part, share in result["shares"].items()]
+    return "\n\n".join(
+        [
+            "## Cost of live monitoring",
+            origin(result),
+            f"Part of the time of a run over ROS with {result['trials']} trials: "
+            f"{result['share']:.1%}.",
+            table(["part", "share"], rows),
+        ]
+    )
+
+
+def web(result: Result) -> str:
+    """Cost of the live page, and how soon it shows a trial."""
+    rows = [
+        [
+            f"cost {how}",
+            f"{result[f'cost_by_{key}']:.1%} ± {result[f'standard_error_by_{key}']:.1%}",
+        ]
+        for how, key in (("by the clock", "clock"), ("in processor time of the run", "processor"))
+    ]
+    rows += [
+        [f"{what} after a trial", f"{delay['median']:.2f} s, at most {delay['largest']:.2f} s"]
+        for what, delay in (
+            ("state", result["delay_of_state"]),
+            ("table", result["delay_of_table"]),
+        )
+    ]
+    return "\n\n".join(
+        [
+            "## Cost of the live page",
+            origin(result),
+            f"{len(result['pairs'])} pairs of runs in process with {result['trials']} trials of "
+            f"the study `{result['study']}`, with `--web` and a reader that follows it, and "
+            "without; mean and its standard error. The load average was "
+            f"{min(result['load_average']):.1f} to {max(result['load_average']):.1f}.",
+            table(["", ""], rows),
+        ]
+    )
+
+
+def time_left(result: Result) -> str:
+    """Errors of the announced time left."""
+    rows = []
+    for name, case in result["cases"].items():
+        s = case["summary"]
+        loads = [load for run in case["runs"] for load in run["load_average"]]
+        rows.append(
+            [
+                name,
+                len(case["runs"]),
+                f"{min(loads):.1f} … {max(loads):.1f}",
+                f"{s['within_a_fifth']} of {s['points']}",
+                f"{s['median']:.0%}",
+                f"{s['largest']:.0%}",
+                f"{s['bias']:+.0%}",
+            ]
+        )
+    header = ["runs", "number", "load average", "within 20 %", "median", "largest", "bias"]
+    return "\n\n".join(
+        [
+            "## Time left",
+            origin(result),
+            f"Error of the time left, relative to what was left in truth: runs of the study "
+            f"`{result['study']}`, after each trial from a third on and at the beginning of check "
+            "and validation. Where the load comes or goes, two processes that compute all the time "
+            "begin or end after a quarter of the trials. The bias is the median with its sign.",
+            table(header, rows),
+        ]
+    )
+
+
+def unchanged(result: Result) -> str:
+    """Lay out what it takes to tune a system that knows nothing of the tuner."""
+    runs, slowest = result["runs"], result["slowest_metric"]
+    lost = ", ".join(
+        f"{runs['missing'][name]} of {count} messages of the {name} topic"
+        for name, count in runs["messages"].items()
+    )
+    rows = [
+        ["lines of the study", result["study_lines"]],
+        ["lines of an adapter", result["adapter_lines"]],
+        ["from the start of the command to the first finished trial", _seconds(result)],
+        [
+            "time of a run beyond the procedure's own, median",
+            f"{1e3 * runs['overhead_median']:.0f} ms",
+        ],
+        ["the same, 90 % of the runs", f"{1e3 * runs['overhead_p90']:.0f} ms"],
+        [f"missing in {runs['runs']} runs (100 Hz and 1 kHz)", lost],
+        [
+            f"slowest measure on {result['samples']} samples ({slowest}), processor time",
+            f"{1e3 * result['metric_seconds'][slowest]:.0f} ms",
+        ],
+    ]
+    return "\n\n".join(
+        [
+            "## A system that knows nothing of the tuner",
+            origin(result),
+            "The nodes of `examples/unchanged_system`; two signals have their own times. The load "
+            f"average of the machine was {result['load_average']:.1f}.",
+            table(["figure", "value"], rows),
+        ]
+    )
+
+
+def _seconds(result: Result) -> str:
+    return f"{result['first_trial_seconds']:.1f} s"
+
+
+def report(result: Result) -> str:
+    """Size and speed of the report."""
+    rows = [
+        [name, f"{statistics.median(result[key]):.2f}", f"{min(result[key]):.2f}",
+         f"{max(result[key]):.2f}"]
+        for name, key in (
+            ("open: loaded, first figure drawn", "seconds_to_open"),
+            ("all figures drawn", "seconds_to_draw_all"),
+            ("processor time of the browser for that", "processor_seconds_of_the_page"),
+            ("write", "seconds_to_write"),
+        )
+    ]  # fmt: skip
+    if live := result.get("live"):
+        rows += [
+            [f"live page: {what}", f"{live[key]:.2f}", "", ""]
+            for what, key in (
+                ("loaded", "seconds_to_load"),
+                ("table of all trials there", "seconds_to_table"),
+                ("answer there", "seconds_to_answer"),
+            )
+        ]
+        rows += [
+            [f"live page: {what} after a trial", f"{statistics.median(live[key]):.2f}",
+             f"{min(live[key]):.2f}", f"{max(live[key]):.2f}"]
+            for what, key in (("state", "delay_of_state"), ("table", "delay_of_table"))
+            if live[key]
+        ]  # fmt: skip
+    return "\n\n".join(
+        [
+            "## The report",
+            origin(result),
+            f"{result['trials']} trials of the study `{result['study']}`: "
+            f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
+            f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes "
+            "before the end: other programs stretch all times by the clock.",
+            table(["", "median [s]", "least", "most"], rows),
+        ]
+    )

@@ -1,0 +1,74 @@
+"""Sections on what the tuner survives: long runs, kills and hostile input."""
+
+from sections.layout import Result, origin, table
+
+
+def soak(result: Result) -> str:
+    """Growth of the processes over many cuts."""
+    rows = [
+        [process, quantity, *(f"{value:g}" for value in figures.values())]
+        for process, of_process in result["growth"].items()
+        for quantity, figures in of_process.items()
+    ]
+    columns = next(iter(next(iter(result["growth"].values())).values()))
+    states = ", ".join(f"{count} {state}" for state, count in result["states"].items())
+    return "\n\n".join(
+        [
+            "## Many cuts over ROS",
+            origin(result),
+            f"{result['cuts']} cuts: {states}.",
+            table(["process", "quantity", *(name.replace("_", " ") for name in columns)], rows),
+        ]
+    )
+
+
+def kill(result: Result) -> str:
+    """Losses by kills, and how long it takes to go on."""
+    rows = [
+        [killed, count, f"{r['median']:.1f}", f"{r['worst']:.1f}"]
+        for killed, count in result["kills"].items()
+        for r in [result["until_next_cut"][killed]]
+    ]
+    return "\n\n".join(
+        [
+            "## Killed at random moments",
+            origin(result),
+            f"{sum(result['kills'].values())} times `kill -9`, of the tuner followed by "
+            f"`tune --resume`: {result['lost_cuts']} lost cuts, {result['lost_trials']} lost "
+            f"trials, {result['damaged_journals']} damaged journals. Time from the kill until the "
+            "next cut was on record:",
+            table(["killed", "times", "median [s]", "worst [s]"], rows),
+        ]
+    )
+
+
+def command_kill(result: Result) -> str:
+    """Refusals to go on after kills of whole commands."""
+    return "\n\n".join(
+        [
+            "## Commands killed, and begun again",
+            origin(result),
+            f"{sum(result['kills'].values())} times `kill -9` of a command over ROS in "
+            f"{result['runs']} runs, seed {result['seed']}: {len(result['refused'])} times "
+            f"`tune --resume`, `validate` or `report` refused to go on, and {result['wrong_rows']} "
+            f"of {result['rows_compared']} evaluations differ from those of a run without a kill. "
+            "After summary, bundle and certificate means in the second after they have begun to "
+            "be there.",
+            table(["killed", "times"], result["kills"].items()),
+        ]
+    )
+
+
+def fuzz(result: Result) -> str:
+    """Failures by hostile input."""
+    kinds = ", ".join(f"{r['inputs']} of {kind}" for kind, r in result["hypothesis"].items())
+    return "\n\n".join(
+        [
+            "## Hostile input",
+            origin(result),
+            f"{result['inputs']} inputs ({kinds}), and "
+            f"{result['atheris_on_study_files']['inputs']} study files of a coverage-guided "
+            f"fuzzer: {result['failures']} tracebacks, crashes "
+            "or writes outside of the run folder.",
+        ]
+    )
