@@ -79,10 +79,10 @@ class Page(RequestHandler):
         if not isinstance(error[1], HTTPError):
             logging.getLogger(__name__).error("%s", self.request.path, exc_info=error)
 
-    async def finish_aside(self, make: Any, *arguments: Any) -> None:
+    async def finish_about_runs(self, make: Any, *arguments: Any) -> None:
         """Answer with a page about other runs."""
         try:
-            page = await self.state.call_aside(make, *arguments)
+            page = await self.state.call(self.state.others, make, *arguments)
         except BoTunerError as error:
             raise HTTPError(409, str(error)) from None
         if page is None:
@@ -109,7 +109,8 @@ class Home(Page):
             self.redirect("/")
             return
         self.state.watch()
-        self.finish(await self.state.call_ahead(self.state.sections.shell, self.state.control))
+        state = self.state
+        self.finish(await state.call(state.tables, state.sections.shell, state.control))
 
 
 class State(Page):
@@ -158,7 +159,7 @@ class TrialPage(Page):
 
     async def get(self, number: str) -> None:
         """Answer with the page, if there is such a trial."""
-        page = await self.state.call(self.state.sections.trial, int(number))
+        page = await self.state.call(self.state.models, self.state.sections.trial, int(number))
         if page is None:
             raise HTTPError(404, f"there is no trial {number} yet")
         self.finish(page)
@@ -169,7 +170,7 @@ class RunsPage(Page):
 
     async def get(self) -> None:
         """Answer with the list."""
-        self.finish(await self.state.call_aside(self.state.runs.listing))
+        self.finish(await self.state.call(self.state.others, self.state.runs.listing))
 
 
 class RunPage(Page):
@@ -177,7 +178,7 @@ class RunPage(Page):
 
     async def get(self, name: str) -> None:
         """Answer with the report, if there is such a run."""
-        await self.finish_aside(self.state.runs.report, name)
+        await self.finish_about_runs(self.state.runs.report, name)
 
 
 class ComparisonPage(Page):
@@ -190,7 +191,7 @@ class ComparisonPage(Page):
             raise HTTPError(
                 400, f"choose 2 to {MOST_COMPARED} runs to compare, found {len(names)}; go back"
             )
-        await self.finish_aside(self.state.runs.compared, names)
+        await self.finish_about_runs(self.state.runs.compared, names)
 
 
 class RequestToRun(Page):

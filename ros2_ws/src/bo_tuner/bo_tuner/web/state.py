@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import secrets
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any
 
 from bo_tuner.errors import BoTunerError
@@ -39,6 +39,11 @@ class LiveState:
         Makes the pages about other runs.
     requests
         Pipe to the run, which takes requests from it; None if it takes none.
+
+    Attributes
+    ----------
+    models, tables, others
+        Threads of the sections with models, of those without, and of the pages about other runs.
     """
 
     def __init__(self, sections: LiveSections, runs: Runs, requests: int | None) -> None:
@@ -58,24 +63,15 @@ class LiveState:
         self._due = asyncio.Event()
         self._over = asyncio.Event()
         # One thread: the sections share what they know.
-        self._executor = ThreadPoolExecutor(1)
+        self.models = ThreadPoolExecutor(1)
         # Another for those that need not wait for the models.
-        self._ahead = ThreadPoolExecutor(1)
+        self.tables = ThreadPoolExecutor(1)
         # Another, so that a comparison does not hold up the page of the run.
-        self._aside = ThreadPoolExecutor(1)
+        self.others = ThreadPoolExecutor(1)
 
-    async def call(self, function: Any, *arguments: Any) -> Any:
-        """Call a function of `sections` in their thread."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._executor, function, *arguments)
-
-    async def call_ahead(self, function: Any, *arguments: Any) -> Any:
-        """Call a function of `sections` that needs no models, while these may be fitted."""
-        return await asyncio.get_running_loop().run_in_executor(self._ahead, function, *arguments)
-
-    async def call_aside(self, function: Any, *arguments: Any) -> Any:
-        """Call a function of `runs` in their thread."""
-        return await asyncio.get_running_loop().run_in_executor(self._aside, function, *arguments)
+    async def call(self, thread: Executor, function: Any, *arguments: Any) -> Any:
+        """Call a function in one of the threads."""
+        return await asyncio.get_running_loop().run_in_executor(thread, function, *arguments)
 
     def take(self, now: Mapping[str, Any]) -> None:
         """Take what the run tells."""
@@ -121,7 +117,7 @@ class LiveState:
                 continue
             if reached != made:
                 made, behind = reached, True
-                first = self._make(self._ahead, self.sections.preliminary())
+                first = self._make(self.tables, self.sections.preliminary())
                 await self._and_rest(first, SHORT_REST)
             # The end may have come meanwhile; the result need not wait for what it replaces.
             if behind and others.done() and not self._over.is_set():
@@ -152,22 +148,21 @@ class LiveState:
 
     async def _make_whole(self, parts: Iterator[Part], *, last: bool = False) -> None:
         """Show the parts of the page, and no others; once the run is over, only the `last` ones."""
-        names = await self._make(self._executor, parts, lambda: self._over.is_set() and not last)
+        names = await self._make(self.models, parts, lambda: self._over.is_set() and not last)
         if names is not None:
             self.parts = {name: self.parts[name] for name in names}
             self._tell("")
 
     async def _make(
         self,
-        executor: ThreadPoolExecutor,
+        thread: Executor,
         parts: Iterator[Part],
         stop: Callable[[], bool] = lambda: False,
     ) -> list[str] | None:
         """Show parts as they are ready, and return their names; None if not all were made."""
-        loop = asyncio.get_running_loop()
         names = []
         try:
-            while (part := await loop.run_in_executor(executor, next, parts, None)) is not None:
+            while (part := await self.call(thread, next, parts, None)) is not None:
                 if stop():
                     return None
                 names.append(part.name)
