@@ -47,8 +47,15 @@ def most_repetitions(study: Study, evaluations: int, made: int = 0) -> int:
 
 def before_repetitions(study: Study, evaluations: int) -> int:
     """Return how many of so many evaluations in all, at least one, are those of the trials."""
-    left = evaluations - most_check_evaluations(study)
-    return max(1, min(left, math.floor(evaluations / (1.0 + SHARE))))
+    return max(1, min(evaluations - most_check_evaluations(study), part_of_trials(evaluations)))
+
+
+def part_of_trials(evaluations: int) -> int:
+    """Return how many of so many evaluations are those of trials, with repetitions in proportion.
+
+    An answer is known where a run is continued, so none are kept for the check of one.
+    """
+    return math.floor(evaluations / (1.0 + SHARE))
 
 
 def settle(

@@ -22,7 +22,11 @@ from bo_tuner.trials import (
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
-from bo_tuner.tuning.settling import before_repetitions, with_known_repetitions
+from bo_tuner.tuning.settling import (
+    before_repetitions,
+    part_of_trials,
+    with_known_repetitions,
+)
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
@@ -153,7 +157,7 @@ class Run:
             most_repeated=max(0, left),
             observer=repetitions,
         )
-        more = before_repetitions(self.study, self._evaluations - self.backend.evaluations)
+        more = part_of_trials(self._evaluations - self.backend.evaluations)
         if self._found is None or more < sum(new_point(self.study)):
             return False
         known = with_known_repetitions(self.trials, repetitions.evaluations, more=True)
