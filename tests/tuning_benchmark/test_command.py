@@ -117,12 +117,15 @@ def test_tables_are_the_same_with_two_jobs_and_after_a_kill(benchmark, whole, tm
     assert {name: after[name] for name in before} == before
 
 
-def test_ctrl_c_keeps_what_is_done(benchmark, tmp_path):
-    process = benchmark("out")
+@pytest.mark.parametrize(
+    ("jobs", "signum"), [("1", signal.SIGINT), ("2", signal.SIGINT), ("2", signal.SIGTERM)]
+)
+def test_a_signal_keeps_what_is_done(benchmark, tmp_path, jobs, signum):
+    process = benchmark("out", "--jobs", jobs)
     wait_for_records(tmp_path / "out" / "closed.jsonl", 1, process)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(signum)
     code, out, err = finish(process)
-    assert code == 130
+    assert code == 128 + signum
     assert out == ""
     assert "the same command resumes" in err
     assert records_of(tmp_path / "out")

@@ -84,8 +84,9 @@ def conduct(
                 tell(record)
         except BaseException:
             if client is None and jobs > 1:
-                # They would go on with tasks whose results are not used any more.
-                get_reusable_executor().shutdown(wait=True, kill_workers=True)
+                # They would go on with tasks whose results are not used any more. Reused: another
+                # one would wait for them, with a lock held that they need for their next task.
+                get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
             raise
 
 
