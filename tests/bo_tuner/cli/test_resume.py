@@ -17,6 +17,8 @@ from waiting import wait_until
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
@@ -163,6 +165,22 @@ class TestStudyOnRecord:
         added = expected.evaluations[len(before.evaluations) :]
         repeated = {(e.trial, e.index) for e in before.evaluations if e.stage in CHECKS}
         assert repeated.isdisjoint((e.trial, e.index) for e in added)
+
+    def test_the_report_of_a_continued_run_has_its_incumbents(self, runs, copy):
+        code, out, err = runs.resume(copy, "--trials", 8, "--json-lines")
+        assert code in (0, 3), err
+        events = [json.loads(line) for line in out.splitlines()]
+        told = {
+            event["trial"]: event["incumbent"]
+            for event in events
+            if event["event"] == "trial" and not event["recalled"]
+        }
+        assert list(told) == [5, 6, 7]
+        shown = dict(incumbents(Analysis(read_run(runs.latest(copy)))))
+        for number, incumbent in told.items():
+            assert shown[number].trial.number == incumbent["trial"]
+            assert shown[number].objective == incumbent["objective"]
+            assert shown[number].feasibility == incumbent["probability_feasible"]
 
     def test_a_kill_before_the_study_is_rewritten(self, runs, copy):
         """The session is on record first; its study is what counts."""

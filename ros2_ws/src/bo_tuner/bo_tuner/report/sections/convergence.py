@@ -27,8 +27,9 @@ from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, numbered, quantity, values
 from bo_tuner.study.parts import EXPECTATION, LOG, Constraint
-from bo_tuner.trials import EvaluationState, Trial, TrialState, count_evaluations
+from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import worst_case_holds
+from bo_tuner.tuning.summary import continued
 
 MOST_INCUMBENTS = 40
 """The incumbent of a run of up to `FITTED_EACH` trials is computed at about so many points."""
@@ -231,10 +232,19 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     """
     if count == len(analysis.record.trials) and not analysis.has_checks:
         return analysis.leader
-    study, trials = analysis.study, analysis.record.trials[:count]
-    options = ALGORITHMS[analysis.record.algorithm].models
-    models = ranking_models(study, trials, options, analysis.models.warm_starts)
-    return first_by(models, study, trials, options)
+    study, record = analysis.study, analysis.record
+    algorithm = ALGORITHMS[record.algorithm]
+    own = (k for k, e in enumerate(record.evaluations) if e.stage in TUNING and e.trial < count)
+    # A run that was continued has repetitions between its trials.
+    trials = continued(
+        study,
+        algorithm,
+        record.trials[:count],
+        record.evaluations[: max(own, default=-1) + 1],
+        stop_early=record.stop_early,
+    )
+    models = ranking_models(study, trials, algorithm.models, analysis.models.warm_starts)
+    return first_by(models, study, trials, algorithm.models)
 
 
 def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array, top: float) -> list[Element]:
