@@ -2,9 +2,11 @@ import pytest
 from valley import true_worst
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.boundary import new_point
 from bo_tuner.optimizers.ranking import rank
-from bo_tuner.trials import Stage
+from bo_tuner.trials import Stage, count_checks
 from bo_tuner.tuning import recommendation
+from bo_tuner.tuning.settling import before_repetitions
 from tuning_benchmark.campaign.runs import Run, RunSize, run_and_judge
 from tuning_benchmark.experiments.experiment import Row
 
@@ -31,6 +33,28 @@ def test_a_run_ends_with_the_trial_that_reaches_its_evaluations(study, small):
         used = sum(len(t.evaluations) for t in trials)
         assert budget == expected
         assert used - len(trials[-1].evaluations) < budget <= used
+
+
+def test_an_answer_settled_early_leaves_evaluations_for_more_trials(study):
+    run = Run(study, Row(name="boundary", algorithm="boundary"), 1, RunSize(80, 0, 6))
+    settled = []
+    for trial in run:
+        if not settled or run.budget != settled[-1][0]:
+            settled.append((run.budget, trial.number, count_checks(run.trials)))
+    (first, _, none), *later = settled
+    assert (first, none) == (before_repetitions(study, 80), 0)
+    assert later
+    # The trials after it knew the repetitions, whose number only grows.
+    assert 0 < later[0][2] <= count_checks(run.trials)
+    numbers = [trial.number for trial in run.trials]
+    assert numbers == list(range(len(numbers)))
+    seeds = [e.seed for trial in run.trials for e in trial.evaluations]
+    assert len(set(seeds)) == len(seeds)
+    most_of_a_trial = max(len(trial.unchecked.evaluations) for trial in run.trials)
+    assert 80 - sum(new_point(study)) - 1 <= run.backend.evaluations < 80 + most_of_a_trial
+    number, believed = run.answer()
+    assert believed
+    assert number in numbers
 
 
 def test_checks_keep_to_the_evaluations_left_for_them(study, monkeypatch):

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
+from bo_tuner.optimizers.algorithms import ALGORITHMS
 from tuning_benchmark.experiments.experiment import RANDOM, Case, Experiment, SurrogateFigure
 from tuning_benchmark.experiments.task_names import (
     CALIBRATION,
@@ -147,8 +148,7 @@ def _case(
         f"{case.runs} {'run' if case.runs == 1 else 'runs'} of each row on the study "
         f"`{study.name}`; runs with the same seed share their {initial} initial samples. A run "
         f"ends with the trial that reaches {case.evaluations} evaluations{_exceptions(case)}; "
-        f"algorithms that check their candidates before they answer reserve "
-        f"{case.reserved_evaluations} of them for the checks.",
+        f"{_kept(case)}.",
         *_protocols(case),
         tables.comparison_table(case, summaries),
     ]
@@ -205,6 +205,24 @@ def _points(case: Case, summaries: Sequence[RowSummary], done: Mapping[str, Reco
     table = tables.neighbourhood_table(case, summaries, done)
     said = "\n".join(f"- {sentence}" for sentence in findings.about_points(case, done))
     return f"{table}\n\n{said}".strip()
+
+
+def _kept(case: Case) -> str:
+    """Tell which evaluations are not those of trials."""
+    algorithms = {row.algorithm for row in case.rows.values() if row.algorithm}
+    pooled = sorted(name for name in algorithms if ALGORITHMS[name].models.pooled)
+    kept = []
+    if algorithms.difference(pooled):
+        kept.append(
+            "algorithms that check their candidates before they answer reserve "
+            f"{case.reserved_evaluations} of them for the checks"
+        )
+    if pooled:
+        kept.append(
+            f"{' and '.join(pooled)} has at most a quarter of them for repetitions, and goes on "
+            "with further trials when these settle the answer early"
+        )
+    return "; ".join(kept) or "no row checks its candidates"
 
 
 def _exceptions(case: Case) -> str:
