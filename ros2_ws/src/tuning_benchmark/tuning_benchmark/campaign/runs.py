@@ -12,21 +12,11 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
 from bo_tuner.optimizers.boundary import new_point
 from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.study.study import Study
-from bo_tuner.trials import (
-    Evaluation,
-    Trial,
-    TrialState,
-    Value,
-    count_evaluations,
-)
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value, count_evaluations
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
-from bo_tuner.tuning.settling import (
-    before_repetitions,
-    part_of_trials,
-    with_known_repetitions,
-)
+from bo_tuner.tuning.settling import before_repetitions, part_of_trials, with_known_repetitions
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
 from bo_tuner.worst_case.search import OBSERVED
