@@ -25,8 +25,8 @@ def certificates(result: Result) -> str:
         [
             "## Certificates",
             origin(result),
-            "The answers that `boundary` called feasible in the campaigns of that commit, certified by "
-            "the study's default certificate, and beside each a parameter set that is truly "
+            "Answers that `boundary` called feasible in the campaigns of that commit, certified "
+            "by the study's default certificate, and beside each a parameter set that is truly "
             "infeasible by as little as bisection finds. The interval is that of Clopper and "
             f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
             f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
