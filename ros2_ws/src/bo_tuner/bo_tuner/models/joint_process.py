@@ -24,7 +24,7 @@ Krause and Ong (2011). Contextual Gaussian process bandit optimization. NeurIPS 
 O'Hagan (1991). Bayes-Hermite quadrature. Journal of Statistical Planning and Inference 29(3).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -66,6 +66,24 @@ BLOCK = 1000
 
 PRIOR_DEGREES = 2.0
 """Weight of the common noise variance in a local one, in degrees of freedom."""
+
+
+class _Latest:
+    """What was computed of the latest array, for mean and variance there need the same kernel.
+
+    Arrays are compared by content, since a caller may change one in place. The pair is assigned at
+    once, since threads may share a process.
+    """
+
+    def __init__(self) -> None:
+        self._known: tuple[Array, Array] | None = None
+
+    def of(self, x: Array, compute: Callable[[Array], Array]) -> Array:
+        """Return `compute(x)`, which the caller must not change."""
+        known = self._known
+        if known is None or not np.array_equal(known[0], x):
+            self._known = known = x.copy(), compute(x)
+        return known[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,16 +288,14 @@ class JointProcess:
         """Return the posterior variance (m,) of the mean over contexts (k, e), at x (m, d)."""
         across = self._context_kernel(contexts).mean(axis=1)
         cross = self._parameter_kernel(x) * across + MEAN_SD**2
-        scales = self.hyperparameters.length_scales[self.columns :]
-        prior = self.hyperparameters.signal**2 * correlation(contexts, contexts, scales).mean()
+        prior = self.hyperparameters.signal**2 * self._between(contexts).mean()
         return self._posterior_variance(cross, float(prior) + MEAN_SD**2)
 
     def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
         """Return the posterior variance (m,) of sums over contexts (k, e) with weights (m, k)."""
         across = weights @ self._context_kernel(contexts).T
         cross = self._parameter_kernel(x) * across + MEAN_SD**2
-        scales = self.hyperparameters.length_scales[self.columns :]
-        within = weights @ correlation(contexts, contexts, scales)
+        within = weights @ self._between(contexts)
         prior = self.hyperparameters.signal**2 * np.einsum("ij,ij->i", within, weights)
         return self._posterior_variance(cross, prior + MEAN_SD**2)
 
@@ -306,14 +322,32 @@ class JointProcess:
 
     def _parameter_kernel(self, x: Array) -> Array:
         """Return s² k(x, u) with the points u (b, d) of the basis, shape (m, b)."""
-        scales = self.hyperparameters.length_scales[: self.columns]
-        kernel = correlation(self.coding.encode(x), self.posterior.basis[:, : self.columns], scales)
-        return self.hyperparameters.signal**2 * kernel
+
+        def compute(x: Array) -> Array:
+            scales = self.hyperparameters.length_scales[: self.columns]
+            basis = self.posterior.basis[:, : self.columns]
+            return self.hyperparameters.signal**2 * correlation(
+                self.coding.encode(x), basis, scales
+            )
+
+        return self._latest[0].of(x, compute)
 
     def _context_kernel(self, contexts: Array) -> Array:
         """Return k(c_u, c) with the contexts of the basis, shape (b, k)."""
-        scales = self.hyperparameters.length_scales[self.columns :]
-        return correlation(self.posterior.basis[:, self.columns :], contexts, scales)
+        basis = self.posterior.basis[:, self.columns :]
+        return self._latest[1].of(contexts, lambda c: correlation(basis, c, self._context_scales))
+
+    def _between(self, contexts: Array) -> Array:
+        """Return k(c, c) of all pairs of contexts, shape (k, k)."""
+        return self._latest[2].of(contexts, lambda c: correlation(c, c, self._context_scales))
+
+    @property
+    def _context_scales(self) -> Array:
+        return self.hyperparameters.length_scales[self.columns :]
+
+    @cached_property
+    def _latest(self) -> tuple[_Latest, _Latest, _Latest]:
+        return _Latest(), _Latest(), _Latest()
 
     def _posterior_variance(self, cross: Array, prior: float | Array) -> Array:
         whitened = blas.dtrmm(1.0, self.posterior.whitening, cross.T, lower=1)

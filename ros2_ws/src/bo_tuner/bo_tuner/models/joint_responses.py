@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -89,9 +90,12 @@ class ExpectedObjective:
         """Return as `predict`, with a variance of 0 at `points`."""
         points = np.asarray(x, dtype=np.float64)
         mean, variance = self.predict(points)
-        evaluated = {point.tobytes() for point in self.points}
-        known = [point.tobytes() in evaluated for point in np.ascontiguousarray(points)]
+        known = [point.tobytes() in self._evaluated for point in np.ascontiguousarray(points)]
         return mean, np.where(known, 0.0, variance)
+
+    @cached_property
+    def _evaluated(self) -> set[bytes]:
+        return {point.tobytes() for point in self.points}
 
     def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
         """Draw the cost independently at each of x (m, d), shape (count, m)."""
