@@ -256,7 +256,7 @@ def test_a_page_of_what_is_on_record_so_far(benchmark, whole, tmp_path):
 def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, whole, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
         env={"PYTHONPATH": python_path(tmp_path)},
     ) as cluster:  # fmt: skip
         address = cluster.scheduler_address.replace("tcp://", "dask://")
@@ -269,7 +269,7 @@ def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, whole,
 def test_workers_of_several_threads_are_refused(benchmark, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None
+        n_workers=1, threads_per_worker=2, processes=True, dashboard_address="127.0.0.1:0"
     ) as cluster:
         code, out, err = finish(benchmark("out", "--cluster", cluster.scheduler_address))
     assert (code, out) == (2, "")
