@@ -40,6 +40,8 @@ def test_a_run_repeats_itself():
 def test_record_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(fronts, "PARAMETERS", (2,))
     monkeypatch.setattr(fronts, "OURS", ("II",))
+    whole = TwoObjectives.study
+    monkeypatch.setattr(TwoObjectives, "study", lambda problem: whole(problem).replace(trials=12))
     fronts.main(["--runs", "2", "--output", str(tmp_path)])
     record = json.loads((tmp_path / "fronts.json").read_text())
     assert set(record["problems"]["2"]) == {"II", "NSGA-II", "TPE"}
