@@ -56,6 +56,22 @@ class TestPosterior:
     def process(self):
         return fitted(*scattered(60))
 
+    def test_is_that_of_the_points_also_if_they_have_changed_in_place(self, process):
+        """The kernels of the latest points and contexts are known, by their content."""
+        x, contexts, first = np.array([[0.1], [0.45]]), CORNERS.copy(), np.zeros(2, dtype=np.intp)
+        process.means(x, contexts)
+        x[:], contexts[:] = [[0.9], [0.2]], CORNERS[::-1]
+        process.variance_of_mean(x, contexts)
+        contexts[0] = 0.3
+        fresh = fitted(*scattered(60))
+        np.testing.assert_array_equal(process.means(x, contexts), fresh.means(x, contexts))
+        np.testing.assert_array_equal(
+            process.variances(x, contexts, first), fresh.variances(x, contexts, first)
+        )
+        np.testing.assert_array_equal(
+            process.variance_of_mean(x, contexts), fresh.variance_of_mean(x, contexts)
+        )
+
     def test_is_that_of_an_independent_library(self, process):
         x = np.array([[0.1], [0.45], [0.9]])
         which = np.array([2, 0, 1])
