@@ -206,7 +206,7 @@ class _Ranking:
         logarithmic = study.objective.scale == "log" and not self._several
         scale = 1.0 if logarithmic else self._objective.scale
         x = self._points(trials)
-        around = [neighbourhood(space, trial, models) for trial in trials]
+        around = neighbourhoods(space, trials, models)
         sizes = [len(points) for points in around]
         neighbours = np.vstack(around)
         cost = self._objective.predict_mean(x)
@@ -275,23 +275,23 @@ def required_after(judged: int) -> float:
     return 1.0 - (1.0 - CONFIDENT) / (1 + judged)
 
 
-def neighbourhood(space: SearchSpace, trial: Trial, models: Surrogates) -> Array:
-    """Return the points (m, d) of the unit cube that are one step away from a trial.
+def neighbourhoods(space: SearchSpace, trials: Sequence[Trial], models: Surrogates) -> list[Array]:
+    """Return by trial the points (m, d) of the unit cube that are one step away from it.
 
     A step changes one parameter: an integer by one, a choice to another value, a continuous one by
     half its shortest length scale among all models, but at most by `LARGEST_STEP`.
     """
-    x = space.to_cube(trial.parameters)
     # The columns of a joint model are the parameters, then the context variables.
     d = space.dimension
     scales = np.min([m.length_scales[:d] for m in models.models.values()], axis=0)
-    points = [space.to_cube(neighbour) for neighbour in space.integer_neighbours(trial.parameters)]
-    for column in np.flatnonzero(~space.discrete):
-        for sign in (-1.0, 1.0):
-            moved = x.copy()
-            moved[column] += sign * min(0.5 * scales[column], LARGEST_STEP)
-            points.append(space.repair(moved[None])[0])
-    return np.array(points)
+    up = np.diag(np.minimum(0.5 * scales, LARGEST_STEP))[~space.discrete]
+    steps = np.stack([-up, up], axis=1).reshape(-1, d)
+    x = space.cube_of(trial.parameters for trial in trials)
+    moved = space.repair((x[:, None] + steps).reshape(-1, d)).reshape(len(x), len(steps), d)
+    return [
+        np.vstack([space.integer_neighbour_points(trial.parameters), continuous])
+        for trial, continuous in zip(trials, moved, strict=True)
+    ]
 
 
 def intolerable(loss: Array) -> Array:

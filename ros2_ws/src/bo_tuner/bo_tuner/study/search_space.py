@@ -291,20 +291,28 @@ class SearchSpace:
             As `to_cube`.
         """
         row = self._space.row(parameters)
-        neighbours = []
+        return [self._space.complete(moved) for moved in self._integer_steps(row)]
+
+    def integer_neighbour_points(self, parameters: Mapping[str, Value]) -> Array:
+        """Return the points (m, d) of the unit cube of the m `integer_neighbours`."""
+        return self._to_unit(self._integer_steps(self._space.row(parameters)))
+
+    def _integer_steps(self, row: Array) -> Array:
+        """Return the tuned values (m, d) of the integer neighbours of a row (d,)."""
+        steps = [np.empty((0, len(row)))]
         for column in np.flatnonzero(self.discrete):
             item = self._tuned[column]
             size = float(item.step or 1.0)
             away = np.array([-size, size])
             if item.levels:
                 away = np.arange(len(item.levels)) - row[column]
-            for step in away[away != 0.0]:
-                moved = row.copy()
-                moved[column] += step
-                inside = self._low[column] <= moved[column] <= self._high[column]
-                if inside and self._order.satisfied(moved[None])[0]:
-                    neighbours.append(self._space.complete(moved))
-        return neighbours
+            moved = np.tile(row, (len(away), 1))
+            moved[:, column] += away
+            inside = (self._low[column] <= moved[:, column]) & (
+                moved[:, column] <= self._high[column]
+            )
+            steps.append(moved[(away != 0.0) & inside & self._order.satisfied(moved)])
+        return np.concatenate(steps)
 
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one step away, see `STEP`.
