@@ -20,7 +20,7 @@ def suggestion(result: Result) -> str:
             origin(result),
             "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
             "that of `boundary` and of IV (median and range over the turns). The models of "
-            "`boundary` have all six evaluations of each trial as their data, those of the others "
+            "`boundary` have three evaluations of each trial as their data, those of the others "
             "means and worst cases. Beyond a hundred trials, hyperparameters are fitted whenever "
             "the trials have grown by a tenth: the time is the mean over the trials between "
             "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
