@@ -288,16 +288,20 @@ def test_a_cluster_that_does_not_answer_is_one_line(benchmark):
 @pytest.mark.timeout(600)
 def test_the_small_campaign_of_the_milling_axis(benchmark, tmp_path):
     experiment = yaml.safe_load((EXPERIMENTS / "small.yaml").read_text())
-    # Judging takes most of the time: short cuts, and wide limits, with which no program of theirs
-    # needs more than a matrix product.
+    # Judging takes most of the time: little noise, short cuts, and wide limits, with which no
+    # program of theirs needs more than a matrix product.
+    (tmp_path / "quick.py").write_text(
+        "from tuning_benchmark.milling import judge\n"
+        "judge.NOISE, judge.MORE_NOISE = 2, 4\n"
+        "Judge = judge.Judge\n"
+    )
+    experiment["judge"] = "quick:Judge"
     experiment["cases"]["benchmark"]["changes"] = {
         "nodes.plant.parameters": SHORT,
         "nodes.controller.parameters": {"input_lower": -100.0, "input_upper": 100.0},
     }
     (tmp_path / "small.yaml").write_text(yaml.safe_dump(experiment))
-    code, tables, err = finish(
-        benchmark("out", "--jobs", "2", experiment=tmp_path / "small.yaml"), 500.0
-    )
+    code, tables, err = finish(benchmark("out", experiment=tmp_path / "small.yaml"), 500.0)
     assert code == 0, err
     records = records_of(tmp_path / "out", "small")
     assert len(records) == 5
