@@ -152,7 +152,7 @@ def _imports(path: Path) -> tuple[str, ...]:
 
 
 def _statements(node: ast.AST) -> Iterator[ast.AST]:
-    """Walk the statements below a node: no expression imports, and most nodes are of expressions."""
+    """Walk the statements below a node; most nodes are in expressions, which import nothing."""
     for field in ("body", "orelse", "handlers", "finalbody", "cases"):
         for child in getattr(node, field, ()):
             yield child

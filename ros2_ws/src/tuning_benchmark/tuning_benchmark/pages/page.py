@@ -44,7 +44,8 @@ choice. The table counts the truly feasible choices and gives their mean true ob
 FAIR = """\
 Against what is known of the optimum. *Regret at equal margin*: distance of the truly feasible
 answers to the lowest objective of any parameter set whose worst case is as large as the answer's
-own, so that an answer is not blamed for its margin; it needs the frontier of the problem.
+own, so that an answer is not blamed for its margin; it needs the frontier of the problem. That of
+a grid is known between few points, and an answer may lie below it.
 *Realised probability*: share of runs within the limit in the answer's worst context, mean and
 lowest over all answers. *Near*: evaluations until the incumbent was truly feasible and within 5 %
 of the optimum for good; the median counts a run that never was as longer than any other.
