@@ -7,6 +7,7 @@ coordinate of that integer, so the surrogates see the value that the node gets (
 Hernández-Lobato 2020).
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -82,6 +83,11 @@ class SearchSpace:
         self._order = self._space.partial_order
         # The bounds, tightened by the order.
         self._low, self._high = self._space.permitted
+        # The decimal place to which a double tells two parameter sets apart.
+        self._places = [
+            None if discrete else -math.floor(math.log10(RESOLUTION * width))
+            for discrete, width in zip(self.discrete, self._width.tolist(), strict=True)
+        ]
 
     @property
     def dimension(self) -> int:
@@ -209,11 +215,10 @@ class SearchSpace:
         ParameterError
             As `to_cube`.
         """
-        row = self._space.row(parameters)
-        places = -np.floor(np.log10(RESOLUTION * (self.upper - self.lower))).astype(int)
+        row = self._space.row(parameters).tolist()
         return tuple(
-            int(value) if discrete else round(value, int(digits))
-            for value, discrete, digits in zip(row.tolist(), self.discrete, places, strict=True)
+            int(value) if places is None else round(value, places)
+            for value, places in zip(row, self._places, strict=True)
         )
 
     def latin_hypercube(
