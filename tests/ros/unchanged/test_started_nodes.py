@@ -27,11 +27,15 @@ def command(node):
 
 
 def position(**changes):
-    """The study of the example, with changes of `run` and `nodes`; nodes may be slow here."""
+    """The study of the example, with changes of `run` and `nodes`; nodes may be slow here.
+
+    A controller that gets no processor for a moment lets the motor run on: that ends no run.
+    """
     mapping = study_to_mapping(load_study(str(FOLDER / "study.yaml")))
     for signal_of in mapping["signals"].values():
         signal_of["largest_gap"] = 5.0
     mapping["run"] = mapping["run"] | changes.get("run", {})
+    del mapping["run"]["abort_when"]
     mapping["nodes"] = changes.get("nodes", mapping["nodes"])
     return study_from_mapping(mapping)
 
