@@ -243,8 +243,12 @@ def test_a_run_that_fails_ends_the_hopes_of_its_parameter_set(
 
 def test_lost_nodes_end_the_run(study, trials, function_backend):
     backend = function_backend(study, lambda **_: Outcome(EvaluationState.LOST, reason="axis gone"))
+    watcher = Watcher()
     with pytest.raises(RunError, match="3 repetitions in a row were lost"):
-        settle(study, backend, trials, ALGORITHM.models, most=40)
+        settle(study, backend, trials, ALGORITHM.models, most=40, observer=watcher)
+    # Those on record do not end the run again when it is resumed with the nodes back.
+    resumed = RecordedEvaluations(function_backend(study, axis), study, watcher.evaluations)
+    assert settle(study, resumed, trials, ALGORITHM.models, most=40) is not None
 
 
 def test_all_trials_failed(study, make_trial, function_backend):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from functions import Watcher
 
+from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import EvaluationState, Stage
@@ -182,3 +183,17 @@ class TestFailures:
         ):
             validate(study, backend, [{"gain": 0.5}, {"gain": 0.25}])
         assert len(backend.calls) == 9
+
+    def test_those_on_record_do_not_end_a_run_that_is_resumed(
+        self, make_study, function_backend, failed
+    ):
+        """They ended the session before; the nodes may be back."""
+        study, watcher = make_study(), Watcher()
+        lost = function_backend(study, lambda **_: failed("gone", EvaluationState.LOST))
+        with pytest.raises(RunError):
+            validate(study, lost, [{"gain": 0.5}], observer=watcher)
+        resumed = function_backend(study, figures())
+        backend = RecordedEvaluations(resumed, study, watcher.evaluations)
+        (found,) = validate(study, backend, [{"gain": 0.5}])
+        assert found.failures == len(watcher.evaluations) == 3
+        assert len(resumed.calls) == study.budget.validation_draws - 3

@@ -261,6 +261,6 @@ class Certification:
 
     def _run(self, planned: Evaluation) -> Evaluation:
         evaluation = evaluate(self._study, self._backend, planned, self._observer)
-        self._losses.note(evaluation.outcome)
+        self._losses.note(evaluation)
         self._losses.check()
         return evaluation

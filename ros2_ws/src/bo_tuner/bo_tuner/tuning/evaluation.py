@@ -62,10 +62,13 @@ class Losses:
         self._what = what
         self._in_a_row: list[Outcome] = []
 
-    def note(self, outcome: Outcome | None) -> None:
-        """Count a spoilt outcome; any other, or None, resets the counter."""
-        if outcome is not None and outcome.spoilt:
-            self._in_a_row.append(outcome)
+    def note(self, evaluation: Evaluation | None) -> None:
+        """Count a spoilt evaluation; any other, one on record, or None resets the counter.
+
+        Those on record ended an earlier session: whoever resumes it has the nodes again.
+        """
+        if evaluation is not None and evaluation.outcome.spoilt and not evaluation.recorded:
+            self._in_a_row.append(evaluation.outcome)
         else:
             self._in_a_row.clear()
 

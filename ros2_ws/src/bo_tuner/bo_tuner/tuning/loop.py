@@ -85,7 +85,7 @@ class Tuning:
     def _take(self, trial: Trial) -> None:
         self.trials.append(trial)
         self._optimizer.tell(trial)
-        spoilt = [e.outcome for e in trial.evaluations if e.outcome.spoilt]
+        spoilt = [e for e in trial.evaluations if e.outcome.spoilt]
         self._losses.note(spoilt[0] if spoilt else None)
 
     def _evaluate(self, number: int, proposal: Proposal, seconds: float) -> Trial:

@@ -117,7 +117,7 @@ def settle(
             evaluation = _run(study, backend, latest[number], choice.context, observer)
             latest[number] = with_repetitions(latest[number], [evaluation])
             repeated.append(number)
-            losses.note(evaluation.outcome)
+            losses.note(evaluation)
             losses.check()
             observer.advance()
             if evaluation.outcome.state is not EvaluationState.COMPLETE:

@@ -118,7 +118,7 @@ def validate(
             planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
             evaluation = evaluate(study, backend, planned, observer)
             evaluations[number].append(evaluation)
-            losses.note(evaluation.outcome)
+            losses.note(evaluation)
             losses.check()
         observer.advance()
     return [_judge(study, p, found) for p, found in zip(candidates, evaluations, strict=True)]
