@@ -60,6 +60,18 @@ class TestLines:
             == "gain 0.5        FAILED: axis: stalled (context load 1.500; seed 0)"
         )
 
+    def test_a_failure_without_contexts(self, make_study, make_trial):
+        trial = make_trial(7, {"gain": 0.5})
+        (evaluation,) = trial.evaluations
+        evaluation = dataclasses.replace(evaluation, context={})
+        trial = dataclasses.replace(trial, evaluations=(evaluation,))
+        line = describe(trial, make_study()).replace(JOIN, " ")
+        assert line.endswith("FAILED: axis: stalled (context none; seed 0)")
+
+    def test_one_evaluation(self, make_study, make_trial):
+        line = describe(make_trial(7, {"gain": 0.5}, [1.0]), make_study())
+        assert line.replace(JOIN, " ").endswith("  [1 evaluation]")
+
     def test_a_violation_is_named(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0], worst=1.25), make_study())
         assert "worst peak 1.25      limit 1  violates peak" in line.replace(JOIN, " ")
@@ -95,11 +107,11 @@ class TestTerminal:
         follow(out, make_study(), [make_trial(0, {"gain": -0.00123456}, [1.5])], None)
         shown = [line.rstrip() for line in ESCAPE.sub("", text(out)).splitlines()]
         start = next(k for k, line in enumerate(shown) if line.startswith("trial   0"))
-        lines = list(itertools.takewhile(lambda line: "evaluations]" not in line, shown[start:]))
+        lines = list(itertools.takewhile(lambda line: "evaluation]" not in line, shown[start:]))
         lines.append(shown[start + len(lines)])
         assert max(map(len, lines)) <= width
         whole = " ".join(" ".join(lines).split())
-        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 evaluations]")
+        assert whole == ("trial 0 gain -0.001235 error 1.5 worst peak 0.5 limit 1 [1 evaluation]")
         ends = ("gain", "error", "worst", "peak", "limit")
         assert not any(line.endswith(ends) for line in lines)
 

@@ -196,7 +196,8 @@ def describe(trial: Trial, study: Study) -> str:
     if trial.state is TrialState.FAILED:
         evaluation = trial.evaluations[-1]
         context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
-        return f"{where}  FAILED: {trial.reason} (context {context}; seed {evaluation.seed})"
+        conditions = f"context {context or 'none'}; seed {evaluation.seed}"
+        return f"{where}  FAILED: {trial.reason} ({conditions})"
     mean = trial.mean(study.objective.metric)
     text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
     for objective in study.further_objectives:
@@ -208,4 +209,5 @@ def describe(trial: Trial, study: Study) -> str:
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
     if broken := violated(study, trial):
         text += f"  violates {', '.join(broken)}"
-    return f"{text}  [{len(trial.evaluations)}{JOIN}evaluations]"
+    count = len(trial.evaluations)
+    return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"
