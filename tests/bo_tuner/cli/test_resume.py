@@ -19,6 +19,7 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.convergence import incumbents
+from bo_tuner.storage.journal import create_journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
@@ -266,6 +267,50 @@ class TestSummary:
         assert "ignored, since the run has not ended" in told[0]
 
 
+class TestLost:
+    """What was lost with its nodes is run again once the run is resumed."""
+
+    def lose(self, runs, whole, name, lost):
+        """Copy a run as if some of its evaluations had been lost."""
+        runs.copy(whole, name)
+        folder = runs.latest(name).resolve()
+        found = read_journal(folder / "journal.sqlite")
+        gone = Outcome(EvaluationState.LOST, {}, "the node stopped")
+        evaluations = [replace(e, outcome=gone) if lost(e) else e for e in found.evaluations]
+        create_journal(folder / "journal.sqlite", found.sessions, evaluations, found.trials)
+        return folder
+
+    @pytest.mark.parametrize(
+        ("stages", "index"), [((Stage.VALIDATION,), 3), ((Stage.VALIDATION,), 0), (CHECKS, None)]
+    )
+    def test_it_is_run_again(self, runs, whole, stages, index):
+        if index is None:
+            checks = (e for e in read_run(runs.latest(whole)).evaluations if e.stage in CHECKS)
+            index = min(evaluation.index for evaluation in checks)
+        name = f"lost-{stages[0]}-{index}"
+        folder = self.lose(runs, whole, name, lambda e: e.stage in stages and e.index == index)
+        before = read_run(folder)
+        lost = sum(e.outcome.state is EvaluationState.LOST for e in before.evaluations)
+        assert lost
+        code, _, err = runs.resume(name)
+        assert code == 0, err
+        assert runs.evaluations(name) == lost
+        found, expected = read_run(folder), read_run(runs.latest(whole))
+        assert len(found.evaluations) == len(expected.evaluations) + lost
+        sides = ("default", "tuned", "trial", "passed_check", "checked_trials")
+        assert {k: found.summary[k] for k in sides} == {k: expected.summary[k] for k in sides}
+        assert found.summary["verdict"] == expected.summary["verdict"]
+        # A reader of the journal alone sees no more than the run did.
+        assert summary_from_record(found) == without_verdict(found.summary)
+
+    def test_a_reader_counts_it_as_failed(self, runs, whole):
+        folder = self.lose(
+            runs, whole, "read", lambda e: (e.stage, e.trial, e.index) == (Stage.VALIDATION, 1, 2)
+        )
+        tuned = summary_from_record(read_run(folder))["tuned"]
+        assert (tuned["failures"], tuned["feasible"]) == (1, False)
+
+
 class TestDamage:
     @pytest.fixture
     def copy(self, runs, whole, request):
@@ -399,3 +444,22 @@ class TestRecordedEvaluations:
         assert not new.recorded
         list(backend.run([planned({"gain": 0.5}, {"load": 1.5 + 2**-50}, 7)]))
         assert len(ran) == 2
+
+    def test_without_a_parameter_for_the_seed_other_seeds_are_other_evaluations(
+        self, make_study, function_backend
+    ):
+        """A repetition or a validation draw in a context on record is a run of its own."""
+        study = make_study(seed_parameter=None)
+        outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.1})
+        recorded = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
+        backend = RecordedEvaluations(
+            function_backend(study, lambda **_: {"error": 3.0, "peak": 0.1}), study, [recorded]
+        )
+        backend.open()
+        others = [
+            planned({"gain": 0.5}, {"load": 1.5}, 8),
+            replace(planned({"gain": 0.5}, {"load": 1.5}, 7), stage=Stage.VALIDATION),
+        ]
+        assert [e.outcome.metrics["error"] for e in backend.run(others)] == [3.0, 3.0]
+        (same,) = backend.run([planned({"gain": 0.5}, {"load": 1.5}, 7)])
+        assert same.outcome == outcome

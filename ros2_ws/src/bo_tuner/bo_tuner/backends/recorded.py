@@ -12,8 +12,9 @@ from bo_tuner.trials import Evaluation
 class RecordedEvaluations:
     """A backend that runs only the evaluations which are not on record.
 
-    An evaluation is known again by what is set for it: parameters, context and seed of the noise.
-    A run that was resumed sets the same, so that it takes the way it took before.
+    An evaluation is known again by its stage, its seed and what is set for it: parameters and
+    context. A run that was resumed plans the same, so that it takes the way it took before. Where
+    no parameter takes the seed, it still tells one repetition from another.
 
     Parameters
     ----------
@@ -60,4 +61,5 @@ class RecordedEvaluations:
             evaluation.parameters, evaluation.context, evaluation.seed
         )
         # As text, 3 and 3.0 differ, as they do for a node, and all bits of a double count.
-        return json.dumps({k: dict(v) for k, v in assignments.items()}, sort_keys=True)
+        values = {node: dict(of_node) for node, of_node in assignments.items()}
+        return json.dumps([evaluation.stage, evaluation.seed, values], sort_keys=True)

@@ -213,11 +213,12 @@ class Session:
         return provenance
 
     def _recorded(self, earlier: JournalContent) -> RecordedEvaluations:
-        # What whole trials hold is not asked for again.
+        # What whole trials hold is not asked for again; what was lost is run again.
         left = [
             item
             for item in earlier.evaluations
-            if item.stage not in TUNING or item.trial >= len(earlier.trials)
+            if (item.stage not in TUNING or item.trial >= len(earlier.trials))
+            and not item.outcome.spoilt
         ]
         try:
             return RecordedEvaluations(self._backend, self._study, left)

@@ -235,8 +235,13 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         advisor.consider(record.trials[:count])
     if not spent and advisor.advice is None:
         return None
-    # What the trials hold is not given again.
-    later = [item for item in record.evaluations if item.stage not in TUNING]
+    # What the trials hold is not given again, nor what was lost and then run again.
+    kept = {_place(item) for item in record.evaluations if not item.outcome.spoilt}
+    later = [
+        item
+        for item in record.evaluations
+        if item.stage not in TUNING and not (item.outcome.spoilt and _place(item) in kept)
+    ]
     try:
         backend = RecordedEvaluations(_Nothing(), study, later)
         trials = continued(
@@ -255,6 +260,10 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
         trials=len(record.trials),
         evaluations=len(record.evaluations),
     )
+
+
+def _place(evaluation: Evaluation) -> tuple[str, int, int, int]:
+    return (evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed)
 
 
 def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
