@@ -9,6 +9,7 @@ import pytest
 from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
+from bo_tuner.report import content
 from bo_tuner.report.analysis import Analysis, Outcome, Preliminary
 from bo_tuner.report.grid import parameter_grid, permitted
 from bo_tuner.report.sections.appendix import RESULT, all_trials
@@ -21,6 +22,7 @@ from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.trials import CHECKS
 
 
 def named(panel, name, kind):
@@ -60,6 +62,19 @@ def test_a_trial_that_is_not_in_the_models_yet_is_in_the_table(analysis):
     assert [row[0] for row in now if row[-1] == RESULT] == [
         row[0] for row in before if row[-1] == RESULT
     ]
+
+
+def test_the_table_has_the_worst_cases_that_were_recorded(analysis):
+    """As the lines of the run had them, unless the trial was run again after it."""
+    table = all_trials(analysis).tables[0]
+    place = next(k for k, title in enumerate(table.header) if title.startswith("worst peak"))
+    again = {e.trial for e in analysis.record.evaluations if e.stage in CHECKS}
+    recorded = {t.number: t.worst_cases for t in analysis.record.trials if t.number not in again}
+    assert sum(map(bool, recorded.values())) > 1
+    for row in table.rows:
+        worst = recorded.get(int(row[0]))
+        if worst is not None:
+            assert row[place] == content.number(worst["peak"].value if worst else None)
 
 
 @pytest.mark.parametrize("total", [1, 2, 39, 41, 99, 101, 1000, 2357])

@@ -63,10 +63,18 @@ class Analysis:
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
-        """The trials, each with the evaluations that checked it as a candidate."""
+        """The trials, each with the evaluations that checked it as a candidate.
+
+        Worst cases are those on record; of a trial that was run again they are estimated anew.
+        """
         if not self._options.pooled:
             return self._checked
-        return tuple(estimated(self.study, self.models, trial) for trial in self._checked)
+        return tuple(
+            estimated(self.study, self.models, trial)
+            if len(trial.evaluations) > len(trial.unchecked.evaluations)
+            else trial
+            for trial in self._checked
+        )
 
     @property
     def _options(self) -> ModelOptions:
