@@ -144,6 +144,43 @@ class TestVerdict:
         backend.changed = "error"
         assert not replay(record, recorded, backend).confirmed
 
+    def test_without_a_metric_that_can_be_judged_only_the_end_is_confirmed(self, record):
+        """As of metrics of signals, which differ from run to run."""
+        metrics = {
+            name: replace(metric, reproducible=False)
+            for name, metric in record.study.metrics.items()
+        }
+        record = replace(record, study=replace(record.study, metrics=metrics), backend="ros")
+        recorded = find_evaluation(record, complete(record)[0].number, None)
+
+        class Backend(SequentialBackend):
+            name = "ros"
+            ends = Outcome(EvaluationState.COMPLETE, dict(recorded.outcome.metrics))
+
+            def outcome(self, planned):
+                return self.ends
+
+        backend = Backend()
+        found = replay(record, recorded, backend)
+        assert found.confirmed
+        assert "the end is confirmed; no metric" in found.verdict
+        backend.ends = Outcome(EvaluationState.FAILED, reason="stalled")
+        assert replay(record, recorded, backend).verdict == "NOT confirmed"
+
+    def test_a_study_without_a_seed_parameter_says_that_noise_differs(
+        self, record, tmp_path, make_study, capsys
+    ):
+        noise = "noise, if there is any, was not the same"
+        assert noise not in run(capsys, record.path)[1]
+        study = make_study(
+            nodes=node("replayed_axis"),
+            seed_parameter=None,
+            budget=INITIAL | {"trials": 5, "initial_trials": 5},
+        )
+        made = make_run(tmp_path / "seedless", study, InProcessBackend(study), result=2)
+        trust(study)
+        assert noise in run(capsys, made.path)[1]
+
     def test_an_evaluation_that_fails_now_is_not_confirmed(self, record, function_backend, failed):
         recorded = find_evaluation(record, complete(record)[0].number, None)
         backend = function_backend(record.study, lambda **values: failed("axis: stalled"))

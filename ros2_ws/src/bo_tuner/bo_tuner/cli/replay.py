@@ -44,17 +44,19 @@ from bo_tuner.tuning.observer import NOBODY
 
 DESCRIPTION = """\
 Repeat a recorded evaluation with its parameters, context and seed, and compare
-its metrics with the record, bit for bit. On ROS the messages of this evaluation,
-and of the default parameters in the same context with the same noise, are
-recorded side by side in one bag, as /tuned/... and /default/...
+its metrics with the record, bit for bit where they can be the same. On ROS the
+messages of this evaluation, and of the default parameters in the same context
+with the same noise, are recorded side by side in one bag, as /tuned/... and
+/default/...
 """
 
 EPILOG = """\
-A metric that the study marks as not reproducible, since it depends on measured
-time, is shown, but judged only if record and replay are both in process.
+A metric of signals, or one that the study marks as not reproducible since it
+depends on measured time, is shown, but judged only if record and replay are
+both in process.
 
 exit codes:
-  0    the result is as recorded
+  0    the result is as recorded, in all that is judged
   1    the output cannot be written
   2    bad input: run, trial, evaluation, option or nodes
   3    the result differs; the table shows where
@@ -231,7 +233,9 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     plain_console().print(table)
     measured = [row.metric.name for row in result.metrics if not row.judged]
     if measured:
-        say(f"depends on measured time, not judged: {', '.join(measured)}")
+        say(f"measured, so different in each run, and not judged: {', '.join(measured)}")
+    if record.study.seed_parameter is None:
+        say("the study has no parameter for the seed: noise, if there is any, was not the same")
     before, after = result.recorded.outcome, result.replayed.outcome
     if result.same_end:
         how = f"{after.state}, as recorded"
@@ -239,7 +243,7 @@ def _show(record: RunRecord, result: Replay, backend: str) -> None:
     else:
         say(f"recorded: {before.state}{f': {before.reason}' if before.reason else ''}")
         say(f"replayed: {after.state}{f': {after.reason}' if after.reason else ''}")
-    say("confirmed" if result.confirmed else "NOT confirmed")
+    say(result.verdict)
     now = provenance(record.study, backend, record.algorithm)
     changed = changed_provenance(record, now)
     if changed and not result.confirmed:

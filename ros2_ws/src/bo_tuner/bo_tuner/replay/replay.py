@@ -12,7 +12,7 @@ from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.parts import IN_PROCESS, Metric
-from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
+from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
@@ -78,12 +78,22 @@ class Replay:
         """Whether the state and all judged metrics are as recorded."""
         return self.same_end and all(row.equal for row in self.metrics if row.judged)
 
+    @property
+    def verdict(self) -> str:
+        """The result in words."""
+        if not self.confirmed:
+            return "NOT confirmed"
+        complete = self.replayed.outcome.state is EvaluationState.COMPLETE
+        if complete and not any(row.judged for row in self.metrics):
+            return "the end is confirmed; no metric of this study is the same in two runs"
+        return "confirmed"
+
 
 def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
     """Run a recorded cut again: the same parameter set, context and seed.
 
-    A metric that is not reproducible depends on measured time, and is judged only if both the
-    record and the replay are in process, where no time is measured.
+    A metric that is not reproducible, as one that depends on measured time or on signals over ROS,
+    is judged only if both the record and the replay are in process, where nothing is measured.
 
     Parameters
     ----------

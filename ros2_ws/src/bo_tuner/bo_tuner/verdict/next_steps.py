@@ -30,7 +30,7 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
     both = Step(f"validate {where} --with-default", "certify the default as well, to compare")
-    replay = Step(f"replay {where}", "repeat the result's worst evaluation in the run, bit for bit")
+    replay = Step(f"replay {where}", "repeat the result's worst evaluation and compare")
     apply = Step(f"apply {where}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
     match verdict.state:
