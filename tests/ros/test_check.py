@@ -1,6 +1,8 @@
 """`tune --check` on running nodes: every mistake at once, then two runs of the default."""
 
+import itertools
 import json
+import re
 
 import pytest
 from commands import Fork, finish
@@ -27,12 +29,13 @@ class Servo(Node):
         self.declare_parameter("filter", True)
         self.declare_parameter("weights", [1.0, 2.0])
         self.angle = self.setpoint = 0.0
+        self.starts = itertools.repeat(0.0)
         self.angles = self.create_publisher(Float64, "angle", 10)
         self.create_subscription(Float64, "setpoint", self.follow, 10)
         self.create_timer(0.01, self.step)
 
     def follow(self, message):
-        self.setpoint, self.angle = message.data, 0.0
+        self.setpoint, self.angle = message.data, next(self.starts)
 
     def step(self):
         self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
@@ -63,7 +66,7 @@ def write_study(tmp_path, **changes):
         },
     }
     for section, items in changes.items():
-        sections[section] |= items
+        sections[section] = sections.get(section, {}) | items
     mapping = {
         "name": "servo",
         "nodes": {"servo": node},
@@ -87,11 +90,47 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert "metrics of the default" in out
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"
-    assert "study: at most 7 runs beside the checks, about" in out
-    assert "certificate: at most 1000 draws, about" in out
+    # Three trials of a draw, 10 runs in the check of an answer, and two sides in two draws.
+    assert "study: at most 17 runs, about" in out
+    # Without a limit on the worst case there is no search for it.
+    assert "certificate: at most 1000 runs, about" in out
+    assert "beyond" in out
+    assert "note: " not in out
     assert servo.get_parameter("gain").value == 0.25
     assert list(servo.get_parameter("weights").value) == [1.0, 2.0]
     assert not (tmp_path / "runs").exists()
+
+
+def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
+    """What the default does not keep, and runs that do not begin alike."""
+    limit = {"kind": "worst_case", "metric": "error", "upper": 0.001}
+    servo.starts = itertools.cycle([0.0, 0.9])
+    try:
+        code, out, err = study(tmp_path, constraints={"error": limit})
+    finally:
+        servo.starts = itertools.repeat(0.0)
+    assert (code, err) == (0, "")
+    assert "2 of 2" in out
+    assert "note: error: the default does not keep ≤ 0.001" in out
+    assert re.search(r"note: error: differs by \d+ % between runs of the same parameters", out)
+
+
+def test_a_run_that_sends_nothing(servo, tmp_path):
+    _, out, _ = study(tmp_path, run={"start": []})
+    assert "note: run.start: missing, so nothing sends a reference" in out
+
+
+def test_nodes_that_were_not_started(tmp_path):
+    """In a domain without others, one line for each node says what to do."""
+    write_study(tmp_path)
+    code, _, err = finish(
+        Fork("tune", "--check", "servo.yaml", folder=tmp_path, env={"ROS_DOMAIN_ID": "99"})
+    )
+    assert code == 2
+    assert err.splitlines() == [
+        "error: servo: no such node; no other node runs in ROS domain 99: start yours, or set "
+        "their ROS_DOMAIN_ID"
+    ]
 
 
 def test_every_mistake_is_named_at_once(servo, tmp_path):

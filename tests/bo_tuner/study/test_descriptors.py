@@ -4,11 +4,14 @@ import copy
 
 import pytest
 
-from bo_tuner.cli.check import evaluations_of, plot
+from bo_tuner.certificate.certification import Subject, most_evaluations
+from bo_tuner.certificate.store import required_draws
+from bo_tuner.cli.check import most_runs, plot
 from bo_tuner.errors import StudyError
 from bo_tuner.study.descriptors import Described, complete, incomplete, problem
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study_file import parse_study
+from bo_tuner.tuning.recommendation import most_check_evaluations
 
 TEXT = """
 name: open
@@ -126,6 +129,22 @@ def test_a_plot_holds_each_value_until_the_next():
     assert plot([0.0, 1.0], [0.0, float("nan")], 2.0) == "not finite"
 
 
+LIMIT = """
+contexts: {load: {node: pid, parameter: load, distribution: uniform, bounds: [1, 2]}}
+constraints: {error: {kind: worst_case, metric: error, upper: 1.0, probability: 0.9}}
+"""
+
+
 def test_the_runs_of_a_study_are_counted():
-    """Four trials of three runs, two validations of five; 1000 draws of a certificate."""
-    assert evaluations_of(parse_study(TEXT, describe=described)) == (22, 1000)
+    """Four trials of three runs, the check of an answer, two validations of five, 1000 draws."""
+    study = parse_study(TEXT, describe=described)
+    assert most_runs(study) == (12 + most_check_evaluations(study) + 10, 1000)
+
+
+def test_the_certificate_of_a_worst_case_limit_counts_its_search_and_repetitions():
+    study = parse_study(TEXT + LIMIT, describe=described)
+    subject = Subject("tuned", study.search_space().defaults, ({"load": 2.0},))
+    draws = required_draws(study, study.certificate.confidence)
+    most = most_evaluations(study, [subject], draws)
+    assert most_runs(study)[1] == most.total == draws + most.searched + most.repeated
+    assert min(most.searched, most.repeated) > 0

@@ -99,7 +99,7 @@ class Certificate:
     def _busy(self) -> Iterator[str]:
         """What to know of a limit on a measured time that was not shown."""
         for constraint in self.tuned.constraints:
-            measured = not self.study.metrics[constraint.metric].reproducible
+            measured = self.study.metrics[constraint.metric].measures_time
             if measured and not constraint.passed and self.provenance["backend"] == ROS:
                 yield (
                     f"{constraint.name}: {constraint.metric} depends on the load of the machine, "

@@ -20,6 +20,8 @@ from bo_tuner.backends.ros.graph import (
 )
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.certificate.certificate import TUNED
+from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
@@ -35,12 +37,16 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.tuning.recommendation import most_check_evaluations
+from bo_tuner.tuning.settling import most_repetitions
 
 RUNS = 2
 WIDTH, LEAST_WIDTH = 60, 10
 """Characters of a plot, where there is room, and at least."""
 BESIDE_PLOT = 44
 """Characters of the other columns of the table of signals, and of its lines, but for the names."""
+LARGE_SPREAD = 0.2
+"""Difference of two equal runs, of the larger value, from which on it is worth a note."""
 BARS = " ▁▂▃▄▅▆▇█"
 
 
@@ -86,11 +92,13 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     """Hold parameters, signals and steps against the graph; problems and notes, a line each."""
     problems, notes = [], []
     defaults = study.search_space().defaults
+    absent = 0
     for key, spec in study.nodes.items():
         try:
             known = describe(tuner, spec.node)
         except BackendError as error:
             problems.append(f"nodes.{key}: {error}")
+            absent += 1
             continue
         for name, item in study.parameters.items():
             if item.node != key:
@@ -105,6 +113,11 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
                     f"parameters.{name}: the node has {described.value} now, the study's "
                     f"default is {shown(defaults[name])}"
                 )
+    if absent == len(study.nodes):
+        # Of nodes that were not started, their topics and services are not worth a line each.
+        return problems, notes
+    if study.run is not None and not study.run.start:
+        notes.append("run.start: missing, so nothing sends a reference when a run starts")
     # What a run itself publishes has no publisher yet.
     steps = () if study.run is None else study.run.steps
     own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
@@ -142,7 +155,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
     failed = [e for e in done if e.outcome.state is not EvaluationState.COMPLETE]
     for evaluation in failed:
         say_error(
-            f"error: run {evaluation.index} of the default failed: {evaluation.outcome.reason}"
+            f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
         )
     if len(failed) < len(done):
         _show_metrics(study, [e for e in done if e not in failed])
@@ -154,7 +167,7 @@ def _plot(study: Study, recording: Recording) -> None:
     console = plain_console()
     names = max((len(name) for name in recording.signals), default=0)
     width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
-    table = Table(title=f"signals of run {RUNS - 1}, {recording.end:.3g} s", title_justify="left")
+    table = Table(title=f"signals of run {RUNS}, {recording.end:.3g} s", title_justify="left")
     for column in ("signal", "messages", "least", "over the run", "largest"):
         table.add_column(column, no_wrap=True)
     for name, seen in recording.signals.items():
@@ -197,35 +210,71 @@ def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> s
 
 def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
     table = Table(title="metrics of the default", title_justify="left")
-    for column in ("metric", "unit", *(f"run {e.index}" for e in done), "spread", "limit"):
+    for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "beyond it"):
         table.add_column(column)
+    notes = []
     for name, metric in study.metrics.items():
         values = [e.outcome.metrics[name] for e in done]
-        spread = max(values) - min(values)
         limits = [item for item in study.constraints.values() if item.metric == name]
         limit = ", ".join(f"{'≤' if item.sign > 0 else '≥'} {item.limit:.4g}" for item in limits)
-        cells = (f"{value:.4g}" for value in (*values, spread))
-        table.add_row(name, metric.unit, *cells, limit)
+        beyond = sum(any(item.violations(value) for item in limits) for value in values)
+        cells = (f"{value:.4g}" for value in values)
+        count = f"{beyond} of {len(values)}" if limits else ""
+        table.add_row(name, metric.unit, *cells, limit, count)
+        if beyond:
+            notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+        if text := _spread(name, values):
+            notes.append(text)
     plain_console().print(table)
+    for note in notes:
+        say(f"note: {note}")
 
 
-def evaluations_of(study: Study) -> tuple[int, int]:
-    """Return the numbers of evaluations of a run and of draws of its certificate, at most."""
-    budget = study.budget
-    drawn, searched = ALGORITHMS[default_algorithm(study)].evaluations(study)
+def _spread(name: str, values: Sequence[float]) -> str:
+    """Return what to know of a metric that differs much between equal runs; empty if it does not.
+
+    Such noise is possible, but more often one run did not begin as the other.
+    """
+    largest = max(abs(value) for value in values)
+    spread = max(values) - min(values)
+    if spread <= LARGE_SPREAD * largest:
+        return ""
+    return (
+        f"{name}: differs by {100.0 * spread / largest:.0f} % between runs of the same parameters: "
+        "either it is that noisy, or the runs do not begin alike (see before and start of the run)"
+    )
+
+
+def most_runs(study: Study) -> tuple[int, int]:
+    """Return the largest numbers of evaluations of a study and of the certificate of its result."""
+    budget, algorithm = study.budget, ALGORITHMS[default_algorithm(study)]
+    drawn, searched = algorithm.evaluations(study)
     each = drawn + searched if study.worst_case_constraints else drawn
     tuning = budget.trials * each
     if budget.evaluations is not None:
         tuning = min(tuning, budget.evaluations + each - 1)
-    tuning += 2 * budget.validation_draws
-    return tuning, required_draws(study, study.certificate.confidence)
+    if algorithm.models.pooled:
+        checks = most_repetitions(study, tuning)
+    else:
+        checks = algorithm.most_checked * most_check_evaluations(study)
+    # A trial has a suspected context for each worst-case limit.
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    suspected = (nominal,) * len(study.worst_case_constraints)
+    subject = Subject(TUNED, study.search_space().defaults, suspected)
+    draws = required_draws(study, study.certificate.confidence)
+    certificate = most_evaluations(study, [subject], draws).total
+    return tuning + checks + 2 * budget.validation_draws, certificate
 
 
 def _estimate(study: Study, seconds: float) -> None:
-    tuning, certificate = evaluations_of(study)
+    tuning, certificate = most_runs(study)
     say(f"a run took {seconds:.3g} s")
-    say(f"study: at most {tuning} runs beside the checks, {_duration(tuning * seconds)}")
-    say(f"certificate: at most {certificate} draws, {_duration(certificate * seconds)}")
+    say(f"study: at most {tuning} runs, {_duration(tuning * seconds)}")
+    say(
+        f"certificate: at most {certificate} runs, {_duration(certificate * seconds)}; "
+        "fewer once the verdict is clear"
+    )
 
 
 def _duration(seconds: float) -> str:

@@ -160,6 +160,9 @@ MEASURES: Mapping[str, SignalMetricFunction] = MappingProxyType(
 )  # fmt: skip
 """The functions by the name that a study file gives them."""
 
+NEVER_NEGATIVE = frozenset(MEASURES) - {"mean", "minimum", "maximum", "percentile"}
+"""Names of those that are at least 0, whatever the signal."""
+
 
 def options_of(measure: str) -> dict[str, bool]:
     """Return the names of a measure's keyword arguments, and whether each is required."""

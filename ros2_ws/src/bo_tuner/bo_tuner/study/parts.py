@@ -103,6 +103,10 @@ class Metric(Protocol):
     def reproducible(self) -> bool:
         """Whether the same evaluation gives the same number again."""
 
+    @property
+    def measures_time(self) -> bool:
+        """Whether it is a measured time, which other load on the machine makes longer."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReportedMetric:
@@ -126,6 +130,11 @@ class ReportedMetric:
         checks.boolean(self.reproducible, "reproducible")
         if not checks.text(self.key, "key"):
             object.__setattr__(self, "key", self.name)
+
+    @property
+    def measures_time(self) -> bool:
+        """Whether it depends on measured time."""
+        return not self.reproducible
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,10 +6,18 @@ Each function raises `StudyError` with the key path in the study file.
 from collections.abc import Collection, Mapping, Sequence
 
 from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
+from bo_tuner.study.parts import (
+    Constraint,
+    ContextVariable,
+    Objective,
+    ReportedMetric,
+    SeedParameter,
+    Trigger,
+)
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 
@@ -33,6 +41,27 @@ def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) 
                 path,
             )
         taken.append(item.metric)
+
+
+def check_constraints(
+    constraints: Mapping[str, Constraint],
+    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric],
+) -> None:
+    """Refuse limits on metrics that are not there, and those that no run can keep."""
+    for name, constraint in constraints.items():
+        here = ("constraints", name)
+        checks.reference(constraint.metric, "metric", metrics, *here, "metric")
+        metric = metrics[constraint.metric]
+        if (
+            isinstance(metric, SignalMetric)
+            and metric.measure in NEVER_NEGATIVE
+            and constraint.upper is not None
+            and constraint.upper < 0.0
+        ):
+            raise StudyError(
+                f"no run keeps it: {metric.measure} is at least 0, found {constraint.upper:g}",
+                (*here, "upper"),
+            )
 
 
 def check_run(

@@ -145,6 +145,8 @@ class SignalMetric:
     reproducible = False
     """Of measured signals no two runs give the same."""
 
+    measures_time = False
+
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)
         checks.text(self.of, "of")
@@ -199,6 +201,8 @@ class PythonMetric:
 
     reproducible = False
     """Of measured signals no two runs give the same."""
+
+    measures_time = False
 
     def __post_init__(self) -> None:
         checks.parameter_name(self.name)

@@ -23,7 +23,12 @@ from bo_tuner.study.parts import (
     SeedParameter,
     Trigger,
 )
-from bo_tuner.study.references import check_objectives, check_run, check_targets
+from bo_tuner.study.references import (
+    check_constraints,
+    check_objectives,
+    check_run,
+    check_targets,
+)
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
@@ -164,10 +169,7 @@ class Study:
             checks.reference(node, "node", self.nodes, *path, "node")
         check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
         check_objectives(self.objectives, self.metrics)
-        for name, constraint in self.constraints.items():
-            checks.reference(
-                constraint.metric, "metric", self.metrics, "constraints", name, "metric"
-            )
+        check_constraints(self.constraints, self.metrics)
         check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
         self._check_park()
         self.starting_sets()

@@ -89,7 +89,7 @@ def validated(
             },
         ),
         choice="" if doubt else _choice(study),
-        remarks=_load(study, tuned),
+        remarks=(*_load(study, tuned), *_lost(evaluations, tuned.parameters)),
         observed=observed_sides,
     )
 
@@ -197,11 +197,29 @@ def _choice(study: Study) -> str:
     )
 
 
+def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> tuple[str, ...]:
+    """Return a remark if draws of the tuned parameter set tell nothing of it."""
+    drawn = {
+        evaluation.index: evaluation.outcome.spoilt
+        for evaluation in evaluations
+        if evaluation.stage is Stage.VALIDATION
+        and evaluation.trial == TUNED
+        and dict(evaluation.parameters) == dict(parameters)
+    }
+    lost = sum(drawn.values())
+    if not lost:
+        return ()
+    return (
+        f"{lost} of the draws that failed {'was' if lost == 1 else 'were'} lost with the nodes or "
+        "disturbed by others: tune --resume runs such draws again.",
+    )
+
+
 def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
     """Return a remark if only measured times exceed their limits."""
     broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
     metrics = [study.metrics[constraint.metric] for constraint in broken]
-    if not metrics or any(metric.reproducible for metric in metrics):
+    if not metrics or not all(metric.measures_time for metric in metrics):
         return ()
     names = ", ".join(metric.name for metric in metrics)
     return (f"Only {names} exceeded a limit, which other load on this machine can also cause.",)

@@ -8,6 +8,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.parameter_client import ParameterClient
@@ -15,7 +16,6 @@ from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study import checks
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
 
@@ -67,7 +67,7 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     client = ParameterClient(tuner, node, ListParameters, DescribeParameters, GetParameters)
     try:
         if not tuner.wait_until(client.is_ready, DISCOVERY):
-            near = checks.suggestion(node, tuner.node.get_node_names())
+            near = others.instead(node, others.nodes(tuner.node), tuner.node)
             raise BackendError(f"{node}: no such node; {near}")
         names = client.names(ANSWER)
         descriptors, values = client.descriptors(names, ANSWER), client.values(names, ANSWER)

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, WallClock
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.messages import (
@@ -23,7 +24,6 @@ from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
-from bo_tuner.study import checks
 from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 
 NODE_NAME = f"{TUNER}_signals"
@@ -153,8 +153,7 @@ class SignalRecorder:
         topic = self.node.resolve_topic_name(spec.topic)
         publishers = self.node.get_publishers_info_by_topic
         if not wait(lambda: bool(publishers(topic))):
-            names = sorted(n for n, _ in self.node.get_topic_names_and_types() if n != topic)
-            near = checks.suggestion(topic, names)
+            near = others.instead(topic, others.topics(self.node), self.node)
             raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
         found = publishers(topic)
         if len(found) > 1:

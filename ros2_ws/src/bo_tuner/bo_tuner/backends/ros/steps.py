@@ -9,12 +9,12 @@ from rclpy.client import Client
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, to_stamp
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
-from bo_tuner.study import checks
 from bo_tuner.study.steps import Call, Lifecycle, Publish
 from bo_tuner.text import brief
 
@@ -87,7 +87,7 @@ class Publication:
 
     tuner: TunerNode
     publisher: Publisher
-    others: Callable[[], list[Any]]
+    subscribers: Callable[[], list[Any]]
     publish: Publish
     kind: Any
     clock: RunClock
@@ -110,18 +110,15 @@ class Publication:
         node = tuner.node
         topic = node.resolve_topic_name(publish.topic)
 
-        def others() -> list[Any]:
+        def subscribers() -> list[Any]:
             found = node.get_subscriptions_info_by_topic(topic)
             # The tuner's own nodes, which record the topic, do not count.
             return [info for info in found if not info.node_name.startswith(NODE_NAME)]
 
-        if not tuner.wait_until(lambda: bool(others()), CONNECT_TIMEOUT):
-            names = sorted(n for n, _ in node.get_topic_names_and_types() if n != topic)
-            raise StudyError(
-                f"nothing subscribes to {topic}; {checks.suggestion(topic, names)}",
-                ("publish", "topic"),
-            )
-        found = others()
+        if not tuner.wait_until(lambda: bool(subscribers()), CONNECT_TIMEOUT):
+            near = others.instead(topic, others.topics(node), node)
+            raise StudyError(f"nothing subscribes to {topic}; {near}", ("publish", "topic"))
+        found = subscribers()
         if publish.type not in ("", found[0].topic_type):
             raise StudyError(
                 f"{topic} carries {found[0].topic_type}, expected {publish.type}",
@@ -141,7 +138,7 @@ class Publication:
                 durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
             qos = QoSProfile(depth=10, durability=durability)
             publishers[topic] = node.create_publisher(kind, topic, qos)
-        made = cls(tuner, publishers[topic], others, publish, kind, clock)
+        made = cls(tuner, publishers[topic], subscribers, publish, kind, clock)
         try:
             made.wait()
         except FailedRunError as error:
@@ -152,7 +149,7 @@ class Publication:
         """Wait until those who subscribe are connected, as what is published earlier is lost."""
 
         def connected() -> bool:
-            count = len(self.others())
+            count = len(self.subscribers())
             return 0 < count <= self.publisher.get_subscription_count()
 
         if not self.tuner.wait_until(connected, CONNECT_TIMEOUT):
@@ -198,8 +195,12 @@ class LifecycleChange:
 
         if not tuner.wait_until(ready, CONNECT_TIMEOUT):
             ends = "/change_state"
-            others = [n.removesuffix(ends) for n in _services(tuner) if n.endswith(ends)]
-            near = checks.suggestion(spec.node, sorted(others))
+            names = [
+                name.removesuffix(ends)
+                for name in others.services(tuner.node)
+                if name.endswith(ends)
+            ]
+            near = others.instead(spec.node, names, tuner.node)
             raise StudyError(
                 f"there is no lifecycle node {spec.node}; {near}", ("lifecycle", "node")
             )
@@ -234,7 +235,7 @@ def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
     node = tuner.node
     name = node.resolve_service_name(service)
     if not tuner.wait_until(lambda: name in _services(tuner), CONNECT_TIMEOUT):
-        near = checks.suggestion(name, sorted(_services(tuner)))
+        near = others.instead(name, others.services(node), node)
         raise StudyError(f"there is no service {name}; {near}", ("call", "service"))
     try:
         cls = interface_class(_services(tuner)[name][0])

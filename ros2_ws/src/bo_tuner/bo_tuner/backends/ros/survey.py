@@ -10,6 +10,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
+from bo_tuner.backends.ros.others import OF_ROS, is_hidden
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
@@ -18,7 +19,6 @@ QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the items of arrays."""
-OF_ROS = ("/rosout", "/parameter_events", "/clock")
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
 
 
@@ -57,7 +57,7 @@ def survey(tuner: TunerNode) -> tuple[Seen, list[str]]:
     services = sorted(
         name
         for name, types in tuner.node.get_service_names_and_types()
-        if types[0] in WITHOUT_REQUEST and not _is_hidden(name)
+        if types[0] in WITHOUT_REQUEST and not is_hidden(name)
     )
     return Seen(tuple(nodes), tuple(topics), tuple(services)), notes
 
@@ -90,7 +90,7 @@ def _nodes(tuner: TunerNode) -> list[str]:
         for name, namespace in tuner.node.get_node_names_and_namespaces()
         if f"{namespace.rstrip('/')}/{name}/list_parameters" in services
     }
-    return sorted(name for name in found if name and not _is_hidden(name))
+    return sorted(name for name in found if name and not is_hidden(name))
 
 
 def _relative(tuner: TunerNode, name: str, namespace: str) -> str:
@@ -100,11 +100,6 @@ def _relative(tuner: TunerNode, name: str, namespace: str) -> str:
     return full.removeprefix(own) if full.startswith(own) else ""
 
 
-def _is_hidden(name: str) -> bool:
-    """Whether a name is not meant to be seen: a part of it begins with an underscore."""
-    return any(part.startswith("_") for part in name.split("/"))
-
-
 def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
     """Return the topics with numbers, and why others are left out."""
     found, notes = [], []
@@ -112,7 +107,7 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
     listened = {}
     classes = {}
     for name, types in sorted(tuner.node.get_topic_names_and_types()):
-        if name in OF_ROS or _is_hidden(name):
+        if name in OF_ROS or is_hidden(name):
             continue
         try:
             classes[name] = interface_class(types[0])

@@ -1,0 +1,75 @@
+"""What others have in the graph, to be offered in place of a name that is not there."""
+
+from collections.abc import Collection, Iterable
+
+from rclpy.node import Node
+
+from bo_tuner.backends.ros.tuner_node import NODE_NAME
+from bo_tuner.study import checks
+
+OF_ROS = ("/rosout", "/parameter_events", "/clock")
+"""Topics that ROS itself uses."""
+OF_EVERY_NODE = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""Services that nodes have for their parameters and types."""
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a name is not meant to be seen: a part of it begins with an underscore."""
+    return any(part.startswith("_") for part in name.split("/"))
+
+
+def nodes(node: Node) -> list[str]:
+    """Return the names of other nodes than the tuner's own."""
+    return _others(node.get_node_names())
+
+
+def topics(node: Node) -> list[str]:
+    """Return the topics of others."""
+    return _others(name for name, _ in node.get_topic_names_and_types() if name not in OF_ROS)
+
+
+def services(node: Node) -> list[str]:
+    """Return the services of others that somebody serves, but for those of every node."""
+    return _others(
+        name
+        for name, _ in node.get_service_names_and_types()
+        if name.rpartition("/")[2] not in OF_EVERY_NODE and node.count_services(name)
+    )
+
+
+def instead(value: str, names: Collection[str], node: Node) -> str:
+    """Return what to do about a name that is not there: the one that was meant, or how to start.
+
+    Parameters
+    ----------
+    value
+        The name.
+    names
+        Those of its kind that are there.
+    node
+        A node of the tuner's.
+    """
+    others = [name for name in names if name != value]
+    if others or nodes(node):
+        return checks.suggestion(value, others)
+    domain = node.context.get_domain_id()
+    return f"no other node runs in ROS domain {domain}: start yours, or set their ROS_DOMAIN_ID"
+
+
+def _others(names: Iterable[str]) -> list[str]:
+    return sorted(
+        {
+            name
+            for name in names
+            if not is_hidden(name)
+            and not any(part.startswith(NODE_NAME) for part in name.split("/"))
+        }
+    )
