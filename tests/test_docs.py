@@ -384,8 +384,12 @@ def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
     (tmp_path / "study.yaml").write_text(study_to_yaml(study))
     with nodes_of_example(tmp_path, monkeypatch, *scripts) as environment:
         code, err, folder = tune(tmp_path, "--study", "study.yaml", "--attach", **environment)
+        # On the nodes of the run, without being told.
+        again = finish(Fork("replay", folder, folder=tmp_path, env=environment))
     # Too few trials to find something for sure.
     assert code in (0, 3), err
+    assert again[0] == 0, again
+    assert "the end is confirmed; no metric of this study is the same in two runs" in again[1]
     journal = read_journal(folder / "journal.sqlite")
     assert len(journal.trials) == 3
     complete = [e for e in journal.evaluations if e.outcome.state is EvaluationState.COMPLETE]

@@ -3,10 +3,11 @@
 import importlib
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from bo_tuner.cli.common import run_folder
+from bo_tuner.cli.common import attached, run_folder
 from bo_tuner.errors import RunRecordError
 
 COMMANDS = ("apply", "recompute", "replay", "report", "tune", "validate")
@@ -41,6 +42,25 @@ class TestLatest:
     def test_none(self):
         with pytest.raises(RunRecordError, match="runs/latest: no such run folder"):
             run_folder(Path("latest"))
+
+
+@pytest.mark.parametrize(
+    ("options", "backend", "expected"),
+    [
+        ([], "ros", True),
+        (["--no-attach"], "ros", False),
+        (["--attach"], "ros", True),
+        ([], "inprocess", False),
+    ],
+)
+def test_nodes_are_attached_as_in_the_run(options, backend, expected):
+    parser = importlib.import_module("bo_tuner.cli.replay").make_parser()
+    arguments = parser.parse_args(["run", *options])
+    assert attached(arguments, parser, backend, SimpleNamespace(attached=True)) is expected
+    assert attached(arguments, parser, backend, SimpleNamespace(attached=False)) is (
+        "--attach" in options
+    )
+    assert attached(arguments, parser, backend, None) is ("--attach" in options)
 
 
 @pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune"}))

@@ -19,7 +19,7 @@ from bo_tuner.storage.provenance import OWN_PACKAGE, commit, version_of
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import LATEST
 from bo_tuner.storage.trust import check_trust, python_functions, trust
-from bo_tuner.study.parts import BACKENDS
+from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.summary import with_summary
 
@@ -75,7 +75,10 @@ class Parser(argparse.ArgumentParser):
             help=f"run on ROS nodes, or on the same objects in this process (default: {default})",
         )
         self.add_argument(
-            "--attach", action="store_true", help="use running nodes instead of starting them"
+            "--attach",
+            action=argparse.BooleanOptionalAction,
+            help="use running nodes instead of starting them (default: as in the run, if there "
+            "is one)",
         )
 
     def add_trust_argument(self, condition: str = "") -> None:
@@ -178,6 +181,29 @@ def recorded_backend(record: RunRecord) -> str:
     if record.backend not in BACKENDS:
         raise RunRecordError(f"{record.path}: unknown backend {record.backend!r} in its record")
     return record.backend
+
+
+def attached(
+    arguments: argparse.Namespace, parser: Parser, backend: str, record: RunRecord | None
+) -> bool:
+    """Return whether to use running nodes: as the option says, or else as in a run.
+
+    Parameters
+    ----------
+    arguments
+        With ``attach``, which is None unless it is given; the parser refuses it off ROS.
+    parser
+        Of the command.
+    backend
+        Where evaluations run.
+    record
+        The run that the command is about, if there is one.
+    """
+    if arguments.attach and backend != ROS:
+        parser.error("--attach needs --backend ros")
+    if arguments.attach is not None or record is None:
+        return bool(arguments.attach)
+    return record.attached and backend == ROS
 
 
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:

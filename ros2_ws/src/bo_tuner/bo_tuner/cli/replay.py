@@ -11,6 +11,7 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
+    attached,
     guarded,
     opened,
     read_result,
@@ -108,14 +109,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         parser.error("--trial is given twice")
     record = read_result(arguments.run)
     name = arguments.backend or recorded_backend(record)
-    if name == IN_PROCESS and arguments.attach:
-        parser.error("--attach needs --backend ros")
+    attach = attached(arguments, parser, name, record)
     if name == IN_PROCESS and arguments.output is not None:
         parser.error("--output needs --backend ros: without nodes there are no messages")
     recorded = find_evaluation(
         record, find_trial(record, arguments.which or arguments.trial or BEST), arguments.evaluation
     )
-    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
+    allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
     output = arguments.output or record.path / "replay"
@@ -123,7 +123,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         name,
         record.study,
         output / "log",
-        attach=arguments.attach,
+        attach=attach,
         run_log=record.path / LOGS,
         ros_arguments=ros_arguments,
         interrupted=interruption.check,

@@ -26,7 +26,13 @@ from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
-from bo_tuner.storage.provenance import CARRIED, STOP_EARLY, changed_sources, session_provenance
+from bo_tuner.storage.provenance import (
+    ATTACHED,
+    CARRIED,
+    STOP_EARLY,
+    changed_sources,
+    session_provenance,
+)
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -196,6 +202,8 @@ class Session:
         """Return what works on the run from now on, and warn of what has changed."""
         options = self._options
         provenance = session_provenance(self._study, options.backend, options.algorithm)
+        if options.attach:
+            provenance[ATTACHED] = "yes"
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
         if options.carried:

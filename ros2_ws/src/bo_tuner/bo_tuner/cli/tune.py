@@ -12,6 +12,7 @@ from bo_tuner.cli.common import (
     RUNS,
     Parser,
     allow_programs,
+    attached,
     guarded,
     recorded_backend,
     run_folder,
@@ -45,7 +46,7 @@ class Plan:
 
     Attributes
     ----------
-    study, algorithm, backend, stop_early
+    study, algorithm, backend, attach, stop_early
         As in `RunOptions`.
     resumed
         The run that it continues.
@@ -56,6 +57,7 @@ class Plan:
     study: Study
     algorithm: str
     backend: str
+    attach: bool
     stop_early: bool
     resumed: RunRecord | None = None
     earlier: RunRecord | None = None
@@ -92,23 +94,18 @@ def _run(
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
-    # Nodes that run can say what the study leaves open.
-    describe = (
-        partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
-        if arguments.attach
-        else None
-    )
+    look = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
     if arguments.resume is not None:
         plan = _resumed(arguments, parser)
     elif arguments.earlier is not None:
-        plan = _after_earlier(arguments, parser, describe)
+        plan = _after_earlier(arguments, parser, look)
     else:
-        plan = _new(arguments, parser, describe)
+        plan = _new(arguments, parser, look)
     _check_options(plan, arguments, parser)
     options = RunOptions(
         algorithm=plan.algorithm,
         backend=plan.backend,
-        attach=arguments.attach,
+        attach=plan.attach,
         ros_arguments=ros_arguments,
         record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
         output=arguments.output_mode,
@@ -137,50 +134,55 @@ def _resumed(arguments: argparse.Namespace, parser: Parser) -> Plan:
     if given:
         parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
     record = read_run(run_folder(arguments.resume))
-    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
     study, backend = record.study, recorded_backend(record)
+    attach = attached(arguments, parser, backend, record)
+    allow_programs(record, trusted=arguments.trust, attach=attach)
     stop_early = arguments.stop_early or record.stop_early
     if arguments.trials is not None or arguments.evaluations is not None:
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
         study, stop_early = _changed(study, arguments), arguments.stop_early
-    return Plan(study, record.algorithm, backend, stop_early, resumed=record)
+    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
 
 
-def _after_earlier(
-    arguments: argparse.Namespace, parser: Parser, describe: Describe | None
-) -> Plan:
+def _after_earlier(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
     """Plan a run that begins with the trials of an earlier one."""
     record = read_run(run_folder(arguments.earlier))
+    backend = recorded_backend(record)
+    attach = attached(arguments, parser, backend, record)
     if arguments.study is not None:
-        study = _changed(load_study(arguments.study, describe), arguments)
+        study = _changed(_load(arguments.study, attach, look), arguments)
     else:
         study = _changed(record.study, arguments)
-        allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
-    backend = recorded_backend(record)
+        allow_programs(record, trusted=arguments.trust, attach=attach)
     _check_comparable(record, study, arguments, parser)
-    return Plan(study, record.algorithm, backend, arguments.stop_early, earlier=record)
+    return Plan(study, record.algorithm, backend, attach, arguments.stop_early, earlier=record)
 
 
-def _new(arguments: argparse.Namespace, parser: Parser, describe: Describe | None) -> Plan:
+def _new(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
     """Plan a run of its own."""
     named = STUDY if arguments.study is None else arguments.study
-    study = _changed(load_study(named, describe), arguments)
+    backend = arguments.backend or BACKENDS[0]
+    attach = attached(arguments, parser, backend, None)
+    study = _changed(_load(named, attach, look), arguments)
     # Where that cannot be noted down, the commands on this run will ask for --trust.
     with contextlib.suppress(OutputError):
         trust(study)
     algorithm = arguments.algorithm or default_algorithm(study)
     if problem := several_objectives_problem(algorithm, study):
         parser.error(f"--algorithm: {problem}")
-    return Plan(study, algorithm, arguments.backend or BACKENDS[0], arguments.stop_early)
+    return Plan(study, algorithm, backend, attach, arguments.stop_early)
+
+
+def _load(named: str, attach: bool, look: Describe) -> Study:
+    """Read a study; nodes that run can say what it leaves open."""
+    return load_study(named, look if attach else None)
 
 
 def _check_options(plan: Plan, arguments: argparse.Namespace, parser: Parser) -> None:
     """Refuse options that do not go with the run."""
     if plan.stop_early and len(plan.study.objectives) > 1:
         parser.error("--stop-early: expected a study with one objective; leave it out")
-    if arguments.attach and plan.backend != ROS:
-        parser.error("--attach needs --backend ros")
     if arguments.web_control and arguments.web is None:
         parser.error("--web-control needs --web")
     if arguments.record not in (None, Policy.NONE) and plan.backend != ROS:

@@ -34,6 +34,7 @@ from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
+    attached,
     guarded,
     opened,
     read_result,
@@ -54,7 +55,6 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
-from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
@@ -154,14 +154,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     arguments = parser.parse_args(own)
     record = read_result(arguments.run)
     backend = arguments.backend or recorded_backend(record)
-    if arguments.attach and backend != ROS:
-        parser.error("--attach needs --backend ros")
+    attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
     draws = _draws(arguments, parser, record, confidence)
     if not 1 <= arguments.until_pass <= maxima.TRIALS:
         parser.error(f"--until-pass: expected at least 1, found {arguments.until_pass}")
     trial, is_result = _trial(record, arguments.trial)
-    allow_programs(record, trusted=arguments.trust, attach=arguments.attach)
+    allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
     with contextlib.closing(folder):
@@ -172,7 +171,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 backend,
                 record.study,
                 folder.log,
-                attach=arguments.attach,
+                attach=attach,
                 ros_arguments=ros_arguments,
                 interrupted=interruption.check,
             )

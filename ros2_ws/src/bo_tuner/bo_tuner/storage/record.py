@@ -9,7 +9,7 @@ from pathlib import Path
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.storage.provenance import STOP_EARLY, STUDY_YAML
+from bo_tuner.storage.provenance import ATTACHED, STOP_EARLY, STUDY_YAML
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
@@ -34,6 +34,8 @@ class RunRecord:
         What it is run by; keys of `ALGORITHMS` and of the command line.
     stop_early
         Whether its last session follows the advice to stop.
+    attached
+        Whether its last session used running nodes.
     provenance
         Versions, seed and host of the process that began it.
     trials
@@ -52,6 +54,7 @@ class RunRecord:
     algorithm: str
     backend: str
     stop_early: bool
+    attached: bool
     provenance: Mapping[str, str]
     trials: tuple[Trial, ...]
     evaluations: tuple[Evaluation, ...]
@@ -97,6 +100,7 @@ def read_run(path: Path) -> RunRecord:
         algorithm=algorithm,
         backend=provenance.get("backend", ""),
         stop_early=STOP_EARLY in content.sessions[-1],
+        attached=ATTACHED in content.sessions[-1],
         provenance=provenance,
         trials=content.trials,
         evaluations=content.evaluations,
