@@ -37,10 +37,10 @@ def gone(kind):
         os.close(output)
 
 
-def converse(command, exchanges, **options):
+def converse(command, exchanges, code=0, **options):
     """Run a command on a terminal, and answer what it asks; all that it said until the last one.
 
-    Each exchange is a text that is waited for, and the answer.
+    Each exchange is a text that is waited for, and the answer. The command ends with `code`.
     """
     leader, follower = pty.openpty()
     process = subprocess.Popen(command, stdin=follower, stdout=follower, stderr=follower, **options)
@@ -53,7 +53,7 @@ def converse(command, exchanges, **options):
                 assert select.select([leader], [], [], DEADLINE)[0], said
                 said += os.read(leader, 4096).decode()
             os.write(leader, answer() if callable(answer) else answer)
-        assert process.wait(DEADLINE) == 0, said
+        assert process.wait(DEADLINE) == code, said
     finally:
         process.kill()
         process.wait()

@@ -86,7 +86,7 @@ def test_a_study_that_is_right(servo, tmp_path):
     """Bounds, types, defaults and the array come from the node, which is left as it was."""
     code, out, err = study(tmp_path)
     assert (code, err) == (0, "")
-    assert "3 parameters and 2 signals are as the study says" in out
+    assert "as the study says: 3 parameters and 2 signals" in out
     assert "metrics of the default" in out
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"

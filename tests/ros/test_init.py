@@ -1,5 +1,7 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
+import os
+import re
 import sys
 
 import pytest
@@ -12,11 +14,12 @@ from servo import System
 from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
 
+from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.backends.ros.messages import number_fields, number_reader
 from bo_tuner.cli.init import numbers
 from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import field_path
-from bo_tuner.study.study_file import load_study
+from bo_tuner.study.study_file import load_study, parse_study
 
 pytestmark = pytest.mark.ros
 
@@ -90,7 +93,51 @@ def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
     )
     code, out, err = run("tune", "--check", "servo.yaml", folder=tmp_path)
     assert (code, err) == (0, "")
-    assert "1 parameters and 2 signals are as the study says" in out
+    assert "as the study says: 1 parameter and 2 signals" in out
+
+
+def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path):
+    """Uncommented, its lines are a part of the study."""
+
+    def other(context):
+        node = Node("other", context=context)
+        node.declare_parameter("mass", 2.0)
+        return node
+
+    with at_work(other):
+        code, out, err = run(
+            *("tune", "--init", "--parameters", "servo:gain", "--signals", "/setpoint"),
+            folder=tmp_path,
+        )
+    assert (code, err) == (0, "")
+    assert "study.yaml: 1 parameter and 1 signal; now read it" in out
+    text = (tmp_path / "study.yaml").read_text()
+    offered = re.sub(r"^  # (other: |mass: )", r"  \1", text, flags=re.MULTILINE)
+    assert offered != text
+    assert parse_study(offered).parameters["mass"].node == "other"
+
+
+def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):
+    domain = int(os.environ["ROS_DOMAIN_ID"])
+    claim = DomainClaim("/", domain)
+    try:
+        code, out, err = run("tune", "--init", folder=tmp_path)
+    finally:
+        claim.release()
+    assert (code, out) == (2, "")
+    assert err.startswith(f"error: another tuner works in ROS domain {domain}, namespace /; ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_end_of_the_input_is_no_answer(servo, tmp_path):
+    converse(
+        [sys.executable, "-m", "bo_tuner", "tune", "--init", "asked.yaml"],
+        [("nodes: numbers", b"\x04")],
+        code=2,
+        cwd=tmp_path,
+        env=environment(tmp_path, TERM="dumb"),
+    )
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_not_there_is_refused_with_the_nearest_name(servo, tmp_path):

@@ -246,7 +246,9 @@ class TestInterruption:
         (folder / "cuts.go").touch()
         found, _, err = finish(process)
         assert found == code, err
-        assert err.splitlines()[-1].startswith("interrupted by SIG")
+        said = err.splitlines()[-1]
+        assert said.startswith("interrupted by SIG")
+        assert said.endswith(f"; go on with: validate {folder}")
         assert [path.name for path in (folder / "certificates").iterdir()] == ["unfinished.jsonl"]
 
     def test_the_next_call_goes_on(self, here, folder, monkeypatch):
@@ -292,7 +294,8 @@ class TestFaults:
         code, out, err = here(folder)
         assert code == 1
         assert err.splitlines()[-1] == (
-            "error: 3 evaluations in a row were lost with their nodes: axis is gone"
+            "error: 3 evaluations in a row were lost with their nodes: axis is gone; "
+            f"go on with: validate {folder}"
         )
         assert out == ""
         assert [path.name for path in (folder / "certificates").iterdir()] == ["unfinished.jsonl"]

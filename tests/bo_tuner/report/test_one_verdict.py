@@ -37,6 +37,7 @@ from bo_tuner.tuning.limits import judge_samples
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
+from bo_tuner.verdict.validated import fresh_draws, is_default
 from bo_tuner.verdict.verdict import FAIL, PASS, State, Status
 
 draws = st.lists(
@@ -424,6 +425,35 @@ def test_the_largest_value_on_record_is_not_hidden(tuned):
     assert peak.tuned == 0.5
     assert "on record 0.99" in peak.remark
     assert "gained nothing" in verdict.sentences[-1]
+
+
+def test_a_result_that_is_the_default_is_said_to_be_it(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True))
+    says = "The tuned parameter set is the default: no other was found to be better."
+    assert not verdict.is_default
+    assert says not in verdict.sentences
+    assert says in dataclasses.replace(verdict, is_default=True).sentences
+    assert is_default(tuned.study, tuned.study.search_space().defaults)
+
+
+@pytest.mark.parametrize("words", ["context and noise", "noise"])
+def test_draws_are_of_contexts_only_where_there_are_some(tuned, words):
+    contexts = tuned.study.contexts if "context" in words else {}
+    study = dataclasses.replace(tuned.study, contexts=contexts)
+    assert fresh_draws(study, 5) == f"5 fresh draws of {words}"
+
+
+def test_lost_draws_are_said_to_be_run_again(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
+    last = run.evaluations[-1]
+    assert (last.stage, last.trial) == (Stage.VALIDATION, 1)
+    lost = Outcome(EvaluationState.LOST, {}, "gone")
+    gone = (*run.evaluations[:-1], dataclasses.replace(last, outcome=lost))
+    (remark,) = run_verdict(dataclasses.replace(run, evaluations=gone)).remarks
+    assert remark.startswith("1 of the draws that failed was lost with the nodes")
+    # Run again, it is none any more.
+    again = dataclasses.replace(run, evaluations=(*gone, last))
+    assert run_verdict(again).remarks == ()
 
 
 def test_the_links_of_the_report_lead_into_the_run_from_the_bundle_as_well(tuned, tmp_path):

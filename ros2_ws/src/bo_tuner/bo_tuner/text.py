@@ -56,3 +56,8 @@ def shown(value: bool | int | float | str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with what it counts: ``1 trial``, ``2 trials``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

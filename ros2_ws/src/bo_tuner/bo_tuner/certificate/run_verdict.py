@@ -13,11 +13,18 @@ from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import UPPER
+from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Stage, Trial
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.validated import doubt, open_verdict, validated
+from bo_tuner.verdict.validated import (
+    doubt,
+    fresh_draws,
+    is_default,
+    open_verdict,
+    validated,
+)
 from bo_tuner.verdict.verdict import State, Verdict
 
 
@@ -118,7 +125,7 @@ def _certified(
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=_evidence(draws, default is not None, by_validation),
+        evidence=_evidence(study, draws, default is not None, by_validation),
         reasons=reasons,
         default_reasons=default_reasons,
         quantities=numbers,
@@ -131,12 +138,13 @@ def _certified(
         observed=observed,
         default_certified=default is not None,
         apply_refuses=bool(problem),
+        is_default=is_default(study, trial.parameters),
     )
 
 
-def _evidence(draws: int, with_default: bool, by_validation: Verdict | None) -> str:
+def _evidence(study: Study, draws: int, with_default: bool, by_validation: Verdict | None) -> str:
     """Return what the verdict rests on, in a few words."""
-    fresh = f"{draws} fresh draws of context and noise"
+    fresh = fresh_draws(study, draws)
     if with_default:
         return f"the same {fresh}"
     if by_validation is None or not by_validation.observed:

@@ -198,7 +198,7 @@ def _shown(row: Difference) -> tuple[str, str]:
 
 def _confirmed(question: str, interruption: Interruption) -> bool:
     """Return whether the user answers y or yes."""
-    return ask(question, interruption).lower() in ("y", "yes")
+    return (ask(question, interruption) or "").lower() in ("y", "yes")
 
 
 def _warn(text: str) -> None:

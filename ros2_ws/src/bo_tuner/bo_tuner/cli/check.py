@@ -35,7 +35,7 @@ from bo_tuner.study.checks import same_value
 from bo_tuner.study.descriptors import problem
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
-from bo_tuner.text import shown
+from bo_tuner.text import counted, shown
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
@@ -83,7 +83,8 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
         say_error(f"{len(problems)} found; nothing was set")
         return EXIT_USAGE
     say(
-        f"{len(study.parameters)} parameters and {len(study.signals)} signals are as the study says"
+        f"as the study says: {counted(len(study.parameters), 'parameter')} and "
+        f"{counted(len(study.signals), 'signal')}"
     )
     return _try(study, ros_arguments, interruption)
 

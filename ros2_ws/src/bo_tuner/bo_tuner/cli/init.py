@@ -28,7 +28,7 @@ from bo_tuner.study.offers import (
     suggested_signals,
 )
 from bo_tuner.study.study_file import parse_study
-from bo_tuner.text import one_line, shown
+from bo_tuner.text import counted, one_line, shown
 
 SPAN = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 FIRST_STUDY = Path("study.yaml")
@@ -75,7 +75,7 @@ class Chooser:
         Raises
         ------
         StudyError
-            If the option names what is not there, or nothing is chosen.
+            If the option names what is not there, nothing is chosen, or the input ends.
         """
         if given is not None:
             return _named(what, given, offers, names)
@@ -103,6 +103,8 @@ class Chooser:
             answer = ask(
                 f"{what}: numbers such as 1 3-5, or Enter for those with *: ", self._interruption
             )
+            if answer is None:
+                raise StudyError(f"--{what}: the input has ended without an answer")
             if not answer:
                 return list(suggested)
             try:
@@ -139,7 +141,10 @@ def _named(
     for name in given:
         found = [offer for offer in offers if name in names(offer)]
         if not found:
-            hint = checks.suggestion(name, dict.fromkeys(n for o in offers for n in names(o)))
+            known = dict.fromkeys(n for o in offers for n in names(o))
+            # Each offer once: with its node or topic if the name has one.
+            alike = [other for other in known if (":" in other) == (":" in name)]
+            hint = checks.suggestion(name, alike or known)
             raise StudyError(f"--{what}: there is no {checks.quoted(name)}; {hint}")
         chosen += [offer for offer in found if offer not in chosen]
     return chosen
@@ -189,7 +194,8 @@ def write_first_study(
             file.write(text)
     except FileExistsError:
         _check_path(path)
-    say(f"{path}: {len(chosen)} parameters and {len(recorded)} signals; now read it, and settle")
+    found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
+    say(f"{path}: {found}; now read it, and settle")
     say("each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  tune --check {path}")
     return EXIT_OK
@@ -210,7 +216,7 @@ def _choose(
         [node for node in seen.nodes if offers[node.name]],
         [node for node in seen.nodes if any(offer.suggested for offer in offers[node.name])],
         lambda node: [node.name],
-        lambda node: [node.name, "", f"{len(offers[node.name])} parameters that can be tuned"],
+        lambda node: [node.name, "", f"{counted(len(offers[node.name]), 'parameter')} to tune"],
     )
     of_nodes = [offer for node in tuned for offer in offers[node.name]]
     chosen = chooser.choose(

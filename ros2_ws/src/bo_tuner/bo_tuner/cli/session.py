@@ -36,6 +36,7 @@ from bo_tuner.storage.provenance import (
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import TUNING, Trial
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
@@ -242,8 +243,8 @@ class Session:
         if earlier.evaluations:
             on_record = f"of {options.carried_from}" if options.carried else "on record"
             self._display.tell(
-                f"continues after {len(earlier.trials)} trials and "
-                f"{len(earlier.evaluations)} evaluations {on_record}"
+                f"continues after {counted(len(earlier.trials), 'trial')} and "
+                f"{counted(len(earlier.evaluations), 'evaluation')} {on_record}"
             )
         study, observers = self._study, self._observers
         known = continued(

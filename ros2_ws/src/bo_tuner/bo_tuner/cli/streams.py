@@ -40,14 +40,14 @@ def say_error(text: str) -> None:
         sys.stderr.flush()
 
 
-def ask(question: str, interruption: Interruption) -> str:
-    """Return the line that the user answers, without its end; empty at the end of the input."""
+def ask(question: str, interruption: Interruption) -> str | None:
+    """Return the line that the user answers, without its end; None at the end of the input."""
     sys.stdout.write(question)
     sys.stdout.flush()
     # A read would continue after a signal, so wait until there is input.
     while not select.select([sys.stdin], [], [], 0.1)[0]:
         interruption.check()
-    return sys.stdin.readline().strip()
+    return line.strip() if (line := sys.stdin.readline()) else None
 
 
 def discard_output() -> None:

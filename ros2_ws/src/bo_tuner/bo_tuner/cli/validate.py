@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import hashlib
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -43,9 +44,9 @@ from bo_tuner.cli.common import (
     trial_of,
 )
 from bo_tuner.cli.deliverables import write_deliverables
-from bo_tuner.cli.exit_codes import EXIT_FAULT, exit_code
+from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
-from bo_tuner.interruption import Interruption
+from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -56,6 +57,7 @@ from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
@@ -190,8 +192,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     more=arguments.until_pass > 1,
                 )
             except (RunError, OutputError) as error:
-                console.print(f"error: {error}", soft_wrap=True)
+                console.print(f"error: {error}; {_how_to_go_on(argv)}", soft_wrap=True)
                 return EXIT_FAULT
+            except Interrupted as interrupt:
+                console.print(f"interrupted by {interrupt}; {_how_to_go_on(argv)}", soft_wrap=True)
+                return EXIT_SIGNAL + interrupt.signum
             verdict = certified(record, candidate, path)
             _report(certificate, verdict, path)
             if certificate.passed:
@@ -207,6 +212,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
         write_deliverables(folder.path, tell, tell)
     return exit_code(verdict)
+
+
+def _how_to_go_on(argv: Sequence[str]) -> str:
+    return f"go on with: {shlex.join(['validate', *argv])}"
 
 
 def _draws(
@@ -265,7 +274,7 @@ def _certify(
     unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
     if unfinished.evaluations:
         done = len(unfinished.evaluations)
-        console.print(f"going on after {done} evaluations of an interrupted certificate")
+        console.print(f"going on after {counted(done, 'evaluation')} of an interrupted certificate")
     backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
     try:
         bar, observers = _Bar(console), Observers()

@@ -20,6 +20,7 @@ from bo_tuner.report.sections.trajectories import (
     side_looks,
     simulate,
 )
+from bo_tuner.text import counted
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.limits import verdict
 
@@ -40,7 +41,8 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 def _summary(analysis: Analysis, trial: Trial) -> Section:
     study, of_run = analysis.study, analysis.verdict
     own, title = verdict(study, trial), f"Trial {trial.number}"
-    sentences = [f"{len(trial.evaluations)} evaluations; proposed as: {trial.origin or 'unknown'}."]
+    count = counted(len(trial.evaluations), "evaluation")
+    sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
         # What its own evaluations say may differ from what fresh ones showed.
         title += f", the result. {of_run.headline}"
@@ -106,7 +108,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
         lead="In the order in which they ran; the worst one is marked.",
         tables=[
             Table(
-                caption=f"{len(rows)} evaluations",
+                caption=counted(len(rows), "evaluation"),
                 header=header,
                 rows=rows,
                 numeric=[0, *range(2, len(header) - 1)],
@@ -167,7 +169,7 @@ def _figure(drawn: Sequence[Panel], caption: str) -> Figure:
         name="signals",
         title="Signals of the worst evaluation",
         caption=caption,
-        alternative=f"{len(drawn)} signals over time.",
+        alternative=f"{counted(len(drawn), 'signal')} over time.",
         panels=drawn,
         panel_height=260,
     )

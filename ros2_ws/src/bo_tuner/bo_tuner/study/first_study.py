@@ -72,6 +72,11 @@ def first_study(
         "",
         "nodes:",
         *(f"  {keys[node.name]}: {dump_line(_node_fields(node, parameters))}" for node in tuned),
+        *(
+            f"  # {keys[node.name]}: {dump_line({'node': node.name})}"
+            for node in nodes
+            if node not in tuned
+        ),
         "",
         "parameters:",
         *_parameter_lines(nodes, parameters, keys),

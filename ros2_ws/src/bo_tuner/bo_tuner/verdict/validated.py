@@ -75,7 +75,7 @@ def validated(
     return Verdict(
         state=State.INFEASIBLE if reasons else State.VALIDATED,
         trial=trial,
-        evidence=f"the same {tuned.draws} fresh draws of context and noise",
+        evidence=f"the same {fresh_draws(study, tuned.draws)}",
         reasons=tuple(reasons),
         default_reasons=tuple(_problems(study, default) + _doubts(study, default)),
         quantities=quantities(
@@ -91,7 +91,19 @@ def validated(
         choice="" if doubt else _choice(study),
         remarks=(*_load(study, tuned), *_lost(evaluations, tuned.parameters)),
         observed=observed_sides,
+        is_default=is_default(study, tuned.parameters),
     )
+
+
+def is_default(study: Study, parameters: Mapping[str, Value]) -> bool:
+    """Return whether a parameter set is the hand-tuned one."""
+    space = study.search_space()
+    return space.key(parameters) == space.key(space.defaults)
+
+
+def fresh_draws(study: Study, count: int) -> str:
+    """Return what a number of draws is of, in a few words."""
+    return f"{count} fresh draws of {'context and noise' if study.contexts else 'noise'}"
 
 
 def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:

@@ -126,6 +126,8 @@ class Verdict:
         Whether a certificate covers the default, too; else its validation tells.
     apply_refuses
         Whether `apply` refuses a result that passed, such as for code that has changed since.
+    is_default
+        Whether the tuned parameter set is the default itself.
     """
 
     state: State
@@ -139,6 +141,7 @@ class Verdict:
     observed: tuple[Observed, Observed] | None = None
     default_certified: bool = True
     apply_refuses: bool = False
+    is_default: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -244,7 +247,9 @@ class Verdict:
         ]
         if same := by_change[Change.NONE]:
             found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
-        if self.feasible and self.default_preferred:
+        if self.is_default:
+            found.append("The tuned parameter set is the default: no other was found to be better.")
+        elif self.feasible and self.default_preferred:
             preferred = "By the objective the default is the better choice"
             if self.certificate and self.default_certified:
                 found.append(f"{preferred}.")

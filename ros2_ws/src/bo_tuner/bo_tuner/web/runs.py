@@ -12,6 +12,7 @@ from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.page import fill, render, sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
+from bo_tuner.text import counted
 
 MOST_RUNS = 50
 """Runs in the list; reading all those of a year would take minutes."""
@@ -67,7 +68,7 @@ class Runs:
             title="Runs",
             folder=self._folder.name,
             present=self._present,
-            table=replace(verdicts_table({}, f"{len(rows)} runs"), rows=rows),
+            table=replace(verdicts_table({}, counted(len(rows), "run")), rows=rows),
             notes=notes,
             most=MOST_COMPARED,
             sections=[],

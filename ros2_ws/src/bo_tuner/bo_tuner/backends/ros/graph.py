@@ -11,6 +11,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
@@ -48,10 +49,19 @@ def opened_node(
         ``--ros-args`` of the node.
     interrupted
         Asked while waiting; raises what shall end the wait.
+
+    Raises
+    ------
+    BackendError
+        If a tuner is at work there, whose nodes have the values of a trial.
     """
     tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
     try:
-        yield tuner
+        claim = DomainClaim(tuner.node.get_namespace(), tuner.domain)
+        try:
+            yield tuner
+        finally:
+            claim.release()
     finally:
         tuner.close()
 

@@ -27,6 +27,7 @@ from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, numbered, quantity, values
 from bo_tuner.study.parts import EXPECTATION, LOG, Constraint
+from bo_tuner.text import counted
 from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import worst_case_holds
 from bo_tuner.tuning.summary import continued
@@ -329,5 +330,5 @@ def _notes(analysis: Analysis) -> list[str]:
         notes.append("The run stopped early: what was left would have gained less than the noise.")
     lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)
     if lost:
-        notes.append(f"{lost} evaluations were lost with their nodes.")
+        notes.append(f"Lost with their nodes: {counted(lost, 'evaluation')}.")
     return notes
