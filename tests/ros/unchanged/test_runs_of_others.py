@@ -113,6 +113,18 @@ def test_a_signal_that_is_not_a_number(backend, system):
     assert failure(run(made)).startswith("signal angle (/joint_states) is nan at ")
 
 
+def test_a_run_that_does_not_come_about_has_no_signals(backend, system):
+    """Those of the run before it are not its own."""
+    made = backend()
+    assert run(made).state is EvaluationState.COMPLETE
+    assert made.recording.signals
+    with system.refusing("not now"):
+        refused = run(made, 0.3)
+    assert "not now" in failure(refused)
+    assert not made.recording.signals
+    assert not any(key.startswith("signals.") for key in refused.details)
+
+
 def test_a_run_without_a_message(backend, system):
     made = backend()
     system.silent = True

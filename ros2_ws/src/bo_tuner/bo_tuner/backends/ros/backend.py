@@ -224,6 +224,7 @@ class RosBackend(SequentialBackend):
         try:
             run = None
             if self._procedure is not None:
+                self._procedure.forget()
                 prepared = self._study.park.between_runs
                 if prepared:
                     self._prepare(self._procedure)

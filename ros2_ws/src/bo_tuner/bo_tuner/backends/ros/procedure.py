@@ -85,9 +85,13 @@ class Procedure:
             self.close()
             raise
 
+    def forget(self) -> None:
+        """Let `recording` have nothing, as of a run that does not come about."""
+        self.recording = NOTHING_RECORDED
+
     def prepare(self) -> None:
         """Perform the steps before a run; raises as `perform`."""
-        self.recording = NOTHING_RECORDED
+        self.forget()
         self._started.clear()
         self._next_after = 0
         self._perform("before")
