@@ -313,7 +313,7 @@ class TestNeighbourhood:
 
     @pytest.mark.parametrize("slope", [1.0, 2.0, 8.0])
     def test_the_score_of_a_slope(self, make_study, make_trial, slope):
-        """On the log scale a step of 0.05 costs 0.05 times the slope, and gains it backwards."""
+        """A step of 0.05 on the logarithm costs exp(0.05 slope) - 1, relative to the optimum."""
         study = make_study(objective={"metric": "error", "scale": "log"}, constraints={})
         trials = [
             make_trial(k, {"gain": g}, [math.exp(slope * g)])
@@ -322,10 +322,28 @@ class TestNeighbourhood:
         models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
         around = parameter_sensitivity(study, {"gain": 0.5}, models)
         down, up = around.neighbours
-        assert up.loss == pytest.approx(0.05 * slope, rel=0.05)
-        assert down.loss == pytest.approx(-0.05 * slope, rel=0.05)
-        assert around.score == pytest.approx(max(0.05 * slope - TOLERABLE, 0.0) / 2, abs=0.02)
-        assert bool(around.narrow) is (0.05 * slope > TOLERABLE)
+        loss = math.expm1(0.05 * slope)
+        assert up.loss == pytest.approx(loss, rel=0.05)
+        assert down.loss == pytest.approx(math.expm1(-0.05 * slope), rel=0.05)
+        assert around.score == pytest.approx(max(loss - TOLERABLE, 0.0) / 2, abs=0.02)
+        assert bool(around.narrow) is (loss > TOLERABLE)
+
+    @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
+    def test_a_loss_is_relative_to_the_objective_not_to_its_spread(
+        self, make_study, make_trial, direction, sign
+    ):
+        """Of 10 + 4 gain at a gain of 0.5, a step of 0.05 changes 0.2 of 12, not of 1.2."""
+        study = make_study(objective={"metric": "error", "direction": direction}, constraints={})
+        trials = [
+            make_trial(k, {"gain": g}, [10.0 + 4.0 * g])
+            for k, g in enumerate(np.linspace(0.0, 1.0, 15).tolist())
+        ]
+        models = Surrogates.fit(study, trials, rng=np.random.default_rng(0))
+        around = parameter_sensitivity(study, {"gain": 0.5}, models)
+        losses = [neighbour.loss for neighbour in around.neighbours]
+        assert losses == pytest.approx([-sign * 0.2 / 12.0, sign * 0.2 / 12.0], rel=0.05)
+        changes = [n.objective / around.optimum.objective - 1.0 for n in around.neighbours]
+        assert losses == pytest.approx([sign * change for change in changes])
 
     def test_no_model(self, make_study, make_trial):
         study = make_study()

@@ -38,7 +38,8 @@ class Neighbour:
     feasibility
         Probability that all constraints hold.
     loss
-        Increase of the cost, relative to the size of the objective; negative for a gain.
+        How much worse the objective is, relative to that of the optimum; negative for a gain. Of
+        several objectives, by the cost of the compromise relative to its spread.
     excess
         Largest predicted excess over a limit, relative to the limit; negative if all are kept.
     """
@@ -123,12 +124,13 @@ def parameter_sensitivity(
     tuned = [{name: item[name] for name in space.names} for item in around]
     points = space.cube_of(tuned)
     cost = models.objective.predict_mean(points)
-    # A difference of logarithms is relative as it is.
-    scale = 1.0 if study.objective.scale == "log" else models.objective.scale
-    loss: Array = (cost - cost[0]) / scale
+    objective = study.objective.from_cost(cost)
+    if len(study.objectives) == 1 and objective[0] != 0.0:
+        loss: Array = study.objective.sign * (objective - objective[0]) / abs(objective[0])
+    else:
+        loss = (cost - cost[0]) / models.objective.scale
     excess = relative_excess(models, points)
     feasibility = np.exp(models.log_feasibility(points))
-    objective = study.objective.from_cost(cost)
     optimum, *others = (
         Neighbour(
             parameters=item,
