@@ -235,6 +235,23 @@ class TestVerdict:
         assert found["bound_confidence"] == pytest.approx(0.995)
 
 
+class TestResumeOfACertifiedRun:
+    @pytest.mark.parametrize(("failing", "words"), [("", "PASS"), ("100", "FAIL")])
+    def test_the_run_says_what_the_certificate_says(
+        self, runs, here, folder, monkeypatch, failing, words
+    ):
+        """And ends with its exit code, whatever the validation of the run was."""
+        if failing:
+            monkeypatch.setenv("FAILING", failing)
+        expected, *_ = here(folder, "--draws", "120")
+        code, out, err = runs.run("tune", "--resume", folder)
+        assert code == expected == (0 if words == "PASS" else 3), err
+        assert out.splitlines()[0].startswith(f"{words}: the tuned parameter set is ")
+        assert "not certified yet" not in out
+        summary = json.loads((folder / "summary.json").read_text())
+        assert summary["verdict"]["headline"] == out.splitlines()[0]
+
+
 class TestInterruption:
     @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
     def test_leaves_no_certificate(self, runs, folder, signum, code):

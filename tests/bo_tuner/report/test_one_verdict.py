@@ -432,7 +432,11 @@ def test_a_result_that_is_the_default_is_said_to_be_it(tuned):
     says = "The tuned parameter set is the default: no other was found to be better."
     assert not verdict.is_default
     assert says not in verdict.sentences
-    assert says in dataclasses.replace(verdict, is_default=True).sentences
+    same = dataclasses.replace(verdict, is_default=True)
+    assert same.sentences[-1] == says
+    assert not any(sentence.startswith(("Better", "Worse", "Lower")) for sentence in same.sentences)
+    assert not same.gained
+    assert not same.default_preferred
     assert is_default(tuned.study, tuned.study.search_space().defaults)
 
 

@@ -2,12 +2,13 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.common import opened
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
@@ -33,6 +34,7 @@ from bo_tuner.storage.provenance import (
     changed_sources,
     session_provenance,
 )
+from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_resume
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
@@ -43,7 +45,6 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
 from bo_tuner.tuning.parking import ParkInPause
 from bo_tuner.tuning.summary import Conclusion, conclude, continued, summarize
-from bo_tuner.verdict.validated import doubt, open_verdict, validated
 from bo_tuner.verdict.verdict import Verdict
 from bo_tuner.web.address import Address
 from bo_tuner.web.live_page import LivePage
@@ -263,14 +264,15 @@ class Session:
                 observers.trial(trial, self._best(tuning))
             observers.end(Phase.TUNING)
             found = conclude(study, backend, self._algorithm, tuning.trials, observers)
-            verdict = self._verdict(found, tuning.trials)
+            summary = None if found is None else self._summary(found, len(tuning.trials), journal)
+            verdict = self._verdict(summary)
             self._status.conclude(verdict)
         if recording.summary["policy"] != Policy.NONE:
             self._folder.write_json(RECORDING, recording.summary)
-        if found is None:
+        if found is None or summary is None:
             self._display.warn(" ".join([f"{verdict.headline}.", *verdict.sentences]))
             return exit_code(verdict)
-        self._report(found, verdict, len(tuning.trials), journal.count_evaluations())
+        self._report(found, verdict, summary)
         return exit_code(verdict)
 
     @contextlib.contextmanager
@@ -322,34 +324,39 @@ class Session:
     def _best(self, tuning: Tuning) -> Candidate | None:
         return incumbent(self._study, tuning.trials, self._algorithm.models)
 
-    def _verdict(self, found: Conclusion | None, trials: Sequence[Trial]) -> Verdict:
-        if found is None:
-            return open_verdict(self._study, trials)
-        return validated(
-            self._study,
-            found.recommendation.candidate.trial.number,
-            found.default,
-            found.tuned,
-            read_journal(self._folder.journal).evaluations,
-            doubt=doubt(
-                self._options.algorithm,
-                found.recommendation.candidate.feasibility,
-                passed=found.recommendation.feasible,
-            ),
-        )
-
-    def _report(self, found: Conclusion, verdict: Verdict, trials: int, evaluations: int) -> None:
-        folder = self._folder
-        path = folder.write_parameters(self._study, found.recommendation.candidate.trial.parameters)
-        summary = summarize(
+    def _summary(self, found: Conclusion, trials: int, journal: Journal) -> dict[str, object]:
+        return summarize(
             self._study,
             found,
             self._advisor.advice,
             stop_early=self._options.stop_early,
             trials=trials,
-            evaluations=evaluations,
+            evaluations=journal.count_evaluations(),
         )
+
+    def _verdict(self, summary: Mapping[str, object] | None) -> Verdict:
+        """Return what is known of the result; of one that has a certificate this is its verdict."""
+        content = read_journal(self._folder.journal)
+        return run_verdict(
+            RunRecord(
+                path=self._folder.path,
+                study=self._study,
+                algorithm=self._options.algorithm,
+                backend=self._options.backend,
+                stop_early=self._options.stop_early,
+                attached=self._options.attach,
+                provenance=content.sessions[-1],
+                trials=content.trials,
+                evaluations=content.evaluations,
+                summary=summary,
+                damage=content.damage,
+            )
+        )
+
+    def _report(self, found: Conclusion, verdict: Verdict, summary: dict[str, object]) -> None:
+        folder = self._folder
+        parameters = found.recommendation.candidate.trial.parameters
+        path = folder.write_parameters(self._study, parameters)
         summary |= verdict.to_summary()
         folder.write_json(SUMMARY, summary)
-        parameters = found.recommendation.candidate.trial.parameters
         self._display.result(Result(self._study, verdict, parameters, path, summary))

@@ -155,9 +155,10 @@ class Verdict:
 
     @property
     def default_preferred(self) -> bool:
-        """Whether the default keeps all limits, too, and is better by its objectives."""
+        """Whether the default is another one that keeps all limits, and is better."""
         changes = {quantity.change for quantity in self.quantities if quantity.objective}
-        return self.default_keeps and Change.WORSE in changes and Change.BETTER not in changes
+        worse = Change.WORSE in changes and Change.BETTER not in changes
+        return self.default_keeps and worse and not self.is_default
 
     @property
     def gained(self) -> bool:
@@ -166,8 +167,10 @@ class Verdict:
         Nothing is gained at the expense of the objective, unless a limit now holds.
         """
         improved = any(q.change in (Change.BETTER, Change.LOWER) for q in self.quantities)
-        return self.feasible and (
-            not self.default_keeps or (improved and not self.default_preferred)
+        return (
+            self.feasible
+            and not self.is_default
+            and (not self.default_keeps or (improved and not self.default_preferred))
         )
 
     @property
@@ -231,6 +234,9 @@ class Verdict:
 
     def _changes(self) -> list[str]:
         """Return the changes, by what they are: what improved first."""
+        if self.is_default:
+            # What differs between the columns is noise.
+            return ["The tuned parameter set is the default: no other was found to be better."]
         by_change = {
             change: [q for q in self.quantities if q.change is change] for change in Change
         }
@@ -247,9 +253,7 @@ class Verdict:
         ]
         if same := by_change[Change.NONE]:
             found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
-        if self.is_default:
-            found.append("The tuned parameter set is the default: no other was found to be better.")
-        elif self.feasible and self.default_preferred:
+        if self.feasible and self.default_preferred:
             preferred = "By the objective the default is the better choice"
             if self.certificate and self.default_certified:
                 found.append(f"{preferred}.")
