@@ -95,7 +95,8 @@ def test_a_study_that_is_right(servo, tmp_path):
     # Without a limit on the worst case there is no search for it.
     assert "certificate: at most 1000 runs, about" in out
     assert "beyond" in out
-    assert "note: " not in out
+    assert "note: parameters" not in out
+    assert "does not keep" not in out
     assert servo.get_parameter("gain").value == 0.25
     assert list(servo.get_parameter("weights").value) == [1.0, 2.0]
     assert not (tmp_path / "runs").exists()
@@ -112,7 +113,27 @@ def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
     assert (code, err) == (0, "")
     assert "2 of 2" in out
     assert "note: error: the default does not keep ≤ 0.001" in out
-    assert re.search(r"note: error: differs by \d+ % between runs of the same parameters", out)
+    assert re.search(r"note: error: differs by [0-9.]+ between runs of the same parameters", out)
+
+
+def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):
+    spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
+    code, _, err = study(
+        tmp_path,
+        nodes={"servo": {"node": "servo", "parameters": {"fliter": True}}},
+        contexts={"gian": {"node": "servo"} | spread},
+        seed_parameter={"node": "servo", "parameter": "seed"},
+    )
+    assert code == 2
+    *errors, count = err.splitlines()
+    assert count == "3 found; nothing was set"
+    for path, name, near in (
+        ("nodes.servo.parameters", "fliter", "did you mean 'filter'?"),
+        ("contexts.gian", "gian", "did you mean 'gain'?"),
+        ("seed_parameter", "seed", "expected one of "),
+    ):
+        text = f"error: {path}: the node has no parameter '{name}'; {near}"
+        assert sum(line.startswith(text) for line in errors) == 1, err
 
 
 def test_a_run_that_sends_nothing(servo, tmp_path):

@@ -110,7 +110,7 @@ def _tolerated(variable: VariableTolerance) -> str:
     unit = f" {variable.unit}" if variable.unit else ""
     alone = f"from {_end(variable.down)} to {_end(variable.up)}"
     worst = f"from {_end(variable.worst_down)} to {_end(variable.worst_up)}"
-    return f"may drift{unit} {alone} alone, {worst} with all others as in the worst context"
+    return f"may drift {alone}{unit} alone, {worst}{unit} with all others as in the worst context"
 
 
 def _end(drift: Drift) -> str:

@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,7 +32,7 @@ from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.descriptors import problem
+from bo_tuner.study.descriptors import problem, undeclared
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted, shown
@@ -114,6 +114,11 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
                     f"parameters.{name}: the node has {described.value} now, the study's "
                     f"default is {shown(defaults[name])}"
                 )
+        problems += [
+            f"{path}: {undeclared(name, known)}"
+            for path, node, name in _further_parameters(study)
+            if node == key and name not in known
+        ]
     if absent == len(study.nodes):
         # Of nodes that were not started, their topics and services are not worth a line each.
         return problems, notes
@@ -126,6 +131,18 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     problems += [str(error) for error in signal_problems(tuner, heard)]
     problems += [str(error) for error in run_problems(study, tuner)]
     return problems, notes
+
+
+def _further_parameters(study: Study) -> Iterator[tuple[str, str, str]]:
+    """Yield what else a study sets: where it says so, the key of the node, and the parameter."""
+    for key, spec in study.nodes.items():
+        arrays = {item.array for item in study.parameters.values() if item.node == key}
+        for name in spec.parameters.keys() - arrays:
+            yield f"nodes.{key}.parameters", key, name
+    for name, item in study.contexts.items():
+        yield f"contexts.{name}", item.node, item.parameter
+    if study.seed_parameter is not None:
+        yield "seed_parameter", study.seed_parameter.node, study.seed_parameter.parameter
 
 
 def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
@@ -224,24 +241,25 @@ def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
         table.add_row(name, metric.unit, *cells, limit, count)
         if beyond:
             notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
-        if text := _spread(name, values):
+        if text := _spread(name, values, [abs(item.limit) for item in limits]):
             notes.append(text)
     plain_console().print(table)
     for note in notes:
         say(f"note: {note}")
 
 
-def _spread(name: str, values: Sequence[float]) -> str:
+def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
     """Return what to know of a metric that differs much between equal runs; empty if it does not.
 
-    Such noise is possible, but more often one run did not begin as the other.
+    Such noise is possible, but more often one run did not begin as the other. What is small beside
+    its limits may differ.
     """
-    largest = max(abs(value) for value in values)
+    largest = max(abs(value) for value in (*values, *limits))
     spread = max(values) - min(values)
     if spread <= LARGE_SPREAD * largest:
         return ""
     return (
-        f"{name}: differs by {100.0 * spread / largest:.0f} % between runs of the same parameters: "
+        f"{name}: differs by {spread:.3g} between runs of the same parameters: "
         "either it is that noisy, or the runs do not begin alike (see before and start of the run)"
     )
 

@@ -29,8 +29,8 @@ signals. Nothing is run, and no node is needed.
 EPILOG = """\
 exit codes:
   0    every metric that is defined as in the run is as recorded
-  1    the output cannot be written
-  2    bad input: run, bag or study
+  1    standard output cannot be written
+  2    bad input: run, bag or study, or a file that cannot be written
   3    a metric differs from the record; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: nobody reads the output any more)

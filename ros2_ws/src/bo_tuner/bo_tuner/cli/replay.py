@@ -58,8 +58,9 @@ both in process.
 
 exit codes:
   0    the result is as recorded, in all that is judged
-  1    the output cannot be written
-  2    bad input: run, trial, evaluation, option or nodes
+  1    standard output cannot be written
+  2    bad input: run, trial, evaluation, option or nodes, or a folder that
+       cannot be written
   3    the result differs; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: nobody reads the output any more)

@@ -26,7 +26,7 @@ compare verdicts, parameters, numbers, convergence and trajectories.
 EPILOG = """\
 exit codes:
   0    the report is written
-  1    the output cannot be written
+  1    standard output cannot be written
   2    bad input: run folder, option, or a file that cannot be written
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
        141: nobody reads the output any more)

@@ -217,6 +217,9 @@ def _trajectories(runs: Mapping[str, Analysis]) -> Section:
     (first, *_) = runs.values()
     seed = noise_seed(first.study.seed, Stream.VALIDATION_NOISE, 0)
     for name, analysis in runs.items():
+        if analysis.study.run is not None:
+            notes.append(f"{name}: its signals are in its bags, and shown in its own report.")
+            continue
         try:
             for column, trace in _traces(analysis, seed).items():
                 columns[column][name] = trace

@@ -125,6 +125,11 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                     item.setdefault("step", kind(described.step))
 
 
+def undeclared(name: str, known: Mapping[str, Described]) -> str:
+    """Tell in a line that a node lacks a parameter, among those that it has."""
+    return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
+
+
 def problem(item: Parameter, described: Described | None, known: Mapping[str, Described]) -> str:
     """Tell in a line why a node will not take a parameter of a study; empty if it will.
 
@@ -139,7 +144,7 @@ def problem(item: Parameter, described: Described | None, known: Mapping[str, De
     """
     name = item.array or item.parameter
     if described is None:
-        return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
+        return undeclared(name, known)
     if described.read_only:
         return f"'{name}' is read-only in the node"
     expected = f"{item.type}_array" if item.array else item.type

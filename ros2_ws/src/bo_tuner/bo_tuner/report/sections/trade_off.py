@@ -1,5 +1,7 @@
 """The trade-off between the objective and the worst case, over all trials."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from bo_tuner.figures.figure import (
@@ -22,6 +24,7 @@ from bo_tuner.report.content import Section, Table, change, number, numbered, qu
 from bo_tuner.report.sections.convergence import trial_points
 from bo_tuner.study.parts import LOG, Constraint
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.limits import WITHIN, verdict
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 """Other limits to look at, as factors on the study's."""
@@ -54,7 +57,7 @@ def trade_off(analysis: Analysis) -> Section | None:
         leads.append(
             f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
             "Pareto front of what was seen: no other trial has both a better objective and a "
-            f"better worst {constraint.metric}."
+            f"better worst {constraint.metric}, whether or not it keeps the limits."
         )
         name = numbered("trade-off", place)
         figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
@@ -116,8 +119,9 @@ def _table(
     analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array, worst: Array
 ) -> Table:
     objective = analysis.study.objective.metric
+    among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
-        caption=f"Best mean {objective} seen within other limits of {constraint.metric}",
+        caption=f"Best mean {objective} seen within other limits of {constraint.metric}{among}",
         header=["limit", "trial", f"mean {objective}", "relative to the limit's"],
         rows=_other_limits(analysis, constraint, trials, means, worst),
         numeric=[0, 1, 2, 3],
@@ -143,9 +147,12 @@ def _other_limits(
     study, sign, limit = analysis.study, constraint.sign, constraint.limit
     unit = study.metrics[study.objective.metric].unit
     cost = study.objective.sign * means
+    others = {name: item for name, item in study.constraints.items() if item is not constraint}
+    without = replace(study, constraints=others)
+    kept = np.array([verdict(without, trial) == WITHIN for trial in trials])
     best: dict[float, int] = {}
     for factor in LIMITS:
-        within = np.flatnonzero(sign * worst <= sign * factor * limit)
+        within = np.flatnonzero(kept & (sign * worst <= sign * factor * limit))
         if len(within):
             best[factor] = int(within[np.argmin(cost[within])])
     return [
