@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_threads import at_work
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, LaserScan
-from servo import System
+from servo import System, study
 from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
 
@@ -19,7 +19,7 @@ from bo_tuner.backends.ros.messages import number_fields, number_reader
 from bo_tuner.cli.init import numbers
 from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import field_path
-from bo_tuner.study.study_file import load_study, parse_study
+from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 
 pytestmark = pytest.mark.ros
 
@@ -115,6 +115,24 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
     offered = re.sub(r"^  # (other: |mass: )", r"  \1", text, flags=re.MULTILINE)
     assert offered != text
     assert parse_study(offered).parameters["mass"].node == "other"
+
+
+def test_a_text_that_is_named_is_not_offered(servo, tmp_path):
+    code, _, err = run("tune", "--init", "--parameters", "serial", folder=tmp_path)
+    assert code == 2
+    assert err == "error: --parameters: serial of servo is not offered: read-only\n"
+
+
+def test_a_node_that_runs_twice_is_named(servo, tmp_path):
+    with at_work(lambda context: Node("servo", context=context)):
+        code, _, err = run("tune", "--check", "servo.yaml", folder=write_servo(tmp_path))
+    assert code == 2
+    assert "servo runs more than once in ROS domain " in err
+
+
+def write_servo(folder):
+    (folder / "servo.yaml").write_text(study_to_yaml(study()))
+    return folder
 
 
 def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):

@@ -318,6 +318,26 @@ class TestTables:
         assert of_trial["worst_cases.peak.value"] == "8.0"
         assert of_trial["parameters.gain"] == "6.0"
 
+    def test_a_trial_has_the_means_of_its_draws_and_the_validation_its_sides(self, tmp_path):
+        values = {Stage.DRAWN: (1.0, 2.0), Stage.SEARCH: (9.0,)}
+        found = [
+            evaluation(stage=stage, outcome=Outcome(EvaluationState.COMPLETE, {"error": value}))
+            for stage, of_stage in values.items()
+            for value in of_stage
+        ]
+        found = [dataclasses.replace(item, index=k) for k, item in enumerate(found)]
+        with Journal(tmp_path / "j", {}) as journal:
+            record(journal, trial(evaluations=found))
+            for side in (0, 1):
+                journal.record_evaluation(evaluation(side, stage=Stage.VALIDATION))
+        export_csv(tmp_path / "j", tmp_path)
+        (of_trial,) = rows(tmp_path / "trials.csv")
+        assert of_trial["mean.error"] == "1.5"
+        assert [row["trial"] for row in rows(tmp_path / "evaluations.csv")] == [
+            *("0", "0", "0"),
+            *("default", "tuned"),
+        ]
+
     def test_doubles_read_back_bit_for_bit(self, tmp_path):
         value = 0.1 + 0.2
         with Journal(tmp_path / "j", {}) as journal:

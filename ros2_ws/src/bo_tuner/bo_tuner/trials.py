@@ -22,6 +22,9 @@ class Stage(StrEnum):
 TUNING = (Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)
 """Stages of a trial; the others are those of the checks of candidates and of the validation."""
 
+VALIDATED = ("default", "tuned")
+"""What the number of a trial stands for in the validation."""
+
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)
 """Stages in which a trial is evaluated again as a candidate."""
 

@@ -219,6 +219,10 @@ def _choose(
         lambda node: [node.name, "", f"{counted(len(offers[node.name]), 'parameter')} to tune"],
     )
     of_nodes = [offer for node in tuned for offer in offers[node.name]]
+    for node in tuned:
+        for name, why in parameter_offers(node)[1].items():
+            if parameters is not None and {name, f"{node.name}:{name}"} & set(parameters):
+                raise StudyError(f"--parameters: {name} of {node.name} is not offered: {why}")
     chosen = chooser.choose(
         "parameters",
         parameters,

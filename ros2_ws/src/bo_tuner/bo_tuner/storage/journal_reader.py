@@ -28,7 +28,7 @@ from bo_tuner.storage.journal import (
 )
 from bo_tuner.study import maxima
 from bo_tuner.text import csv_cell, one_line
-from bo_tuner.trials import TUNING, Evaluation, Trial
+from bo_tuner.trials import TUNING, VALIDATED, Evaluation, Stage, Trial
 
 OBJECTS = ("parameters", "worst_cases", "context", "metrics", "details")
 """Columns that hold JSON objects."""
@@ -147,7 +147,8 @@ def export_csv(path: Path, directory: Path) -> None:
     """Write ``trials.csv`` and ``evaluations.csv`` from the journal at `path`.
 
     Each parameter, context variable and metric has a column of its own, such as
-    ``metrics.overshoot``.
+    ``metrics.overshoot``. A trial has the mean of each metric over its draws, or over its nominal
+    evaluations. Evaluations of the validation have ``default`` or ``tuned`` in place of a trial.
 
     Raises
     ------
@@ -156,6 +157,8 @@ def export_csv(path: Path, directory: Path) -> None:
     OutputError
         If a file cannot be written.
     """
+    sides = {str(number): name for number, name in enumerate(VALIDATED)}
+    means = {str(trial.number): _means(trial) for trial in read_journal(path).trials}
     for table in ("trial", "evaluation"):
         try:
             with closing(_connect(path)) as db:
@@ -164,6 +167,11 @@ def export_csv(path: Path, directory: Path) -> None:
             raise JournalError(f"{path}: {one_line(str(error))}") from error
         try:
             flat = [_flat(row) for row in found]
+            for row in flat:
+                if table == "trial":
+                    row |= means.get(str(row["number"]), {})
+                elif row["stage"] == Stage.VALIDATION:
+                    row["trial"] = sides.get(str(row["trial"]), row["trial"])
         except (ValueError, AttributeError, RecursionError) as error:
             raise JournalError(f"{path}: {table}: {one_line(str(error))}") from error
         names = [name for name in COLUMNS[table] if name not in NOT_EXPORTED]
@@ -303,6 +311,12 @@ def _finish_replacement(path: Path) -> None:
         synchronize(path.parent)
     except OSError as error:
         raise JournalError(f"{path}: cannot be replaced: {error.strerror}") from error
+
+
+def _means(trial: Trial) -> dict[str, object]:
+    """Return the means of a trial's metrics, as columns."""
+    metrics = {name: None for e in trial.evaluations for name in e.outcome.metrics}
+    return {f"mean.{name}": csv_cell(trial.mean(name)) for name in metrics}
 
 
 def _flat(row: Mapping[str, object]) -> dict[str, object]:

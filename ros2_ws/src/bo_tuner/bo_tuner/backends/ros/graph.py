@@ -11,7 +11,7 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
-from bo_tuner.backends.ros.isolation import DomainClaim
+from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
@@ -21,6 +21,8 @@ from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
 
 NODE_NAME = "bo_tuner_look"
+LOOK_AROUND = 1.0
+"""Time [s] to discover a second node of a name."""
 DISCOVERY = 5.0
 """Time [s] to find a node or a topic."""
 ANSWER = 2.0
@@ -59,6 +61,7 @@ def opened_node(
     try:
         claim = DomainClaim(tuner.node.get_namespace(), tuner.domain)
         try:
+            tuner.spin_for(LOOK_AROUND)
             yield tuner
         finally:
             claim.release()
@@ -72,13 +75,18 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     Raises
     ------
     BackendError
-        If it is not there, or does not answer.
+        If it is not there, runs more than once, or does not answer.
     """
     client = ParameterClient(tuner, node, ListParameters, DescribeParameters, GetParameters)
     try:
         if not tuner.wait_until(client.is_ready, DISCOVERY):
             near = others.instead(node, others.nodes(tuner.node), tuner.node)
             raise BackendError(f"{node}: no such node; {near}")
+        # One that was killed is in the graph until its lease has ended.
+        if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
+            raise BackendError(
+                f"{node} runs more than once in ROS domain {tuner.domain}; end all but one"
+            )
         names = client.names(ANSWER)
         descriptors, values = client.descriptors(names, ANSWER), client.values(names, ANSWER)
     except SilentError as error:

@@ -61,8 +61,9 @@ class ParameterClient:
         return all(client.service_is_ready() for client in self._clients.values())
 
     def servers(self) -> int:
-        """Count the nodes that take parameters under this name."""
-        return self._tuner.node.count_services(self._clients[SetParametersAtomically].srv_name)
+        """Count the nodes that answer under this name."""
+        client = next(iter(self._clients.values()))
+        return self._tuner.node.count_services(client.srv_name)
 
     def expect_answers(self, deadline: float) -> None:
         """Have all services answer a request that changes nothing, until a time of `monotonic`."""
