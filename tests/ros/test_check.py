@@ -136,6 +136,16 @@ def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_pat
         assert sum(line.startswith(text) for line in errors) == 1, err
 
 
+def test_a_run_that_is_refused_leaves_no_folder(servo, tmp_path):
+    """Neither what it held nor the tuner's own log is worth one."""
+    spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
+    write_study(tmp_path, contexts={"gian": {"node": "servo"} | spread})
+    code, _, err = finish(Fork("tune", "--study", "servo.yaml", "--attach", folder=tmp_path))
+    assert code == 2
+    assert "gian" in err
+    assert list((tmp_path / "runs").iterdir()) == []
+
+
 def test_a_run_that_sends_nothing(servo, tmp_path):
     _, out, _ = study(tmp_path, run={"start": []})
     assert "note: run.start: missing, so nothing sends a reference" in out

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
-from bo_tuner.backends.ros.held_parameters import HELD
 from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import find_evaluation
+from bo_tuner.storage.run_files import HELD_PARAMETERS
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
@@ -85,7 +85,7 @@ def attached(shared_pair, tmp_path_factory):
 def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsys):
     """Of those that the study does not set."""
     record, _, _ = attached
-    held = record.path / "log" / HELD
+    held = record.path / "log" / HELD_PARAMETERS
     held.write_text(json.dumps({"plant": {"noise_variance": 0.5}, "controller": {}}))
     try:
         code, _, err = call(command, capsys, record.path, "1", "--backend", "ros", "--attach")

@@ -175,9 +175,9 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
         say_error(
             f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
         )
-    if len(failed) < len(done):
-        _show_metrics(study, [e for e in done if e not in failed])
-    _estimate(study, float(np.mean([e.seconds for e in done])))
+    if complete := [e for e in done if e not in failed]:
+        _show_metrics(study, complete)
+        _estimate(study, float(np.mean([e.seconds for e in complete])))
     return EXIT_INFEASIBLE if failed else EXIT_OK
 
 

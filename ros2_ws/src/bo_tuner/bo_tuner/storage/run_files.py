@@ -9,6 +9,8 @@ from bo_tuner.study import maxima
 
 LOGS = "log"
 """Folder in which nodes may leave what they like, as ``launch`` does a link to its latest log."""
+HELD_PARAMETERS = "held_parameters.json"
+"""File beside the logs: parameters of attached nodes that a run holds."""
 
 KINDS = {
     stat.S_IFLNK: "a symbolic link",

@@ -19,7 +19,7 @@ from bo_tuner.storage.atomic import (
     write_atomically,
 )
 from bo_tuner.storage.parameter_file import node_values, to_yaml
-from bo_tuner.storage.run_files import is_same_file, open_file
+from bo_tuner.storage.run_files import HELD_PARAMETERS, is_same_file, open_file
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -130,7 +130,16 @@ class RunFolder:
         """
         if self.journal.exists():
             return
-        printed = [path for path in self.log.rglob("*") if path.is_file() and path.stat().st_size]
+        # The tuner's own log of ROS is named after this process.
+        own = f"_{os.getpid()}_"
+        printed = [
+            path
+            for path in self.log.rglob("*")
+            if path.is_file()
+            and path.stat().st_size
+            and path.name != HELD_PARAMETERS
+            and own not in path.name
+        ]
         with contextlib.suppress(OSError):
             if not printed:
                 shutil.rmtree(self.log)

@@ -8,12 +8,9 @@ from pathlib import Path
 from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.run_files import read_text
+from bo_tuner.storage.run_files import HELD_PARAMETERS, read_text
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-
-HELD = "held_parameters.json"
-"""File beside the logs."""
 
 
 def safe_parameters(study: Study) -> dict[str, dict[str, object]]:
@@ -71,7 +68,7 @@ def compare_with_earlier(
     BackendError
         If one is not what it was, with its name.
     """
-    file = folder / HELD
+    file = folder / HELD_PARAMETERS
     try:
         earlier = json.loads(read_text(file))
         known = {key: dict(earlier[key]) for key in values}
