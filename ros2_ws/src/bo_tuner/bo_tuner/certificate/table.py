@@ -1,5 +1,6 @@
 """A certificate as a table in the terminal."""
 
+import math
 from collections.abc import Iterator, Sequence
 
 from rich.table import Table
@@ -56,9 +57,10 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
         yield f"{constraint.name}: {shown}: {constraint.reason}"
     for gap in certificate.gaps:
         unit = f" {gap.unit}" if gap.unit else ""
+        observed = "" if math.isnan(gap.observed) else f"observed {gap.observed:.4g}, "
         yield (
-            f"training and validation, {gap.name}: observed {gap.observed:.4g}, predicted "
-            f"{gap.predicted:.4g}, validated {gap.validated:.4g}{unit} "
+            f"training and validation, {gap.name}: {observed}predicted {gap.predicted:.4g}, "
+            f"validated {gap.validated:.4g}{unit} "
             f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
         )
     for tolerance in certificate.tolerances:

@@ -26,8 +26,8 @@ class Gap:
     name, unit
         Name and unit of the quantity.
     observed, observed_error
-        Observed in the trial itself, or for a worst case estimated there, and its standard error;
-        NaN if not known.
+        Observed in the trial itself, and its standard error; NaN if not known, as of a worst case,
+        whose largest observation would exceed its mean over noise.
     predicted
         Predicted by the surrogates of all trials, or by the model of the trial's own search.
     validated, validated_error
@@ -44,8 +44,8 @@ class Gap:
 
     @property
     def value(self) -> float:
-        """Validated minus observed."""
-        return self.validated - self.observed
+        """Validated minus observed, or minus predicted where nothing like it was observed."""
+        return self.validated - (self.predicted if np.isnan(self.observed) else self.observed)
 
     @property
     def standard_error(self) -> float:
@@ -90,8 +90,7 @@ def training_gaps(
                 Gap(
                     name=f"worst mean {study.constraints[constraint.name].limited}",
                     unit=constraint.unit,
-                    # Like with like: the largest observation would exceed both means.
-                    observed=estimate.value,
+                    observed=nan,
                     observed_error=nan,
                     predicted=estimate.value,
                     validated=constraint.worst[0].mean.value,

@@ -165,6 +165,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
+    # `latest` may be another run by then.
+    same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
+    again = f"go on with: {shlex.join(['validate', *same])}"
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
@@ -192,10 +195,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     more=arguments.until_pass > 1,
                 )
             except (RunError, OutputError) as error:
-                console.print(f"error: {error}; {_how_to_go_on(argv)}", soft_wrap=True)
+                console.print(f"error: {error}; {again}", soft_wrap=True)
                 return EXIT_FAULT
             except Interrupted as interrupt:
-                console.print(f"interrupted by {interrupt}; {_how_to_go_on(argv)}", soft_wrap=True)
+                console.print(f"interrupted by {interrupt}; {again}", soft_wrap=True)
                 return EXIT_SIGNAL + interrupt.signum
             verdict = certified(record, candidate, path)
             _report(certificate, verdict, path)
@@ -212,10 +215,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
         write_deliverables(folder.path, tell, tell)
     return exit_code(verdict)
-
-
-def _how_to_go_on(argv: Sequence[str]) -> str:
-    return f"go on with: {shlex.join(['validate', *argv])}"
 
 
 def _draws(
