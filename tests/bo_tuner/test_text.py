@@ -43,3 +43,7 @@ def test_a_formula_is_text(text):
 @pytest.mark.parametrize("value", ["-0.5", "+1", "-inf", "text", "a=1", "", -1, None, 0.5])
 def test_all_else_stays(value):
     assert csv_cell(value) == value
+
+
+def test_a_truth_value_in_a_table_is_as_in_a_study():
+    assert [csv_cell(value) for value in (True, False, 1, "True")] == ["true", "false", 1, "True"]

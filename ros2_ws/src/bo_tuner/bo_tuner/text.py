@@ -39,9 +39,11 @@ def brief(said: str) -> str:
 def csv_cell(value: object) -> object:
     """Keep a spreadsheet from reading text as a formula, by an apostrophe ahead of it.
 
-    A number stays as it is, also if it is given as text. See
+    A number stays as it is, also if it is given as text; a truth value is as in a study file. See
     https://owasp.org/www-community/attacks/CSV_Injection.
     """
+    if isinstance(value, bool):
+        return shown(value)
     if not isinstance(value, str) or not value.startswith(("=", "+", "-", "@", "\t", "\r", "\n")):
         return value
     try:

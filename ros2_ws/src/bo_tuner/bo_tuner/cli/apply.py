@@ -40,7 +40,7 @@ from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.text import brief
+from bo_tuner.text import brief, shown
 
 DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
@@ -190,10 +190,16 @@ def _show(rows: list[Difference], title: str) -> None:
 
 def _shown(row: Difference) -> tuple[str, str]:
     """Format both values, with more digits if they would look equal but are not."""
-    now, new = (f"{v:.6g}" if isinstance(v, float) else str(v) for v in (row.now, row.new))
+    now, new = (_value(value) for value in (row.now, row.new))
     if now == new and not row.equal:
         now, new = repr(row.now), repr(row.new)
     return brief(now), brief(new)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return shown(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _confirmed(question: str, interruption: Interruption) -> bool:
