@@ -281,7 +281,7 @@ def test_what_else_has_changed_since(record):
         (("worst", "--trial", "1"), "--trial is given twice"),
         (("--output", "x"), "--output needs --backend ros"),
         (("--attach",), "--attach needs --backend ros"),
-        (("--evaluation", "one"), "--evaluation: invalid int value"),
+        (("--evaluation", "one"), "--evaluation: one: expected a whole number"),
         (("--backend", "gazebo"), "--backend: invalid choice"),
         (("--trial", "99"), "no trial '99'; expected best, worst or a number"),
         (("--trial", "0", "--evaluation", "-3"), "trial 0 has no evaluation -3"),

@@ -170,6 +170,20 @@ def opened(backend: Backend, interruption: Interruption, *, again: bool = False)
         backend.close()
 
 
+def whole_number(text: str) -> int:
+    """Read an option's whole number.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none.
+    """
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: expected a whole number") from None
+
+
 def recorded_backend(record: RunRecord) -> str:
     """Return the name of a run's backend.
 

@@ -17,6 +17,7 @@ from bo_tuner.cli.common import (
     read_result,
     recorded_backend,
     split_ros_arguments,
+    whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.errors import OutputError
@@ -88,7 +89,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--evaluation",
-        type=int,
+        type=whole_number,
         metavar="K",
         help="number of the evaluation within the trial (default: the worst)",
     )

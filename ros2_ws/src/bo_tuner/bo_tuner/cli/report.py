@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from bo_tuner.cli.common import Parser, guarded, read_result, trial_of
+from bo_tuner.cli.common import Parser, guarded, read_result, trial_of, whole_number
 from bo_tuner.cli.exit_codes import EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import RunRecordError
@@ -56,7 +56,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--trial",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="the page of this trial: its parameters, its evaluations, and the signals of the "
         "worst one (default file: RUN/trial_NNNN.html)",

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from bo_tuner.cli.common import RUNS, Parser
+from bo_tuner.cli.common import RUNS, Parser, whole_number
 from bo_tuner.cli.init import FIRST_STUDY
 from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, SEVERAL_OBJECTIVES
@@ -86,18 +86,21 @@ def _add_study(parser: Parser) -> None:
     )
     parser.add_argument(
         "--trials",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="number of trials, in place of the study's budget of trials and evaluations",
     )
     parser.add_argument(
         "--evaluations",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="number of evaluations of all trials, in place of the study's budget",
     )
     parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of everything random (default: the study's)"
+        "--seed",
+        type=whole_number,
+        metavar="N",
+        help="seed of everything random (default: the study's)",
     )
     parser.add_argument(
         "--output",

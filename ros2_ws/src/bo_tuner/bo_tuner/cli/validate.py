@@ -42,6 +42,7 @@ from bo_tuner.cli.common import (
     recorded_backend,
     split_ros_arguments,
     trial_of,
+    whole_number,
 )
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
@@ -115,7 +116,7 @@ def make_parser() -> Parser:
     parser.add_run_argument()
     parser.add_argument(
         "--draws",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="fresh draws of context and noise, at most (default: as the study requires)",
     )
@@ -128,13 +129,13 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--trial",
-        type=int,
+        type=whole_number,
         metavar="N",
         help=f"the parameter set of this trial (default: that of the run's {BEST})",
     )
     parser.add_argument(
         "--until-pass",
-        type=int,
+        type=whole_number,
         default=1,
         metavar="K",
         help="if it fails, go on with the next in rank that is believed feasible and has no "
