@@ -126,6 +126,11 @@ def test_set_and_back(client, record, now, capsys):
     assert rollback_file(record) == before
 
 
+def test_back_to_what_nobody_has_replaced_is_the_default(record, capsys):
+    code, out, _ = apply(capsys, record, "--rollback")
+    assert (code, "deploy/rollback.yaml, the study's default" in " ".join(out.split())) == (2, True)
+
+
 def test_without_a_terminal_it_only_shows(record, now, capsys):
     before = now()
     code, out, err = apply(capsys, record)

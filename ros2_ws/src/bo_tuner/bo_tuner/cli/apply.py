@@ -14,6 +14,7 @@ from bo_tuner.cli.common import (
     read_result,
     split_ros_arguments,
     trial_of,
+    whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import ask, say_error
@@ -81,7 +82,7 @@ def make_parser() -> Parser:
     parser.add_run_argument("folder of a run that has ended")
     parser.add_argument(
         "--trial",
-        type=int,
+        type=whole_number,
         metavar="N",
         help="the parameter set of this trial (default: the result of the run)",
     )
@@ -120,7 +121,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     with contextlib.closing(folder):
         write_bundle(record)
         if arguments.rollback:
-            new, title = read_rollback(record), f"back to deploy/{ROLLBACK}"
+            new, title = read_rollback(record), f"back to {DEPLOY}/{ROLLBACK}"
+            if new == node_values(record.study, record.study.search_space().defaults):
+                # As in the file of a run of which nothing was set yet.
+                title += ", the study's default"
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"

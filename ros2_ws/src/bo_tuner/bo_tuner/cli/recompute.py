@@ -75,7 +75,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     table = Table()
     header = ("bag", "trial", "run", "stage", *study.metrics, "")
     for column in header:
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     rows: list[tuple[object, ...]] = []
     wrong = 0
     for found in recompute(record, study):
