@@ -182,7 +182,7 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
     assert code == 2
     assert sorted(err.splitlines()) == sorted(
         [
-            "error: parameters.gain: 2.0 lies outside the range of 'gain' in the node, [0, 0.9]",
+            "error: parameters.gain: 2 lies outside the range of 'gain' in the node, [0, 0.9]",
             "error: parameters.gian: the node has no parameter 'gian'; did you mean 'gain'?",
             "error: parameters.model: 'model' is read-only in the node",
             "error: parameters.filter: 'filter' is of type boolean in the node, not integer",

@@ -76,10 +76,10 @@ def test_a_node_that_does_not_take_its_safe_values_is_named_at_once(refusal, sys
 @pytest.mark.parametrize(
     ("name", "default", "complaint"),
     [
-        ("gian", 0.5, "gian"),
-        ("serial", 8.0, "read-only"),
-        ("count", 2.5, "type"),
-        ("limited", 2.5, "limited"),
+        ("gian", 0.5, "the node has no parameter 'gian'; did you mean 'gain'"),
+        ("serial", 8.0, "'serial' is read-only in the node"),
+        ("count", 2.5, "'count' is of type integer in the node, not double"),
+        ("limited", 2.5, "9 lies outside the range of 'limited' in the node"),
     ],
 )
 def test_a_parameter_that_the_node_does_not_have_as_the_study_says(
@@ -88,8 +88,13 @@ def test_a_parameter_that_the_node_does_not_have_as_the_study_says(
     """It is found before the first trial, and not once in each."""
     parameter = {"node": "servo", "type": "double", "bounds": [0, 9], "default": default}
     reason = refusal(parameters={name: parameter})
-    assert reason.startswith("parameters: as safe values: servo refused its parameters:")
-    assert complaint in reason
+    assert reason.startswith(f"parameters.{name}: {complaint}"), reason
+
+
+def test_a_context_variable_that_the_node_does_not_have(refusal):
+    context = {"node": "servo", "distribution": "uniform", "bounds": [1, 2], "nominal": 1}
+    reason = refusal(contexts={"laod": context})
+    assert reason.startswith("contexts.laod: the node has no parameter 'laod'; "), reason
 
 
 def test_a_failure_to_park_is_told(backend, system):

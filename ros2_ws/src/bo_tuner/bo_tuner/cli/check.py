@@ -1,8 +1,9 @@
 """``tune --check``: hold a study against the running nodes, and try two runs."""
 
 import contextlib
+import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,8 +32,9 @@ from bo_tuner.metrics.recording import Recording
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
+from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.descriptors import problem, undeclared
+from bo_tuner.study.descriptors import node_problems
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted, shown
@@ -101,24 +103,17 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
             problems.append(f"nodes.{key}: {error}")
             absent += 1
             continue
+        problems += [str(error) for error in node_problems(study, key, known)]
         for name, item in study.parameters.items():
-            if item.node != key:
+            if item.node != key or item.array or name not in defaults:
                 continue
-            described = known.get(item.array or item.parameter)
-            if text := problem(item, described, known):
-                problems.append(f"parameters.{name}: {text}")
-            elif described is not None and not item.array and name in defaults:
-                if same_value(described.value, defaults[name]):
-                    continue
-                notes.append(
-                    f"parameters.{name}: the node has {described.value} now, the study's "
-                    f"default is {shown(defaults[name])}"
-                )
-        problems += [
-            f"{path}: {undeclared(name, known)}"
-            for path, node, name in _further_parameters(study)
-            if node == key and name not in known
-        ]
+            described = known.get(item.parameter)
+            if described is None or same_value(described.value, defaults[name]):
+                continue
+            notes.append(
+                f"parameters.{name}: the node has {described.value} now, the study's "
+                f"default is {shown(defaults[name])}"
+            )
     if absent == len(study.nodes):
         # Of nodes that were not started, their topics and services are not worth a line each.
         return problems, notes
@@ -131,18 +126,6 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     problems += [str(error) for error in signal_problems(tuner, heard)]
     problems += [str(error) for error in run_problems(study, tuner)]
     return problems, notes
-
-
-def _further_parameters(study: Study) -> Iterator[tuple[str, str, str]]:
-    """Yield what else a study sets: where it says so, the key of the node, and the parameter."""
-    for key, spec in study.nodes.items():
-        arrays = {item.array for item in study.parameters.values() if item.node == key}
-        for name in spec.parameters.keys() - arrays:
-            yield f"nodes.{key}.parameters", key, name
-    for name, item in study.contexts.items():
-        yield f"contexts.{name}", item.node, item.parameter
-    if study.seed_parameter is not None:
-        yield "seed_parameter", study.seed_parameter.node, study.seed_parameter.parameter
 
 
 def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
@@ -270,12 +253,15 @@ def most_runs(study: Study) -> tuple[int, int]:
     drawn, searched = algorithm.evaluations(study)
     each = drawn + searched if study.worst_case_constraints else drawn
     tuning = budget.trials * each
+    if algorithm.models.pooled:
+        by_trials = dataclasses.replace(budget, evaluations=None)
+        ahead = evaluations_ahead(dataclasses.replace(study, budget=by_trials), 0, 0.0, each)
+        tuning, each = round(sum(ahead)), max(each, sum(new_point(study)))
     if budget.evaluations is not None:
         tuning = min(tuning, budget.evaluations + each - 1)
+    checks = algorithm.most_checked * most_check_evaluations(study)
     if algorithm.models.pooled:
         checks = most_repetitions(study, tuning)
-    else:
-        checks = algorithm.most_checked * most_check_evaluations(study)
     # A trial has a suspected context for each worst-case limit.
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())

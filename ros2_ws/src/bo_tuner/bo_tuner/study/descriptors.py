@@ -1,12 +1,13 @@
 """What nodes say of their parameters, held against a study, and filled in where it says nothing."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from bo_tuner.errors import StudyError
+from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks
 from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.study import Study
 
 
 @dataclass(frozen=True)
@@ -125,26 +126,56 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                     item.setdefault("step", kind(described.step))
 
 
-def undeclared(name: str, known: Mapping[str, Described]) -> str:
-    """Tell in a line that a node lacks a parameter, among those that it has."""
-    return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
+def node_problems(study: Study, key: str, known: Mapping[str, Described]) -> list[StudyError]:
+    """Return why a node will not take what a study sets on it, each with the place in the study.
+
+    Parameters
+    ----------
+    study
+        The study.
+    key
+        The node's, in the study.
+    known
+        All parameters of the node.
+    """
+    found = []
+    for name, item in study.parameters.items():
+        if item.node == key and (text := problem(item, known)):
+            found.append(StudyError(text, ("parameters", name)))
+    found += [
+        StudyError(_undeclared(name, known), path)
+        for path, node, name in _further_parameters(study)
+        if node == key and name not in known
+    ]
+    return found
 
 
-def problem(item: Parameter, described: Described | None, known: Mapping[str, Described]) -> str:
+def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:
+    """Yield what else a study sets: where it says so, the key of the node, and the parameter."""
+    for key, spec in study.nodes.items():
+        arrays = {item.array for item in study.parameters.values() if item.node == key}
+        for name in spec.parameters.keys() - arrays:
+            yield ("nodes", key, "parameters"), key, name
+    for name, item in study.contexts.items():
+        yield ("contexts", name), item.node, item.parameter
+    if study.seed_parameter is not None:
+        yield ("seed_parameter",), study.seed_parameter.node, study.seed_parameter.parameter
+
+
+def problem(item: Parameter, known: Mapping[str, Described]) -> str:
     """Tell in a line why a node will not take a parameter of a study; empty if it will.
 
     Parameters
     ----------
     item
         The parameter.
-    described
-        What its node says of it, or of the array that has it; None if it is not declared.
     known
         All parameters of the node.
     """
     name = item.array or item.parameter
+    described = known.get(name)
     if described is None:
-        return undeclared(name, known)
+        return _undeclared(name, known)
     if described.read_only:
         return f"'{name}' is read-only in the node"
     expected = f"{item.type}_array" if item.array else item.type
@@ -155,10 +186,15 @@ def problem(item: Parameter, described: Described | None, known: Mapping[str, De
         outside = [v for v in given if not described.lower <= float(v) <= described.upper]
         if outside:
             return (
-                f"{outside[0]} lies outside the range of '{name}' in the node, "
+                f"{outside[0]:g} lies outside the range of '{name}' in the node, "
                 f"[{described.lower:g}, {described.upper:g}]"
             )
     return ""
+
+
+def _undeclared(name: str, known: Mapping[str, Described]) -> str:
+    """Tell in a line that a node lacks a parameter, among those that it has."""
+    return f"the node has no parameter '{name}'; {checks.suggestion(name, known)}"
 
 
 def _parameters(mapping: object) -> dict[str, dict[str, object]]:

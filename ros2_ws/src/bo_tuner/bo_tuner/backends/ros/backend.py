@@ -12,6 +12,7 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
+from bo_tuner.backends.ros.graph import describe
 from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
 from bo_tuner.backends.ros.isolation import (
     LEASE,
@@ -34,6 +35,7 @@ from bo_tuner.metrics.recording import (
     signal_sources,
 )
 from bo_tuner.metrics.source import MetricSource
+from bo_tuner.study.descriptors import node_problems
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -392,7 +394,8 @@ class RosBackend(SequentialBackend):
             try:
                 client.parameters.assign_and_read_back(key, spec.parameters)
             except RefusedError as refusal:
-                raise StudyError(str(refusal), ("nodes", key, "parameters")) from refusal
+                problem = StudyError(str(refusal), ("nodes", key, "parameters"))
+                raise self._named(key, problem) from refusal
 
     def _set_safe(self, client: StudyClient) -> None:
         for key, values in self._safe.items():
@@ -400,7 +403,17 @@ class RosBackend(SequentialBackend):
                 client.parameters.assign_and_read_back(key, values)
             except RefusedError as refusal:
                 section = "park" if self._study.park.parameters else "parameters"
-                raise StudyError(f"as safe values: {refusal}", (section,)) from refusal
+                problem = StudyError(f"as safe values: {refusal}", (section,))
+                raise self._named(key, problem) from refusal
+
+    def _named(self, key: str, refusal: StudyError) -> StudyError:
+        """Return what the study sets that the node cannot take, or the node's refusal itself."""
+        tuner, _ = self._opened
+        try:
+            known = describe(tuner, self._study.nodes[key].node)
+        except BackendError:
+            return refusal
+        return next(iter(node_problems(self._study, key, known)), refusal)
 
     def _get_back(self, tuner: TunerNode, client: StudyClient) -> str:
         """Get the nodes back; returns in a line why that failed."""
