@@ -20,7 +20,7 @@ from statistics import fmean
 
 from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DEFAULT, INITIAL, START
-from bo_tuner.optimizers.boundary import new_point, searches
+from bo_tuner.optimizers.boundary import evaluations_ahead
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Trial, count_checks
 from bo_tuner.tuning.observer import Phase
@@ -161,10 +161,8 @@ class TimeLeft:
             evaluations -= repeated
         else:
             each = self._evaluations_of_trial()
-            while self._study.budget.remaining(trials, round(evaluations)):
-                searched = searches(self._study, trials, round(evaluations))
-                count = each if searched else sum(new_point(self._study))
-                trials, evaluations = trials + 1, evaluations + count
+            for count in evaluations_ahead(self._study, trials, evaluations, each):
+                evaluations += count
                 seconds += count * self._recent_evaluation()
                 seconds += self._rankings_of_trial() * self._ranking_of(evaluations)
         most = most_repetitions(self._study, round(evaluations), self._repeated)

@@ -2,13 +2,16 @@
 
 Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
-set. Those of the first part of the budget are a search, with few evaluations each. Those of the
-second part are proposed against the best parameter set that is *shown* to keep all limits, with a
-probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
-them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
-their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
-is most doubtful that they keep their limits; `bo_tuner.optimizers.repetition` decides which, and
-when that is settled.
+set.
+
+Those of the first part of the budget are a search. After the initial design each has one run in a
+drawn context and one in the worst one: since the models learn from neighbours, too, many places
+with few runs each tell more than few with many. Those of the second part are proposed against the
+best parameter set that is *shown* to keep all limits, with a probability of at least `CONFIDENT`,
+and where it is probable that a few more runs show the same of them: of a point that only just keeps
+a limit, no budget shows that it does. They have two runs in their worst context and one in a drawn
+one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
+limits; `bo_tuner.optimizers.repetition` decides which, and when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.joint_process`). The answer is the parameter set with the lowest predicted cost
@@ -19,6 +22,7 @@ References
 Gibbs and Candès (2021). Adaptive conformal inference under distribution shift. NeurIPS 34.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -46,8 +50,9 @@ FAILING = 0.1
 AHEAD = 8
 """Further runs of a new point after which it should be shown to keep its limits."""
 
-DRAWN, WORST = 1, 2
-"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
+DRAWN, SEARCHED, WORST = 1, 1, 2
+"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint while it
+is searched, and at the boundary."""
 
 
 class BoundaryOptimization(BayesianOptimization):
@@ -64,8 +69,9 @@ class BoundaryOptimization(BayesianOptimization):
         proposal = self.initial()
         if proposal is not None:
             return proposal
-        if searches(self.study, len(self.trials), count_evaluations(self.trials)):
-            return super().ask()
+        done = len(self.trials), count_evaluations(self.trials)
+        if searches(self.study, *done):
+            return replace(super().ask(), protocol=protocol_of_next(self.study, *done))
         return self._at_boundary()
 
     @property
@@ -73,14 +79,15 @@ class BoundaryOptimization(BayesianOptimization):
         """Largest probability of a failure of a proposal, adapted to how often one failed.
 
         A model of crashes is too sure of itself where proposals go, to the edge of the region where
-        runs fail. So each failure halves the largest probability, and each trial that ends raises
-        it by as much as keeps the share of failures at `FAILING` (as in the adaptive conformal
-        inference of Gibbs and Candès, 2021, on the logarithm).
+        runs fail, and not sure enough far from all trials. So each failure halves the largest
+        probability, `FAILING` at first, and each trial that ends raises it by as much as keeps the
+        share of failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021,
+        on the logarithm).
         """
-        level = 0.0
+        level, highest = 0.0, np.log2(super().avoid / FAILING)
         for trial in self.trials[self.study.budget.initial_trials :]:
             failed = trial.state is TrialState.FAILED and not trial.spoilt
-            level = min(0.0, level - 1.0 if failed else level + FAILING / (1.0 - FAILING))
+            level = min(highest, level - 1.0 if failed else level + FAILING / (1.0 - FAILING))
         return float(FAILING * 2.0**level)
 
     def _at_boundary(self) -> Proposal:
@@ -135,3 +142,32 @@ def searches(study: Study, trials: int, evaluations: int) -> bool:
 def new_point(study: Study) -> tuple[int, int]:
     """Return the evaluations of a point at the boundary: in drawn and in worst contexts."""
     return DRAWN, WORST * len(study.worst_case_constraints)
+
+
+def protocol_of_next(study: Study, trials: int, evaluations: int) -> tuple[int, int] | None:
+    """Return the evaluations of the next trial, after so many with so many evaluations.
+
+    Returns
+    -------
+    tuple of int or None
+        In drawn and in worst contexts; None in the initial design, and in a search for which the
+        study says how many.
+    """
+    if trials < study.budget.initial_trials:
+        return None
+    if not searches(study, trials, evaluations):
+        return new_point(study)
+    if study.budget.drawn_contexts is not None or study.budget.search_evaluations is not None:
+        return None
+    return DRAWN, SEARCHED * len(study.worst_case_constraints)
+
+
+def evaluations_ahead(
+    study: Study, trials: int, evaluations: float, otherwise: float
+) -> Iterator[float]:
+    """Yield the evaluations of each trial to come; `otherwise` where `protocol_of_next` is None."""
+    while study.budget.remaining(trials, round(evaluations)):
+        protocol = protocol_of_next(study, trials, round(evaluations))
+        count = otherwise if protocol is None else sum(protocol)
+        yield count
+        trials, evaluations = trials + 1, evaluations + count

@@ -256,7 +256,7 @@ def run_and_judge(study: Study, row: Row, seed: int, size: RunSize, judge: str) 
 
 
 def _run(study: Study, row: Row, seed: int, size: RunSize) -> Run | OwnContextsRun:
-    if row.protocol != OWN:
+    if row.algorithm or row.protocol != OWN:
         return Run(study, row, seed, size)
     whole = _study_of(study, row, seed, size)
     return OwnContextsRun(whole, plugins.load(row.optimizer)(whole, seed), size.evaluations)
@@ -273,6 +273,9 @@ def _study_of(study: Study, row: Row, seed: int, size: RunSize) -> Study:
     )
     if row.protocol == RANDOM:
         study = study.replace(drawn_contexts=row.contexts, search_evaluations=0)
+    if row.algorithm and row.protocol == OWN:
+        budget = dataclasses.replace(study.budget, drawn_contexts=None, search_evaluations=None)
+        study = dataclasses.replace(study, budget=budget)
     return study
 
 

@@ -35,8 +35,9 @@ class Row:
     protocol
         How a trial is evaluated. ``worst_case``: as in Algorithm IV, with the search for the worst
         context. ``random``: by `contexts` evaluations in drawn contexts; the largest metric
-        observed is the constraint. ``own``: the optimizer chooses the context of each evaluation,
-        see `peers.robust.RobustOptimizer`; the initial trials are those of ``worst_case``.
+        observed is the constraint. ``own``: an optimizer chooses the context of each evaluation,
+        see `peers.robust.RobustOptimizer`, and the initial trials are those of ``worst_case``; an
+        algorithm has its own numbers of evaluations of a trial instead of the study's.
     contexts
         Evaluations of a trial under ``random``.
     evaluations
@@ -65,8 +66,6 @@ class Row:
         if self.optimizer:
             checks.matching(self.optimizer, checks.OBJECT_PATH, "module:Class", "optimizer")
         checks.choice(self.protocol, (RANDOM, WORST_CASE, OWN), "protocol")
-        if self.protocol == OWN and not self.optimizer:
-            raise StudyError("own is for an optimizer", ("protocol",))
         if self.protocol == RANDOM:
             checks.integer(self.contexts, "contexts", at_least=1)
         elif self.contexts:

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
-from tuning_benchmark.experiments.experiment import RANDOM, Case
+from tuning_benchmark.experiments.experiment import RANDOM, WORST_CASE, Case
 from tuning_benchmark.experiments.task_names import point_task
 from tuning_benchmark.pages.statistics import CONFIDENCE, Mean, difference, fisher
 from tuning_benchmark.pages.summary import Record, RowSummary
@@ -196,7 +196,7 @@ def beside_others(case: Case, summaries: Sequence[RowSummary]) -> list[str]:
     ]
     said += [_about(best, s, level, sign) for s in others]
     drawn = [s for s in others if s.row.protocol == RANDOM]
-    lent = [s for s in others if s.row.protocol != RANDOM and s.row.optimizer]
+    lent = [s for s in others if s.row.protocol == WORST_CASE and s.row.optimizer]
     for group, words in ((drawn, "random contexts"), (lent, "our worst-case search")):
         if group:
             said.append(_best_of(group, words, sign))

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from tuning_benchmark.experiments.experiment import RANDOM, Case, Experiment, SurrogateFigure
+from tuning_benchmark.experiments.experiment import (
+    RANDOM,
+    WORST_CASE,
+    Case,
+    Experiment,
+    SurrogateFigure,
+)
 from tuning_benchmark.experiments.task_names import (
     CALIBRATION,
     run_task,
@@ -193,7 +199,7 @@ def _protocols(case: Case) -> list[str]:
             f"*Random*: each trial is evaluated in {' or '.join(map(str, contexts))} newly drawn "
             f"contexts; its worst case is the largest {worst.name if worst else 'value'} observed."
         )
-    if any(row.protocol != RANDOM and row.optimizer for row in rows):
+    if any(row.protocol == WORST_CASE and row.optimizer for row in rows):
         text.append(
             "*Worst case*: the trial is evaluated as in Algorithm IV, in drawn contexts and then "
             "by our search for the worst context."
