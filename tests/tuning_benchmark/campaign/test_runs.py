@@ -57,6 +57,14 @@ def test_an_answer_settled_early_leaves_evaluations_for_more_trials(study):
     assert number in numbers
 
 
+def test_an_algorithm_can_have_its_own_numbers_of_evaluations(study, small):
+    stated = study.replace(drawn_contexts=4, search_evaluations=3)
+    for protocol, expected in (("worst_case", 4), ("own", 2)):
+        row = Row(name="boundary", algorithm="boundary", protocol=protocol)
+        first = trials_of(stated, row, small)[0][0]
+        assert sum(e.stage is Stage.DRAWN for e in first.evaluations) == expected
+
+
 def test_checks_keep_to_the_evaluations_left_for_them(study, monkeypatch):
     """Whatever a check says, there are no more than the reserved evaluations allow."""
     monkeypatch.setattr(recommendation, "_check", refuted(recommendation._check))
