@@ -14,6 +14,7 @@ from bo_tuner.study.offers import (
     SignalOffer,
     parameter_offers,
     signal_offers,
+    suggested_nodes,
     suggested_parameters,
     suggested_signals,
 )
@@ -112,6 +113,23 @@ class TestParameters:
         }
         found, _ = offers(**plain, **tuning, kind=Described("double", 1.0, 0.1, 9.0))
         assert {offer.name for offer in suggested_parameters(found.values())} == set(tuning)
+
+    def test_nodes_are_suggested_that_have_such_a_name(self):
+        nodes = {
+            "plant": {"mass": 2.0, "friction": 0.1},
+            "pid": {"kp": 1.0, "rate": 50.0},
+            "observer": {"process_noise": 0.1},
+            "clock": {},
+        }
+        found = {
+            name: parameter_offers(
+                SeenNode(name, {key: Described("double", value) for key, value in values.items()})
+            )[0]
+            for name, values in nodes.items()
+        }
+        assert suggested_nodes(found) == ["pid", "observer"]
+        del found["pid"], found["observer"]
+        assert suggested_nodes(found) == ["plant"]
 
     def test_few_are_all_suggested_and_many_without_a_telling_name_are_cut(self):
         for count, expected in ((8, 8), (9, 8), (30, 8)):

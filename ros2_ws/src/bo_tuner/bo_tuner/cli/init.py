@@ -24,6 +24,7 @@ from bo_tuner.study.offers import (
     SignalOffer,
     parameter_offers,
     signal_offers,
+    suggested_nodes,
     suggested_parameters,
     suggested_signals,
 )
@@ -210,11 +211,13 @@ def _choose(
 ) -> tuple[list[SeenNode], list[ParameterOffer], list[SignalOffer]]:
     """Choose nodes and parameters to tune, and signals to record."""
     offers = {node.name: parameter_offers(node)[0] for node in seen.nodes}
+    # Parameters that are named may be of any node.
+    suggested = suggested_nodes(offers) if parameters is None else list(offers)
     tuned = chooser.choose(
         "nodes",
         None if nodes is None else [name.lstrip("/") for name in nodes],
         [node for node in seen.nodes if offers[node.name]],
-        [node for node in seen.nodes if any(offer.suggested for offer in offers[node.name])],
+        [node for node in seen.nodes if node.name in suggested],
         lambda node: [node.name],
         lambda node: [node.name, "", f"{counted(len(offers[node.name]), 'parameter')} to tune"],
     )

@@ -158,6 +158,17 @@ def suggested_parameters(offers: Iterable[ParameterOffer]) -> list[ParameterOffe
     return (telling or possible)[:MOST_SUGGESTED]
 
 
+def suggested_nodes(offers: Mapping[str, Sequence[ParameterOffer]]) -> list[str]:
+    """Return the nodes that are tuned unless somebody says otherwise, of `offers` by node.
+
+    These have a parameter whose name tells of tuning, as a controller or an estimator does: the
+    mass or friction of a simulated plant is no choice. Without any such node all are.
+    """
+    possible = {node: [o for o in found if o.suggested] for node, found in offers.items()}
+    telling = [n for n, found in possible.items() if any(TUNABLE.search(o.name) for o in found)]
+    return telling or [node for node, found in possible.items() if found]
+
+
 def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> list[SignalOffer]:
     """Return the signals that are taken unless somebody says otherwise.
 
