@@ -12,10 +12,10 @@ boundary, IV
     data, the Student-t process that finds outliers, crashes, acquisition by particle swarm; of
     `boundary` one of its second part, with the ranking of all parameter sets. Its models have every
     evaluation as their data; it makes two a trial while it searches and then three, so it has the
-    worst overshoot of each trial and one or two of the replicates. Both start from the hyperparameters of the trial before, as in a
-    run. Beyond a hundred trials these are fitted again only now and then: the time is the mean over
-    the trials between two fits, and that of a suggestion with a fit is listed, too. `boundary` also
-    without a warm start.
+    worst overshoot of each trial and one or two of the replicates. Both start from the
+    hyperparameters of the trial before, as in a run. Beyond a hundred trials these are fitted again
+    only now and then: the time is the mean over the trials between two fits, and that of a
+    suggestion with a fit is listed, too. `boundary` also without a warm start.
 BoTorch
     Two `SingleTaskGP` (objective, worst case) on the means of the replicates, fitted by
     `fit_gpytorch_mll`; `qLogNoisyExpectedImprovement` with one constraint, by `optimize_acqf` with

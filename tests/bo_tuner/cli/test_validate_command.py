@@ -20,6 +20,7 @@ from waiting import count_in, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate import certificate as certificate_module
+from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.certificate.store import certificate_problem, parameters_sha256
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.errors import OutputError, RunError
@@ -29,6 +30,7 @@ from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.tuning.summary import with_summary
 
 CHANCE = {
     "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
@@ -285,6 +287,12 @@ class TestInterruption:
         monkeypatch.setattr(InProcessBackend, "outcome", stop)
         assert here(folder)[0] == 1
         unfinished = folder / "certificates" / "unfinished.jsonl"
+        (begun,) = [
+            remark
+            for remark in run_verdict(with_summary(read_run(folder), pytest.fail)).remarks
+            if "begun" in remark
+        ]
+        assert begun.startswith("A certificate was begun and not finished: 59 evaluations")
         # A line that was cut off counts as not made.
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)
@@ -295,6 +303,8 @@ class TestInterruption:
         assert found["tuned"] == expected["tuned"]
         assert len(count) == 60 + expected["tuned"]["evaluations"] - 58
         assert not unfinished.exists()
+        verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
+        assert not any("begun" in remark for remark in verdict.remarks)
 
     def test_evaluations_of_something_else_are_discarded(self, here, folder):
         (folder / "certificates").mkdir()

@@ -9,11 +9,13 @@ from typing import Any
 from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.certificate.store import certificate_problem, latest_certificate, read_certificate
+from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import UPPER
 from bo_tuner.study.study import Study
+from bo_tuner.text import counted
 from bo_tuner.trials import EvaluationState, Stage, Trial
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
@@ -36,6 +38,17 @@ def run_verdict(record: RunRecord) -> Verdict:
     RunRecordError
         If the summary of the run is not one of `tune`.
     """
+    verdict = _latest(record)
+    if begun := evaluations_begun(record.path):
+        remark = (
+            f"A certificate was begun and not finished: {counted(begun, 'evaluation')} on record, "
+            "from which validate goes on."
+        )
+        verdict = replace(verdict, remarks=(*verdict.remarks, remark))
+    return verdict
+
+
+def _latest(record: RunRecord) -> Verdict:
     by_validation = _by_validation(record)
     if by_validation is None:
         return open_verdict(record.study, record.trials)

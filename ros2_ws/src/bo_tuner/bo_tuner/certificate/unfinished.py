@@ -19,6 +19,15 @@ from bo_tuner.tuning.observer import RunObserver
 UNFINISHED = "unfinished.jsonl"
 
 
+def evaluations_begun(folder: Path) -> int:
+    """Return how many evaluations of an unfinished certificate are in a run folder."""
+    try:
+        with (folder / CERTIFICATES / UNFINISHED).open(encoding="utf-8") as file:
+            return max(0, sum(1 for _ in file) - 1)
+    except (OSError, ValueError):
+        return 0
+
+
 class Unfinished(RunObserver):
     """Keeps each evaluation; those of an interrupted certificate are there at the beginning.
 
