@@ -229,6 +229,15 @@ class TestLatinHypercube:
         assert np.mean(design[:, 1] - design[:, 0] > 0.5) == pytest.approx(0.25, abs=0.05)
         assert np.mean(design[:, 1] - design[:, 0] < 1e-6) < 0.01
 
+    def test_a_real_parameter_is_spread_on_its_scale(self):
+        """One point in each of n strata, which have equal ratios on the log scale."""
+        gain = Parameter(
+            name="gain", node="pid", type="double", bounds=(0.01, 100.0), default=1.0, scale="log"
+        )
+        design = SearchSpace([gain]).latin_hypercube(40, np.random.default_rng(0))
+        values = np.sort([SearchSpace([gain]).to_parameters(point)["gain"] for point in design])
+        assert (np.floor(10 * (np.log10(values) + 2.0)).astype(int) == np.arange(40)).all()
+
     def test_refuses_an_empty_design(self):
         with pytest.raises(ParameterError, match="at least 1 point, found 0"):
             full().latin_hypercube(0, np.random.default_rng(0))

@@ -160,7 +160,7 @@ def constrained_improvement(
         the function has no improvement term and excludes evaluated points.
     avoid
         Largest probability of a failure; points above it are excluded, and those where an outlier
-        is more probable than that and than `OUTLYING`.
+        is more probable than `OUTLYING`. With 1.0 none is.
     reinterpolate
         Use the improvement under the reinterpolation model; else the one under the noisy model,
         with evaluated points excluded.
@@ -175,8 +175,9 @@ def constrained_improvement(
         terms.append(Unevaluated(model))
     terms += feasibility_terms(surrogates.constraints.values())
     # Without a single outlier or failure there is nothing to avoid. An outlier costs no more than
-    # its evaluations, so where failures are hardly allowed it need not be less likely than not.
-    levels = ((surrogates.failures, avoid), (surrogates.outlying, max(avoid, OUTLYING)))
+    # its evaluations, so how many failures are allowed says nothing of it.
+    outlying = OUTLYING if avoid < 1.0 else 1.0
+    levels = ((surrogates.failures, avoid), (surrogates.outlying, outlying))
     terms += [LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()]
     return LogSum(tuple(terms))
 

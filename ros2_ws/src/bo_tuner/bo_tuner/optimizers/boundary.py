@@ -47,6 +47,16 @@ SEARCHING = 0.5
 FAILING = 0.1
 """Share of the proposals that may fail, since a crash can cost a machine more than a run tells."""
 
+DOOMED = 0.95
+"""Probability of a failure from which on no point is proposed as long as there are others."""
+
+ADAPTATION = 3.0
+"""Halvings of the largest probability of a failure by each failure.
+
+A run has some tens of trials, in which the bound must be able to find its level: ten in a row that
+do not fail open almost every region, and a single failure closes the doubtful ones again.
+"""
+
 AHEAD = 8
 """Further runs of a new point after which it should be shown to keep its limits."""
 
@@ -79,15 +89,16 @@ class BoundaryOptimization(BayesianOptimization):
         """Largest probability of a failure of a proposal, adapted to how often one failed.
 
         A model of crashes is too sure of itself where proposals go, to the edge of the region where
-        runs fail, and not sure enough far from all trials. So each failure halves the largest
-        probability, `FAILING` at first, and each trial that ends raises it by as much as keeps the
-        share of failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021,
-        on the logarithm).
+        runs fail, and far from all trials. So each failure lowers the largest probability, which is
+        `FAILING` at first, and each trial that ends raises it, as much as keeps the share of
+        failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021, on the
+        logarithm).
         """
-        level, highest = 0.0, np.log2(super().avoid / FAILING)
+        level, highest = 0.0, np.log2(DOOMED / FAILING)
         for trial in self.trials[self.study.budget.initial_trials :]:
             failed = trial.state is TrialState.FAILED and not trial.spoilt
-            level = min(highest, level - 1.0 if failed else level + FAILING / (1.0 - FAILING))
+            level += ADAPTATION * (-1.0 if failed else FAILING / (1.0 - FAILING))
+            level = min(level, highest)
         return float(FAILING * 2.0**level)
 
     def _at_boundary(self) -> Proposal:

@@ -229,10 +229,11 @@ class SearchSpace:
     ) -> Array:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
-        Each parameter's permitted range is divided into n equal strata with one point in each; all
-        integers are equally likely, including the outermost, as long as no order is to be kept.
-        Values in the wrong order are swapped, so of two in order the lower one tends to be low and
-        the upper one high; repeated parameter sets are moved to the nearest free integers.
+        Each parameter's permitted range is divided into n strata with one point in each, equal on
+        its scale; all integers are equally likely on any scale, including the outermost, as long as
+        no order is to be kept. Values in the wrong order are swapped, so of two in order the lower
+        one tends to be low and the upper one high; repeated parameter sets are moved to the nearest
+        free integers.
 
         Parameters
         ----------
@@ -252,6 +253,10 @@ class SearchSpace:
             raise ParameterError(f"count: expected at least 1 point, found {count}")
         uniform = latin_hypercube(count, self.dimension, rng)
         values = self._low + uniform * (self._high - self._low)
+        ratios = self._log & ~self.discrete
+        low, high = self._scaled(self._low), self._scaled(self._high)
+        logarithms = low + uniform * (high - low)
+        values[:, ratios] = np.exp(logarithms[:, ratios])
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
         values = np.where(self.discrete, integers, values)
