@@ -43,7 +43,7 @@ class Parameter:
         for the others, see `SearchSpace.defaults`.
     scale : str
         `linear`, or `log` for a positive parameter whose ratios matter rather than its differences:
-        the surrogates then see its logarithm.
+        the surrogates then see its logarithm, and the initial design of a double is even in it.
     unit : str
         Unit, for display only.
     minimum_correlation : float, optional
