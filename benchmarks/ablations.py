@@ -64,10 +64,6 @@ VARIANTS = (
         ((fitting, "searched_contexts", lambda _: ()),),
     ),
     Variant(
-        "2 drawn contexts and 3 searched, as in the initial design, for each trial of the search",
-        budget={"drawn_contexts": 2, "search_evaluations": 3},
-    ),
-    Variant(
         "5 drawn contexts and 10 searched, as in the paper, for each trial of the search",
         budget={"drawn_contexts": 5, "search_evaluations": 10},
     ),

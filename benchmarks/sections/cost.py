@@ -20,10 +20,10 @@ def suggestion(result: Result) -> str:
             origin(result),
             "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
             "that of `boundary` and of IV (median and range over the turns). The models of "
-            "`boundary` have two or three evaluations of each trial as their data, those of the "
-            "others means and worst cases. Beyond a hundred trials, hyperparameters are fitted "
-            "whenever the trials have grown by a tenth: the time is the mean over the trials "
-            "between two fits. `benchmarks/suggestion_time.py` tells the set-up.",
+            "`boundary` have three evaluations of each trial as their data, those of the others "
+            "means and worst cases. Beyond a hundred trials, hyperparameters are fitted whenever "
+            "the trials have grown by a tenth: the time is the mean over the trials between "
+            "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
             table(["trials", "optimizer", "to boundary", "to IV"], rows),
             f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
             f"the medians: {growth}.",

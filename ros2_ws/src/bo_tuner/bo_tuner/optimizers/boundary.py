@@ -2,16 +2,13 @@
 
 Where limits are active, the optimum lies on the boundary of the feasible region, and what decides
 is not finding it but knowing on which side of it a parameter set is. Each trial is a new parameter
-set.
-
-Those of the first part of the budget are a search. After the initial design each has one run in a
-drawn context and one in the worst one: since the models learn from neighbours, too, many places
-with few runs each tell more than few with many. Those of the second part are proposed against the
-best parameter set that is *shown* to keep all limits, with a probability of at least `CONFIDENT`,
-and where it is probable that a few more runs show the same of them: of a point that only just keeps
-a limit, no budget shows that it does. They have two runs in their worst context and one in a drawn
-one. Before the answer, parameter sets are run again where it is most doubtful that they keep their
-limits; `bo_tuner.optimizers.repetition` decides which, and when that is settled.
+set. Those of the first part of the budget are a search, with few evaluations each. Those of the
+second part are proposed against the best parameter set that is *shown* to keep all limits, with a
+probability of at least `CONFIDENT`, and where it is probable that a few more runs show the same of
+them: of a point that only just keeps a limit, no budget shows that it does. They have two runs in
+their worst context and one in a drawn one. Before the answer, parameter sets are run again where it
+is most doubtful that they keep their limits; `bo_tuner.optimizers.repetition` decides which, and
+when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
 (`bo_tuner.models.joint_process`). The answer is the parameter set with the lowest predicted cost
@@ -60,9 +57,8 @@ do not fail open almost every region, and a single failure closes the doubtful o
 AHEAD = 8
 """Further runs of a new point after which it should be shown to keep its limits."""
 
-DRAWN, SEARCHED, WORST = 1, 1, 2
-"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint while it
-is searched, and at the boundary."""
+DRAWN, WORST = 1, 2
+"""Evaluations of a new point: in drawn contexts, and in the worst one of each constraint."""
 
 
 class BoundaryOptimization(BayesianOptimization):
@@ -79,9 +75,8 @@ class BoundaryOptimization(BayesianOptimization):
         proposal = self.initial()
         if proposal is not None:
             return proposal
-        done = len(self.trials), count_evaluations(self.trials)
-        if searches(self.study, *done):
-            return replace(super().ask(), protocol=protocol_of_next(self.study, *done))
+        if searches(self.study, len(self.trials), count_evaluations(self.trials)):
+            return super().ask()
         return self._at_boundary()
 
     @property
@@ -155,30 +150,12 @@ def new_point(study: Study) -> tuple[int, int]:
     return DRAWN, WORST * len(study.worst_case_constraints)
 
 
-def protocol_of_next(study: Study, trials: int, evaluations: int) -> tuple[int, int] | None:
-    """Return the evaluations of the next trial, after so many with so many evaluations.
-
-    Returns
-    -------
-    tuple of int or None
-        In drawn and in worst contexts; None in the initial design, and in a search for which the
-        study says how many.
-    """
-    if trials < study.budget.initial_trials:
-        return None
-    if not searches(study, trials, evaluations):
-        return new_point(study)
-    if study.budget.drawn_contexts is not None or study.budget.search_evaluations is not None:
-        return None
-    return DRAWN, SEARCHED * len(study.worst_case_constraints)
-
-
 def evaluations_ahead(
-    study: Study, trials: int, evaluations: float, otherwise: float
+    study: Study, trials: int, evaluations: float, searched: float
 ) -> Iterator[float]:
-    """Yield the evaluations of each trial to come; `otherwise` where `protocol_of_next` is None."""
+    """Yield the evaluations of each trial to come; a trial of the search has `searched` of them."""
     while study.budget.remaining(trials, round(evaluations)):
-        protocol = protocol_of_next(study, trials, round(evaluations))
-        count = otherwise if protocol is None else sum(protocol)
+        searching = searches(study, trials, round(evaluations))
+        count = searched if searching else sum(new_point(study))
         yield count
         trials, evaluations = trials + 1, evaluations + count

@@ -389,11 +389,10 @@ class Budget:
         Trials of the initial design.
     drawn_contexts : int, optional
         Evaluations per trial in contexts drawn from their distribution. Unless given, the
-        algorithm's: 5, or for boundary 2 in the initial design and then 1.
+        algorithm's: 5, or 2 for boundary.
     search_evaluations : int, optional
         Largest number of evaluations per trial in the search for the worst context, for all
-        worst-case constraints together. Unless given, the algorithm's: 10, or for boundary 3 in the
-        initial design and then 1 for each of them.
+        worst-case constraints together. Unless given, the algorithm's: 10, or 3 for boundary.
     validation_draws : int
         Fresh draws of context and noise for the validation of the result.
     evaluations : int, optional
