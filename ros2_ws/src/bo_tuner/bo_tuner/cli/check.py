@@ -259,9 +259,10 @@ def most_runs(study: Study) -> tuple[int, int]:
         tuning, each = round(sum(ahead)), max(each, sum(new_point(study)))
     if budget.evaluations is not None:
         tuning = min(tuning, budget.evaluations + each - 1)
-    checks = algorithm.most_checked * most_check_evaluations(study)
     if algorithm.models.pooled:
         checks = most_repetitions(study, tuning)
+    else:
+        checks = algorithm.most_checked * most_check_evaluations(study)
     # A trial has a suspected context for each worst-case limit.
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())

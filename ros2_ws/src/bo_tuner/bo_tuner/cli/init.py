@@ -210,7 +210,9 @@ def _choose(
     chooser: Chooser,
 ) -> tuple[list[SeenNode], list[ParameterOffer], list[SignalOffer]]:
     """Choose nodes and parameters to tune, and signals to record."""
-    offers = {node.name: parameter_offers(node)[0] for node in seen.nodes}
+    offers, others = {}, {}
+    for node in seen.nodes:
+        offers[node.name], others[node.name] = parameter_offers(node)
     # Parameters that are named may be of any node.
     suggested = suggested_nodes(offers) if parameters is None else list(offers)
     tuned = chooser.choose(
@@ -223,7 +225,7 @@ def _choose(
     )
     of_nodes = [offer for node in tuned for offer in offers[node.name]]
     for node in tuned:
-        for name, why in parameter_offers(node)[1].items():
+        for name, why in others[node.name].items():
             if parameters is not None and {name, f"{node.name}:{name}"} & set(parameters):
                 raise StudyError(f"--parameters: {name} of {node.name} is not offered: {why}")
     chosen = chooser.choose(

@@ -252,11 +252,8 @@ class SearchSpace:
         if count < 1:
             raise ParameterError(f"count: expected at least 1 point, found {count}")
         uniform = latin_hypercube(count, self.dimension, rng)
-        values = self._low + uniform * (self._high - self._low)
-        ratios = self._log & ~self.discrete
         low, high = self._scaled(self._low), self._scaled(self._high)
-        logarithms = low + uniform * (high - low)
-        values[:, ratios] = np.exp(logarithms[:, ratios])
+        values = self._unscaled(low + uniform * (high - low))
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
         values = np.where(self.discrete, integers, values)
@@ -363,9 +360,7 @@ class SearchSpace:
         if not np.all(np.isfinite(positions)):
             raise ParameterError("positions: expected finite values")
         scaled = self._scaled_lower + np.clip(positions, 0.0, 1.0) * self._scaled_width
-        values = scaled.copy()
-        values[:, self._log] = np.exp(scaled[:, self._log])
-        return self._values_of(values)
+        return self._values_of(self._unscaled(scaled))
 
     def _values_of(self, values: Array) -> Array:
         ordered = self._order.project(values)
@@ -384,6 +379,12 @@ class SearchSpace:
         scaled = values.copy()
         scaled[..., self._log] = np.log(values[..., self._log])
         return scaled
+
+    def _unscaled(self, scaled: Array) -> Array:
+        """Return v for s(v) of shape (n, d)."""
+        values = scaled.copy()
+        values[:, self._log] = np.exp(scaled[:, self._log])
+        return values
 
     def _distinct(self, points: Array, seen: set[tuple[Value, ...]]) -> Array:
         """Move repeated points to the nearest free parameter set in integer steps."""
