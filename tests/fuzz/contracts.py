@@ -17,7 +17,7 @@ from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
 from bo_tuner.metrics.collect import Collector
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import salvage
+from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, STUDY

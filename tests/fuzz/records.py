@@ -36,8 +36,9 @@ from bo_tuner.replay.replay import WORST, find_evaluation, find_trial, replay
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.page import sections
 from bo_tuner.report.sections.answer import answer
+from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import COLUMNS, checksum
-from bo_tuner.storage.journal_reader import export_csv, salvage
+from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import BEST, JOURNAL, SUMMARY, RunFolder
 from bo_tuner.tuning.loop import Tuning

@@ -25,8 +25,10 @@ from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.storage.carrying import carried_over
+from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.journal_reader import JournalContent, export_csv, read_journal, salvage
+from bo_tuner.storage.journal_reader import JournalContent, read_journal
+from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.provenance import (
     ATTACHED,
     CARRIED,

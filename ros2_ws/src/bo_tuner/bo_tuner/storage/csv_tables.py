@@ -1,0 +1,86 @@
+"""Trials and evaluations of a run as tables for spreadsheets and data frames."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.text import csv_cell
+from bo_tuner.trials import VALIDATED, Evaluation, Stage, Trial
+
+
+def export_csv(path: Path, directory: Path) -> None:
+    """Write ``trials.csv`` and ``evaluations.csv`` from the journal at `path`.
+
+    Each parameter, context variable and metric has a column of its own, such as
+    ``metrics.overshoot``. A trial has the mean of each metric over its draws, or over its nominal
+    evaluations. Evaluations of the validation have ``default`` or ``tuned`` in place of a trial.
+    Times and hyperparameters are left out: runs that are the same have the same tables.
+
+    Raises
+    ------
+    JournalError
+        If the journal cannot be read.
+    OutputError
+        If a file cannot be written.
+    """
+    content = read_journal(path)
+    trials = [_of_trial(trial) for trial in content.trials]
+    evaluations = [_of_evaluation(evaluation) for evaluation in content.evaluations]
+    _write(directory / "trials.csv", trials, "number")
+    _write(directory / "evaluations.csv", evaluations, "trial")
+
+
+def _of_trial(trial: Trial) -> dict[str, object]:
+    metrics = {name: None for e in trial.evaluations for name in e.outcome.metrics}
+    return {
+        "number": trial.number,
+        **_columns("parameters", trial.parameters),
+        "origin": trial.origin,
+        "state": str(trial.state),
+        "reason": trial.reason,
+        **{
+            column: cell
+            for name, worst in trial.worst_cases.items()
+            for column, cell in _columns(f"worst_cases.{name}", asdict(worst)).items()
+        },
+        "warnings": json.dumps(trial.warnings),
+        "evaluations": len(trial.evaluations),
+        **{f"mean.{name}": trial.mean(name) for name in metrics},
+    }
+
+
+def _of_evaluation(evaluation: Evaluation) -> dict[str, object]:
+    outcome = evaluation.outcome
+    sides = dict(enumerate(VALIDATED)) if evaluation.stage is Stage.VALIDATION else {}
+    return {
+        "trial": sides.get(evaluation.trial, evaluation.trial),
+        "position": evaluation.index,
+        "stage": str(evaluation.stage),
+        **_columns("parameters", evaluation.parameters),
+        **_columns("context", evaluation.context),
+        "seed": evaluation.seed,
+        "state": str(outcome.state),
+        "reason": outcome.reason,
+        **_columns("metrics", outcome.metrics),
+        **_columns("details", outcome.details),
+    }
+
+
+def _columns(section: str, values: Mapping[str, object]) -> dict[str, object]:
+    """Name each column by its section, too: names are unique within one only."""
+    return {f"{section}.{name}": value for name, value in values.items()}
+
+
+def _write(path: Path, rows: Sequence[Mapping[str, object]], first: str) -> None:
+    """Write a table; one without rows has its `first` column alone."""
+    columns = list(dict.fromkeys(column for row in rows for column in row)) or [first]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns)
+    writer.writeheader()
+    writer.writerows({column: csv_cell(cell) for column, cell in row.items()} for row in rows)
+    write_atomically(path, text.getvalue())
