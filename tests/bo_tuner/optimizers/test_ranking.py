@@ -9,6 +9,7 @@ from bo_tuner.optimizers.ranking import first_by, rank, ranked_by, ranking_model
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+INTEGER = NODE | {"type": "integer", "bounds": [0, 20], "default": 10}
 NOISE = 0.05
 
 
@@ -17,20 +18,25 @@ def study(make_study):
     return make_study(parameters={"x": DOUBLE})
 
 
-def noisy(value, seed, count=5):
-    return (value + NOISE * np.random.default_rng(seed).normal(size=count)).tolist()
+def noisy(value, seed, count=5, noise=NOISE):
+    return (value + noise * np.random.default_rng(seed).normal(size=count)).tolist()
 
 
-def along(make_trial, points, cost, worst=lambda x: 0.5, seed=100):
+def along(make_trial, points, cost, worst=lambda x: 0.5, seed=100, kind=float):
     """Trials at `points` with the true cost, noise, and the true worst case."""
     return [
-        make_trial(k, {"x": float(x)}, noisy(cost(x), seed + k), worst(x))
+        make_trial(k, {"x": kind(x)}, noisy(cost(x), seed + k), worst(x))
         for k, x in enumerate(points)
     ]
 
 
 def bowl(x):
     return 1.0 + 4.0 * (x - 0.4) ** 2
+
+
+def gorge(x):
+    walls = 1.0 + 1.5 * np.exp(-(((x - 4) / 2) ** 2)) + 0.005 * (x - 14) ** 2
+    return walls - 2.2 * np.exp(-(((x - 4) / 0.4) ** 2))
 
 
 GRID = np.linspace(0.0, 1.0, 11)
@@ -44,10 +50,16 @@ class TestObjective:
 
     @pytest.mark.parametrize("seed", range(3))
     def test_a_single_low_sample_is_not_ranked_first(self, study, make_trial, seed):
-        """One trial far from the optimum has a single evaluation, with a low value by chance."""
-        trials = along(make_trial, GRID, bowl, seed=100 * seed)
-        lucky = make_trial(11, {"x": 0.75}, [0.93])
-        assert all(np.mean(trial.observations("error")) > 0.93 for trial in trials)
+        """One trial far from the optimum has a single evaluation, with a low value by chance.
+
+        It is two standard deviations of the noise below the truth, 1.49.
+        """
+        trials = [
+            make_trial(k, {"x": float(x)}, noisy(bowl(x), 100 * seed + k, noise=0.4))
+            for k, x in enumerate(GRID)
+        ]
+        lucky = make_trial(11, {"x": 0.75}, [0.69])
+        assert all(np.mean(trial.observations("error")) > 0.69 for trial in trials)
         first, *_ = rank(study, [*trials, lucky])
         assert first.trial.number != 11
         assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.21)
@@ -70,19 +82,23 @@ class TestObjective:
         assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
         assert first.objective == pytest.approx(-1.0, abs=NOISE)
 
-    def test_a_narrow_optimum_loses(self, study, make_trial):
-        """The narrow optimum at 0.2 is slightly lower than the wide one at 0.7."""
-        points = [0.0, 0.1, 0.14, 0.17, 0.2, 0.23, 0.26, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7, 0.8, 0.9]
-
-        def gorge(x):
-            walls = 1.0 + 1.5 * np.exp(-(((x - 0.2) / 0.1) ** 2)) + 2.0 * (x - 0.7) ** 2
-            return walls - 2.2 * np.exp(-(((x - 0.2) / 0.02) ** 2))
-
-        trials = along(make_trial, points, gorge)
+    def test_a_narrow_optimum_loses(self, make_study, make_trial):
+        """The narrow optimum at 4 is slightly lower than the wide one at 14."""
+        study = make_study(parameters={"x": INTEGER})
+        trials = along(make_trial, range(21), gorge, kind=int)
         deepest = min(trials, key=lambda trial: np.mean(trial.observations("error")))
-        assert deepest.parameters["x"] == 0.2
+        assert deepest.parameters["x"] == 4
         first, *_ = rank(study, trials)
-        assert first.trial.parameters["x"] > 0.5
+        assert first.trial.parameters["x"] > 10
+        (narrow,) = [c for c in rank(study, trials) if c.trial is deepest]
+        assert narrow.score - narrow.objective == pytest.approx(narrow.objective * narrow.penalty)
+
+    def test_a_limit_beside_a_real_parameter_makes_nothing_narrow(self, study, make_trial):
+        """One step beyond the best, at x = 0.5, the limit 1 is exceeded threefold."""
+        trials = along(make_trial, GRID, lambda x: 2.0 - x, lambda x: 0.9 + 20.0 * (x - 0.5))
+        first, *_ = rank(study, trials)
+        assert first.trial.parameters["x"] == 0.5
+        assert first.penalty == 0.0
 
 
 class TestFeasibility:
@@ -198,10 +214,11 @@ class TestFirst:
         for name in ("objective", "feasibility", "violation", "penalty", "score", "required"):
             assert getattr(found, name) == pytest.approx(getattr(first, name), abs=1e-9)
 
-    def test_of_a_narrow_optimum(self, study, make_trial, monkeypatch):
+    def test_of_a_narrow_optimum(self, make_study, make_trial, monkeypatch):
         """The lowest cost has a penalty, so that it is not in the first block that the first is."""
         monkeypatch.setattr(ranking, "BLOCK", 1)
-        trials = along(make_trial, np.linspace(0.0, 1.0, 41), lambda x: 1.0 + abs(x - 0.4) ** 0.5)
+        study = make_study(parameters={"x": INTEGER})
+        trials = along(make_trial, range(21), gorge, kind=int)
         models = ranking_models(study, trials)
         self.compare(models, study, trials, ModelOptions())
 

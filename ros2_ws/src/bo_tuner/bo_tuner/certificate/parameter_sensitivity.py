@@ -6,8 +6,8 @@ change or a move to a slightly different machine such an optimum may no longer b
 example is (H_u, H_p, λ_MPC, λ_KF) = (1, 4, -3.9, 2), where one step of a horizon decides whether
 the limits are kept (Table 3).
 
-`optimizers.ranking.neighbourhood` steps by the length scales of the models, which suits a ranking
-within one run; here a step is the same in all runs.
+The ranking steps integers alone. Here real parameters have steps as well: they tell a reader more
+than they could decide.
 """
 
 from collections.abc import Mapping

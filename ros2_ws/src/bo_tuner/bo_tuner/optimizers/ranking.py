@@ -4,6 +4,10 @@ Parameter sets that are believed feasible are ranked by the posterior mean of th
 penalty for a narrow optimum, the mean loss at the neighbours. The posterior mean limits the
 influence of a single noisy evaluation; the penalty prefers a wide optimum to a narrow one with a
 slightly lower cost. With several objectives, the cost is that of the compromise between them.
+
+Neighbours are one step of an integer away. A real parameter has none: where a limit is active, a
+step beyond it loses as much as its arbitrary length makes it, and the best parameter sets would
+have the largest penalties. A gorge that is narrower than the length scales is smooth to the models.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +23,7 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters
-from bo_tuner.study.search_space import SearchSpace
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Trial, TrialState, pooled
 
@@ -28,9 +32,6 @@ TOLERABLE = 0.2
 
 Where a limit is active, some neighbours always exceed it slightly.
 """
-
-LARGEST_STEP = 0.1
-"""Largest distance to a neighbour in a continuous direction, as a fraction of the range."""
 
 BLOCK = 100
 """Number of parameter sets that the models are asked at a time, for speed with little memory."""
@@ -202,17 +203,11 @@ class _Ranking:
 
     def candidates(self, trials: Sequence[Trial]) -> list[Candidate]:
         """Estimate trials; at most `BLOCK` of them, for speed with little memory."""
-        models, study, space = self._models, self._study, self._space
-        logarithmic = study.objective.scale == "log" and not self._several
-        scale = 1.0 if logarithmic else self._objective.scale
+        models, study = self._models, self._study
         x = self._points(trials)
-        around = neighbourhoods(space, trials, models)
-        sizes = [len(points) for points in around]
-        neighbours = np.vstack(around)
         cost = self._objective.predict_mean(x)
-        loss = (self._objective.predict_mean(neighbours) - np.repeat(cost, sizes)) / scale
-        losses = intolerable(loss) + intolerable(relative_excess(models, neighbours))
-        penalties = [part.mean() for part in np.split(losses, np.cumsum(sizes)[:-1])]
+        scale = self._scale(cost)
+        penalties = self._penalties(trials, cost, scale)
         feasibility = np.exp((models.log_confidence if self._pooled else models.log_feasibility)(x))
         excess = relative_excess(models, x)
         found = []
@@ -228,11 +223,31 @@ class _Ranking:
                     feasibility=float(feasibility[k]),
                     violation=float(excess[k]),
                     penalty=float(penalties[k]),
-                    score=float(cost[k] + scale * penalties[k]),
+                    score=float(cost[k] + scale[k] * penalties[k]),
                     required=required_of(trial) if self._pooled else BELIEVED_FEASIBLE,
                 )
             )
         return found
+
+    def _penalties(self, trials: Sequence[Trial], cost: Array, scale: Array) -> Array:
+        """Return the penalties (n,) of trials with a `cost` (n,) and its `scale` (n,)."""
+        around = [self._space.integer_neighbour_points(trial.parameters) for trial in trials]
+        owner = np.repeat(np.arange(len(trials)), [len(points) for points in around])
+        if not len(owner):
+            return np.zeros(len(trials))
+        neighbours = np.vstack(around)
+        loss = (self._objective.predict_mean(neighbours) - cost[owner]) / scale[owner]
+        losses = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
+        count = np.bincount(owner, minlength=len(trials))
+        return np.bincount(owner, losses, minlength=len(trials)) / np.maximum(count, 1)
+
+    def _scale(self, cost: Array) -> Array:
+        """Return what a loss is relative to, at points with a `cost` (n,)."""
+        if self._several:
+            return np.full(len(cost), self._objective.scale)
+        if self._study.objective.scale == LOG:
+            return np.ones(len(cost))
+        return np.where(cost == 0.0, self._objective.scale, np.abs(cost))
 
     @property
     def _objective(self) -> Model:
@@ -273,25 +288,6 @@ def required_of(trial: Trial) -> float:
 def required_after(judged: int) -> float:
     """Return `required_of` a parameter set that was judged so often."""
     return 1.0 - (1.0 - CONFIDENT) / (1 + judged)
-
-
-def neighbourhoods(space: SearchSpace, trials: Sequence[Trial], models: Surrogates) -> list[Array]:
-    """Return by trial the points (m, d) of the unit cube that are one step away from it.
-
-    A step changes one parameter: an integer by one, a choice to another value, a continuous one by
-    half its shortest length scale among all models, but at most by `LARGEST_STEP`.
-    """
-    # The columns of a joint model are the parameters, then the context variables.
-    d = space.dimension
-    scales = np.min([m.length_scales[:d] for m in models.models.values()], axis=0)
-    up = np.diag(np.minimum(0.5 * scales, LARGEST_STEP))[~space.discrete]
-    steps = np.stack([-up, up], axis=1).reshape(-1, d)
-    x = space.cube_of(trial.parameters for trial in trials)
-    moved = space.repair((x[:, None] + steps).reshape(-1, d)).reshape(len(x), len(steps), d)
-    return [
-        np.vstack([space.integer_neighbour_points(trial.parameters), continuous])
-        for trial, continuous in zip(trials, moved, strict=True)
-    ]
 
 
 def intolerable(loss: Array) -> Array:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
@@ -298,16 +298,21 @@ class SearchSpace:
             As `to_cube`.
         """
         row = self._space.row(parameters)
-        return [self._space.complete(moved) for moved in self._integer_steps(row)]
+        steps = self._steps(row, self.discrete)
+        return [self._space.complete(moved) for moved in steps]
 
     def integer_neighbour_points(self, parameters: Mapping[str, Value]) -> Array:
-        """Return the points (m, d) of the unit cube of the m `integer_neighbours`."""
-        return self._to_unit(self._integer_steps(self._space.row(parameters)))
+        """Return the points (m, d) of the unit cube one step of an integer away.
 
-    def _integer_steps(self, row: Array) -> Array:
-        """Return the tuned values (m, d) of the integer neighbours of a row (d,)."""
+        They are those of the `integer_neighbours`, without the other values of a choice, which has
+        no steps.
+        """
+        return self._to_unit(self._steps(self._space.row(parameters), self.integer))
+
+    def _steps(self, row: Array, which: NDArray[np.bool_]) -> Array:
+        """Return the tuned values (m, d) one step from a row (d,), in `which` discrete columns."""
         steps = [np.empty((0, len(row)))]
-        for column in np.flatnonzero(self.discrete):
+        for column in np.flatnonzero(which):
             item = self._tuned[column]
             size = float(item.step or 1.0)
             away = np.array([-size, size])
