@@ -103,9 +103,13 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
             problems.append(f"nodes.{key}: {error}")
             absent += 1
             continue
-        problems += [str(error) for error in node_problems(study, key, known)]
+        errors = node_problems(study, key, known)
+        problems += [str(error) for error in errors]
+        refused = {error.path for error in errors}
         for name, item in study.parameters.items():
             if item.node != key or item.array or name not in defaults:
+                continue
+            if ("parameters", name) in refused:
                 continue
             described = known.get(item.parameter)
             if described is None or same_value(described.value, defaults[name]):
