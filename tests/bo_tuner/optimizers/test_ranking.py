@@ -5,7 +5,14 @@ import pytest
 
 from bo_tuner.models.fitting import FITTED_EACH, ModelOptions
 from bo_tuner.optimizers import ranking
-from bo_tuner.optimizers.ranking import first_by, rank, ranked_by, ranking_models
+from bo_tuner.optimizers.ranking import (
+    LARGEST_PENALTY,
+    first_by,
+    lowest_cost,
+    rank,
+    ranked_by,
+    ranking_models,
+)
 
 NODE = {"node": "axis"}
 DOUBLE = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
@@ -92,6 +99,19 @@ class TestObjective:
         assert first.trial.parameters["x"] > 10
         (narrow,) = [c for c in rank(study, trials) if c.trial is deepest]
         assert narrow.score - narrow.objective == pytest.approx(narrow.objective * narrow.penalty)
+
+    def test_a_far_better_optimum_wins_however_far_the_limit_is_exceeded_beside_it(
+        self, make_study, make_trial
+    ):
+        """At 11 the limit 1 is exceeded fourfold; 9 costs 0.4 more than 10."""
+        study = make_study(parameters={"x": INTEGER})
+        points = range(5, 16)
+        trials = along(
+            make_trial, points, lambda x: 5.0 - 0.4 * x, lambda x: 0.8 + 4.0 * (x - 10), kind=int
+        )
+        first, *_ = rank(study, trials)
+        assert first.trial.parameters["x"] == 10
+        assert 0.0 < first.penalty <= LARGEST_PENALTY
 
     def test_a_limit_beside_a_real_parameter_makes_nothing_narrow(self, study, make_trial):
         """One step beyond the best, at x = 0.5, the limit 1 is exceeded threefold."""
@@ -226,6 +246,19 @@ class TestFirst:
         trials = [make_trial(0, {"x": 0.4})]
         models = ranking_models(study, trials)
         assert first_by(models, study, trials, ModelOptions()) is None
+        assert lowest_cost(models, study, trials, ModelOptions()) is None
+
+    @pytest.mark.parametrize("block", [1, ranking.BLOCK])
+    def test_the_lowest_cost_has_no_penalty(self, make_study, make_trial, monkeypatch, block):
+        monkeypatch.setattr(ranking, "BLOCK", block)
+        study, options = make_study(parameters={"x": INTEGER}), ModelOptions()
+        # Without the limit 1, x = 0 would be feasible, too.
+        trials = along(make_trial, range(21), gorge, lambda x: 2.0 - x, kind=int)
+        models = ranking_models(study, trials)
+        feasible = [c for c in rank(study, trials) if c.believed_feasible]
+        costs = {c.trial.parameters["x"]: c.objective for c in feasible}
+        assert min(costs, key=costs.get) == 4 != feasible[0].trial.parameters["x"]
+        assert lowest_cost(models, study, trials, options) == pytest.approx(costs[4])
 
 
 class TestManyTrials:

@@ -34,7 +34,7 @@ from bo_tuner.optimizers.bayesian import (
     latest_hyperparameters,
     space_filling,
 )
-from bo_tuner.optimizers.ranking import first_by
+from bo_tuner.optimizers.ranking import lowest_cost
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TrialState, count_evaluations
 
@@ -107,11 +107,8 @@ class BoundaryOptimization(BayesianOptimization):
             )
             warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
-            best = first_by(surrogates, self.study, self.trials, self._options)
             search = AcquisitionSearch(provable(surrogates), self.space, self._acquisition, rng)
-            search.incumbent = None
-            if best is not None and best.believed_feasible:
-                search.incumbent = float(self.study.objective.to_cost(best.objective))
+            search.incumbent = lowest_cost(surrogates, self.study, self.trials, self._options)
             for avoid in (self.avoid, 1.0):
                 result = search.maximise(avoid=avoid)
                 if np.isfinite(result.value):

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bo_tuner.models.constraints import BELIEVED_FEASIBLE, CONFIDENT
 from bo_tuner.models.fitting import DEFAULT_MODELS, FITTED_EACH, ModelOptions
@@ -31,6 +32,13 @@ TOLERABLE = 0.2
 """Largest relative loss at a neighbour that is not penalized.
 
 Where a limit is active, some neighbours always exceed it slightly.
+"""
+
+LARGEST_PENALTY = 0.5
+"""Largest penalty of a neighbour.
+
+A narrow optimum loses to a wide one that is no more than half as costly again, by whatever factor a limit
+is exceeded beside it. Where nothing was tried, that factor is the models' guess.
 """
 
 BLOCK = 100
@@ -53,7 +61,8 @@ class Candidate:
     violation
         Largest predicted excess over a limit, relative to the limit; negative if all are kept.
     penalty
-        Mean over the neighbours of the relative losses beyond `TOLERABLE`, in cost and in limits.
+        Mean over the neighbours of the relative losses beyond `TOLERABLE`, in cost and in limits,
+        `LARGEST_PENALTY` at most for each.
     score
         Posterior mean of the cost plus the penalty in its unit; ranks the feasible candidates.
     required
@@ -166,6 +175,28 @@ def first_by(
     return first[0]
 
 
+def lowest_cost(
+    models: Surrogates, study: Study, trials: Sequence[Trial], options: ModelOptions
+) -> float | None:
+    """Return the lowest posterior mean of the cost of those believed feasible, None without one.
+
+    What is proposed is to improve on this. The score of the incumbent has a penalty, which a point
+    that was not tried does not have.
+    """
+    ranking = _Ranking(models, study, options)
+    complete = comparable(models, trials, options)
+    if not complete:
+        return None
+    cost = ranking.cost(complete)
+    order = np.argsort(cost, kind="stable")
+    for k in range(0, len(order), BLOCK):
+        block = order[k : k + BLOCK]
+        kept = ranking.believed_feasible([complete[i] for i in block])
+        if kept.any():
+            return float(cost[block[kept.argmax()]])
+    return None
+
+
 def comparable(
     models: Surrogates, trials: Sequence[Trial], options: ModelOptions = DEFAULT_MODELS
 ) -> list[Trial]:
@@ -201,6 +232,20 @@ class _Ranking:
         """Return the posterior mean (n,) of the cost of trials."""
         return self._objective.predict_mean(self._points(trials))
 
+    def feasibility(self, trials: Sequence[Trial]) -> Array:
+        """Return the probability (n,) that trials keep all constraints."""
+        models, x = self._models, self._points(trials)
+        logarithm = models.log_confidence(x) if self._pooled else models.log_feasibility(x)
+        return np.exp(logarithm)
+
+    def required(self, trial: Trial) -> float:
+        """Return the lowest probability with which a trial counts as feasible."""
+        return required_of(trial) if self._pooled else BELIEVED_FEASIBLE
+
+    def believed_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
+        """Return which (n,) of the trials count as feasible."""
+        return self.feasibility(trials) >= [self.required(trial) for trial in trials]
+
     def candidates(self, trials: Sequence[Trial]) -> list[Candidate]:
         """Estimate trials; at most `BLOCK` of them, for speed with little memory."""
         models, study = self._models, self._study
@@ -208,7 +253,7 @@ class _Ranking:
         cost = self._objective.predict_mean(x)
         scale = self._scale(cost)
         penalties = self._penalties(trials, cost, scale)
-        feasibility = np.exp((models.log_confidence if self._pooled else models.log_feasibility)(x))
+        feasibility = self.feasibility(trials)
         excess = relative_excess(models, x)
         found = []
         for k, trial in enumerate(trials):
@@ -224,7 +269,7 @@ class _Ranking:
                     violation=float(excess[k]),
                     penalty=float(penalties[k]),
                     score=float(cost[k] + scale[k] * penalties[k]),
-                    required=required_of(trial) if self._pooled else BELIEVED_FEASIBLE,
+                    required=self.required(trial),
                 )
             )
         return found
@@ -237,9 +282,10 @@ class _Ranking:
             return np.zeros(len(trials))
         neighbours = np.vstack(around)
         loss = (self._objective.predict_mean(neighbours) - cost[owner]) / scale[owner]
-        losses = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
+        lost = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
+        lost = np.minimum(lost, LARGEST_PENALTY)
         count = np.bincount(owner, minlength=len(trials))
-        return np.bincount(owner, losses, minlength=len(trials)) / np.maximum(count, 1)
+        return np.bincount(owner, lost, minlength=len(trials)) / np.maximum(count, 1)
 
     def _scale(self, cost: Array) -> Array:
         """Return what a loss is relative to, at points with a `cost` (n,)."""
