@@ -140,7 +140,10 @@ def test_the_mean_of_a_limited_response_alone_is_the_predicted_one(
     x = np.linspace(0.0, 1.0, 7)[:, None]
     assert len(found.constraints) == 2
     for constraint in found.constraints.values():
-        np.testing.assert_allclose(constraint.predict_mean(x), constraint.predict(x)[0], rtol=1e-9)
+        mean, low, high = constraint.band(x, 2.0)
+        np.testing.assert_allclose(constraint.predict_mean(x), mean, rtol=1e-9)
+        assert (low < mean).all()
+        assert (mean < high).all()
 
 
 def test_warm_start_gives_the_same_models(study, make_trial):

@@ -33,6 +33,12 @@ class LimitedResponse(ABC):
         """Return the mean (m,) alone at x (m, d); a response may know a cheaper way."""
         return self.predict(x)[0]
 
+    def band(self, x: Array, deviations: float) -> tuple[Array, Array, Array]:
+        """Return mean, lower and upper end (m,) of a band of so many standard deviations."""
+        mean, variance = self.predict(x)
+        half = deviations * np.sqrt(variance)
+        return mean, mean - half, mean + half
+
     def log_probability(self, x: Array) -> Array:
         """Return the log probability that the constraint holds.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding, coded, coded_fit
+from bo_tuner.models.compression import Compression
 from bo_tuner.models.constraints import (
     BELIEVED_FEASIBLE,
     JointConstraint,
@@ -160,10 +161,11 @@ class Fitting:
     def objective(self, trials: Sequence[Trial]) -> Model:
         """Return the model of the cost, that of the first objective."""
         if self._options.pooled:
-            metric, contexts = self._study.objective.metric, self._study.context_space()
-            process = self._process(OBJECTIVE, trials, metric, self._study.objective.to_cost)
+            objective, contexts = self._study.objective, self._study.context_space()
+            x, c, y = self._joint_observations(trials, objective.metric)
+            process = self._process(OBJECTIVE, x, c, objective.to_cost(y))
             drawn = contexts.draw_stratified(EXPECTED_OVER, np.random.default_rng(0))
-            return ExpectedObjective(process, contexts.to_cube(drawn), self._study.objective)
+            return ExpectedObjective(process, contexts.to_cube(drawn), objective)
         x, y, _ = self._observations(trials, self._study.objective.metric)
         return self._fit(OBJECTIVE, x, self._study.objective.to_cost(y), self._minimum)
 
@@ -223,7 +225,7 @@ class Fitting:
 
     def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
         contexts = self._study.context_space()
-        x, c, y = joint_observations(self._points(trials), contexts, trials, worst.metric)
+        x, c, y = self._joint_observations(trials, worst.metric)
         minimum = np.append(self._minimum, np.zeros(contexts.dimension))
         model = self._fit(worst.name, np.hstack([x, c]), y, minimum)
         margin = worst.sign * worst.deviations * model.noise_variance**0.5
@@ -232,17 +234,19 @@ class Fitting:
         )
 
     def _every_context(self, trials: Sequence[Trial], worst: Constraint) -> EveryContext:
-        process = self._process(worst.name, trials, worst.metric)
+        process, compression = self._limited(trials, worst)
         # The searches have looked where no corner is, and may have found the worst context there.
         candidates = self._study.context_space().candidates(searched_contexts(trials))
-        return EveryContext(process, worst.limit, candidates, worst.deviations, worst.sign)
+        return EveryContext(
+            process, worst.limit, candidates, worst.deviations, worst.sign, compression
+        )
 
     def _over_contexts(self, trials: Sequence[Trial], chance: Constraint) -> OverContexts:
-        process = self._process(chance.name, trials, chance.metric)
+        process, compression = self._limited(trials, chance)
         contexts = self._study.context_space()
         drawn = contexts.draw_stratified(CHANCE_OVER, np.random.default_rng(0))
         return OverContexts(
-            process, chance.limit, contexts.to_cube(drawn), chance.level, chance.sign
+            process, chance.limit, contexts.to_cube(drawn), chance.level, chance.sign, compression
         )
 
     def crashes(self, trials: Sequence[Trial]) -> CrashModel:
@@ -265,19 +269,24 @@ class Fitting:
             start=self._start.get(FAILURES) if self._keep else None,
         )
 
-    def _process(
-        self,
-        name: str,
-        trials: Sequence[Trial],
-        metric: str,
-        transform: Callable[[Array], Array] = np.asarray,
-    ) -> JointProcess:
+    def _limited(
+        self, trials: Sequence[Trial], constraint: Constraint
+    ) -> tuple[JointProcess, Compression]:
+        x, c, y = self._joint_observations(trials, constraint.metric)
+        compression = Compression.of(y, constraint.limit, constraint.sign)
+        return self._process(constraint.name, x, c, compression.apply(y)), compression
+
+    def _joint_observations(
+        self, trials: Sequence[Trial], metric: str
+    ) -> tuple[Array, Array, Array]:
         contexts = self._study.context_space()
-        x, c, y = joint_observations(self._points(trials), contexts, trials, metric)
+        return joint_observations(self._points(trials), contexts, trials, metric)
+
+    def _process(self, name: str, x: Array, c: Array, y: Array) -> JointProcess:
         process = JointProcess.fit(
             x,
             c,
-            transform(y),
+            y,
             coding=self._coding,
             rng=self._rng,
             minimum_length_scales=self._minimum,

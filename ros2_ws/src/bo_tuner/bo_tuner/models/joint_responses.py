@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp, ndtr, ndtri
 
+from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.numerics.arrays import Array
@@ -104,7 +105,13 @@ class ExpectedObjective:
 
 
 class PooledResponse(LimitedResponse):
-    """Limit on a response by the process of all runs, to which a further run can be added."""
+    """Limit on a response by the process of all runs, to which a further run can be added.
+
+    The process is one of the metric on the scale of a `compression`, which keeps the limit. Means
+    and variances are on that scale; `predict_mean` and `band` are in the metric's unit.
+    """
+
+    compression: Compression
 
     @abstractmethod
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
@@ -120,6 +127,15 @@ class PooledResponse(LimitedResponse):
         """Return mean and variance (m,) of the limited quantile at x (m, d)."""
         mean, variance, _ = self.forecast(x)
         return mean, variance
+
+    def predict_mean(self, x: Array) -> Array:
+        """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
+        return self.compression.restore(self.predict(x)[0])
+
+    def band(self, x: Array, deviations: float) -> tuple[Array, Array, Array]:
+        """Return mean, lower and upper end (m,) of a band at x (m, d) in the metric's unit."""
+        mean, low, high = map(self.compression.restore, super().band(x, deviations))
+        return mean, low, high
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +159,8 @@ class EveryContext(PooledResponse):
         z.
     sign
         1 for an upper limit, -1 for a lower one.
+    compression
+        Scale of the process.
     """
 
     process: JointProcess
@@ -150,15 +168,17 @@ class EveryContext(PooledResponse):
     contexts: Array
     deviations: float = 0.0
     sign: float = 1.0
+    compression: Compression = NO_COMPRESSION
 
     def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
 
-        The mean is that of the metric, also if the limit is one on single runs.
+        The mean is that of the metric, in its unit, also if the limit is one on single runs.
         """
         rows, mean = self._worst(x)
         noise, _ = self.process.noise(x, self.contexts, rows)
-        return rows, mean, np.sqrt(noise)
+        deviation = self.compression.restore_deviation(np.sqrt(noise), mean)
+        return rows, self.compression.restore(mean), deviation
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
@@ -166,10 +186,11 @@ class EveryContext(PooledResponse):
         return self._quantile(x, rows, mean)
 
     def predict_mean(self, x: Array) -> Array:
-        """Return the mean (m,) of the limited quantile alone at x (m, d)."""
+        """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
         rows, mean = self._worst(x)
         noise, _ = self.process.noise(x, self.contexts, rows)
-        return mean + self.sign * (self.deviations * np.sqrt(noise))
+        quantile = mean + self.sign * (self.deviations * np.sqrt(noise))
+        return self.compression.restore(quantile)
 
     def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
@@ -232,6 +253,8 @@ class OverContexts(PooledResponse):
         Of a run within the limit.
     sign
         1 for an upper limit, -1 for a lower one.
+    compression
+        Scale of the process.
     """
 
     process: JointProcess
@@ -239,6 +262,7 @@ class OverContexts(PooledResponse):
     contexts: Array
     probability: float
     sign: float = 1.0
+    compression: Compression = NO_COMPRESSION
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""

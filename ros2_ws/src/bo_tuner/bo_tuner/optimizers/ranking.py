@@ -37,8 +37,8 @@ Where a limit is active, some neighbours always exceed it slightly.
 LARGEST_PENALTY = 0.5
 """Largest penalty of a neighbour.
 
-A narrow optimum loses to a wide one that is no more than half as costly again, by whatever factor a limit
-is exceeded beside it. Where nothing was tried, that factor is the models' guess.
+A narrow optimum loses to a wide one that costs no more than half as much again, by whatever factor
+a limit is exceeded beside it. Where nothing was tried, that factor is the models' guess.
 """
 
 BLOCK = 100

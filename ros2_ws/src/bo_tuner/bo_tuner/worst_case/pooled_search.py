@@ -6,6 +6,7 @@ from math import sqrt
 import numpy as np
 
 from bo_tuner.models.categories import Coding
+from bo_tuner.models.compression import Compression
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
@@ -60,7 +61,8 @@ class PooledSearch:
         self._deviations = deviations
         self._evaluations = evaluations
         self._point = point
-        self._x, self._c, self._y = x, c, y
+        self._compression = Compression.of(y, limit)
+        self._x, self._c, self._y = x, c, self._compression.apply(y)
         self._coding = coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
@@ -72,7 +74,8 @@ class PooledSearch:
         """Add an evaluation: its context and the constrained metric."""
         self._x = np.vstack([self._x, self._point])
         self._c = np.vstack([self._c, self._space.cube_of([context])])
-        self._y = np.append(self._y, value)
+        self._compression = self._compression.including(value)
+        self._y = np.append(self._y, self._compression.apply(value))
         self._observed.append(value)
         self._process = None
 
@@ -98,7 +101,10 @@ class PooledSearch:
         point = self._point[None]
         context, value = self._maximise(lambda c: process.means(point, c)[0], rng)
         noise, _ = process.noise(point, self._space.cube_of([context]), np.zeros(1, dtype=np.intp))
-        return WorstCase(value, context, max(self._observed), sqrt(float(noise[0])))
+        deviation = self._compression.restore_deviation(sqrt(float(noise[0])), value)
+        return WorstCase(
+            float(self._compression.restore(value)), context, max(self._observed), float(deviation)
+        )
 
     def _fit(self, rng: np.random.Generator) -> JointProcess:
         if self._process is None:

@@ -95,10 +95,8 @@ def _constraint_slice(
     model: LimitedResponse,
 ) -> Panel:
     points, allowed = _along(analysis, answer, grid)
-    mean, variance = model.predict(points)
-    sigma = TWO_SIGMA * np.sqrt(variance)
     line, low, high = (
-        np.where(allowed, value, math.nan) for value in (mean, mean - sigma, mean + sigma)
+        np.where(allowed, value, math.nan) for value in model.band(points, TWO_SIGMA)
     )
     metric = analysis.study.metrics[constraint.metric]
     kind = "mean" if constraint.kind == CHANCE else "worst"

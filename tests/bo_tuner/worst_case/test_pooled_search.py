@@ -1,0 +1,78 @@
+"""Stage two of `boundary`, on a function whose worst context is known."""
+
+import numpy as np
+import pytest
+
+from bo_tuner.models.categories import Coding
+from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.distributions import Uniform
+from bo_tuner.worst_case.pooled_search import PooledSearch
+
+NOISE = 0.02
+LIMIT = 2.5
+
+
+def response(x, c):
+    """Worst at c = 1, where it is 0.7 + x²; beyond x = 0.8 it explodes."""
+    return 0.7 * c + x**2 + np.expm1(40.0 * np.maximum(x - 0.8, 0.0))
+
+
+@pytest.fixture
+def line():
+    return ContextSpace({"c": Uniform(bounds=(0.0, 1.0))})
+
+
+def searched(line, evaluations, *, exploded=0.0, until_clear=True):
+    """A search at x = 0.5 after twelve runs, one of them at x = `exploded`."""
+    rng = np.random.default_rng(1)
+    x, c = rng.uniform(0.0, 0.75, (12, 1)), rng.random((12, 1))
+    x[-1] = exploded
+    y = response(x[:, 0], c[:, 0]) * (1.0 + NOISE * rng.standard_normal(12))
+    search = PooledSearch(
+        line, LIMIT, 0.0, evaluations, np.array([0.5]), x, c, y, Coding((0,)),
+        until_clear=until_clear,
+    )  # fmt: skip
+    asked = []
+    while not search.done(rng):
+        context = search.ask(rng)
+        asked.append(context["c"])
+        value = response(0.5, context["c"]) * (1.0 + NOISE * rng.standard_normal())
+        search.tell(context, value)
+    return asked, search.worst_case(rng) if asked else None
+
+
+def test_finds_the_worst_context(line):
+    asked, worst = searched(line, 4, until_clear=False)
+    assert len(asked) == 4
+    assert worst.context["c"] == pytest.approx(1.0, abs=0.1)
+    assert worst.value == pytest.approx(0.95, abs=0.05)
+    assert worst.noise < 5 * NOISE
+
+
+def test_ends_when_the_decision_is_clear(line):
+    asked, _ = searched(line, 10)
+    assert len(asked) < 10
+
+
+def test_another_parameter_set_that_explodes_hides_nothing(line):
+    """It is a thousand times the limit."""
+    asked, worst = searched(line, 4, exploded=1.0, until_clear=False)
+    assert response(1.0, 0.0) > 1000.0 * LIMIT
+    assert np.max(asked) == pytest.approx(1.0, abs=0.1)
+    assert worst.value == pytest.approx(0.95, abs=0.15)
+    assert worst.value < LIMIT
+
+
+def test_a_worst_case_that_explodes_is_in_the_unit_of_the_metric(line):
+    rng = np.random.default_rng(2)
+    x, c = rng.uniform(0.0, 0.75, (12, 1)), rng.random((12, 1))
+    search = PooledSearch(
+        line, LIMIT, 0.0, 3, np.array([1.0]), x, c, response(x[:, 0], c[:, 0]), Coding((0,)),
+        until_clear=False,
+    )  # fmt: skip
+    truth = response(1.0, 1.0)
+    for value in (0.98 * truth, truth, 1.02 * truth):
+        search.tell({"c": 1.0}, value)
+    worst = search.worst_case(rng)
+    assert worst.value == pytest.approx(truth, rel=0.1)
+    assert worst.observed == pytest.approx(1.02 * truth)
