@@ -107,7 +107,9 @@ def test_single_runs_keep_the_limit_at_the_optimum_as_often_as_promised(noise, s
     assert np.mean(problem.runs(problem.optimum) <= 1.0) == pytest.approx(0.85, abs=1e-3)
     # No context is worse, of many.
     w = np.random.default_rng(3).uniform(-1.0, 1.0, (20_000, size[1]))
-    kept = norm.cdf((1.0 - problem.metric(problem.optimum, w)) / problem.deviation(w))
+    kept = norm.cdf(
+        (1.0 - problem.metric(problem.optimum, w)) / problem.deviation(problem.optimum, w)
+    )
     assert kept.min() >= 0.85 - 1e-9
     step = problem.constants.D * 1e-3
     assert problem.kept(problem.optimum + step) < 0.85 < problem.kept(problem.optimum - step)
@@ -138,8 +140,27 @@ def test_the_crash_region_begins_at_the_optimum_and_holds_no_feasible_point():
     assert all(problem.worst(u)[0] > 1.0 for u in points[crashed])
 
 
-def test_evaluations_have_the_expectations_of_the_formulas():
-    problem = ClosedForm(parameters=4, contexts=3, noise="heteroscedastic")
+def test_a_steep_metric_is_the_same_within_its_limit_and_explodes_beyond():
+    gentle = ClosedForm(parameters=4, contexts=3, noise="heteroscedastic")
+    steep = ClosedForm(parameters=4, contexts=3, noise="heteroscedastic", steep=True)
+    rng = np.random.default_rng(5)
+    u, w = rng.random((2000, 4)), rng.uniform(-1.0, 1.0, (2000, 3))
+    beyond = gentle.metric(u, w) - 1.0
+    expected = np.where(beyond > 0.0, 0.15 * (np.exp(beyond / 0.15) - 1.0), beyond)
+    assert steep.metric(u, w) - 1.0 == pytest.approx(expected)
+    slope = np.where(beyond > 0.0, np.exp(beyond / 0.15), 1.0)
+    assert steep.deviation(u, w) == pytest.approx(gentle.deviation(u, w) * slope)
+    assert steep.metric(u, w).max() > 50.0
+    # So the optimum is the same, and what it costs to exceed the limit by as much.
+    assert steep.best == gentle.best
+    for limit in (0.9, 1.0, 1.2):
+        there = limit if limit <= 1.0 else 1.0 + 0.15 * np.expm1((limit - 1.0) / 0.15)
+        assert steep.frontier(there) == pytest.approx(gentle.frontier(limit))
+
+
+@pytest.mark.parametrize("steep", [False, True])
+def test_evaluations_have_the_expectations_of_the_formulas(steep):
+    problem = ClosedForm(parameters=4, contexts=3, noise="heteroscedastic", steep=steep)
     study = problem.study()
     space, contexts = study.search_space(), study.context_space()
     u = np.full(4, 0.4)
@@ -151,7 +172,7 @@ def test_evaluations_have_the_expectations_of_the_formulas():
     noise = np.array([m["stress"] for m in found]) - problem.metric(u, rows)
     error = cost.std() / np.sqrt(len(cost))
     assert cost.mean() == pytest.approx(float(problem.cost(u)), abs=4.0 * error)
-    scaled = noise / problem.deviation(rows)
+    scaled = noise / problem.deviation(u, rows)
     assert scaled.mean() == pytest.approx(0.0, abs=4.0 / np.sqrt(4000))
     assert scaled.std() == pytest.approx(1.0, abs=0.05)
     # The study's distribution of contexts has the mean that the formula of E[C] assumes.
@@ -198,7 +219,14 @@ def test_the_warping_keeps_the_cube_and_its_order():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"parameters": 1}, {"contexts": 0}, {"noise": "loud"}, {"crash": 1}],
+    [
+        {"parameters": 1},
+        {"contexts": 0},
+        {"noise": "loud"},
+        {"crash": 1},
+        {"steep": 1},
+        {"steep": True, "probability": 0.9},
+    ],
 )
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(StudyError):

@@ -45,7 +45,7 @@ class Judge:
             standard_error=0.0,
             worst=worst,
             worst_index=int(np.argmin(((self._grid - context) ** 2).sum(axis=1))),
-            single=problem.metric(u, self._drawn) + problem.deviation(self._drawn) * self._noise,
+            single=problem.metric(u, self._drawn) + problem.deviation(u, self._drawn) * self._noise,
         )
 
     def worst_runs(self, values: Mapping[str, Mapping[str, Any]]) -> Array:

@@ -30,6 +30,10 @@ Optimum
     mean or noise larger.
 Noise
     σ(w) is zero, constant, or grows with the leaning contexts towards their worst ends.
+Steep
+    Beyond the limit the mean is L + τ (exp(d / τ) - 1) instead of L + d, as of a loop that becomes
+    unstable, and the noise is larger by the slope exp(d / τ). This is increasing in d and the same
+    within the limit, hence the optimum is the same, too.
 Crash
     An evaluation fails where h·Δ > `CRASH`, so the optimum lies at the edge of the crash region.
 """
@@ -63,6 +67,9 @@ VIOLATION, RISE = 0.5, 0.3
 """V and Q: excess over the limit where the cost is least, and the cost of keeping the limit."""
 
 CRASH = 0.05
+
+STEEPNESS = 0.15
+"""τ."""
 
 COST_NOISE = 0.1
 """σ_C."""
@@ -100,33 +107,39 @@ class ClosedForm:
         ``none``, ``constant`` or ``heteroscedastic``.
     crash
         Whether there is a crash region.
+    steep
+        Whether the constrained metric grows exponentially beyond its limit.
     probability
         With which a single run must keep the limit in every context; on the mean if None.
 
     Raises
     ------
     StudyError
-        If a value is out of range.
+        If a value is out of range, or `steep` together with a `probability`.
     """
 
     parameters: int
     contexts: int
     noise: str = NONE
     crash: bool = False
+    steep: bool = False
     probability: float | None = None
 
     def __post_init__(self) -> None:
         checks.integer(self.parameters, "parameters", at_least=2)
         checks.integer(self.contexts, "contexts", at_least=1)
         checks.choice(self.noise, (NONE, CONSTANT, HETEROSCEDASTIC), "noise")
-        if not isinstance(self.crash, bool):
-            raise StudyError("expected true or false", ("crash",))
+        for name in ("crash", "steep"):
+            if not isinstance(getattr(self, name), bool):
+                raise StudyError("expected true or false", (name,))
+        if self.steep and self.probability is not None:
+            raise StudyError("expected false with a limit on single runs", ("steep",))
 
     @property
     def name(self) -> str:
         """Name of the study."""
         parts = [f"closed_form_{self.parameters}_{self.contexts}", self.noise]
-        parts += ["crash"] if self.crash else []
+        parts += [name for name in ("crash", "steep") if getattr(self, name)]
         return "_".join(parts + (["single"] if self.probability is not None else []))
 
     @cached_property
@@ -151,8 +164,10 @@ class ClosedForm:
 
         Exact as long as the line x° + r D stays in the cube, a lower bound beyond.
         """
-        excess = (LIMIT - np.asarray(worst, dtype=np.float64)) / VIOLATION
-        result: Array = 1.0 + RISE * np.maximum(1.0 + excess, 0.0) ** 2
+        beyond = np.asarray(worst, dtype=np.float64) - LIMIT
+        if self.steep:
+            beyond = np.minimum(beyond, STEEPNESS * np.log1p(np.maximum(beyond, 0.0) / STEEPNESS))
+        result: Array = 1.0 + RISE * np.maximum(1.0 - beyond / VIOLATION, 0.0) ** 2
         return result
 
     def cost(self, u: Array) -> Array:
@@ -164,6 +179,22 @@ class ClosedForm:
 
     def metric(self, u: Array, w: Array) -> Array:
         """Mean over noise of the constrained metric of points (..., d) in contexts (..., m)."""
+        mean = self._gentle(u, w)
+        if self.steep:
+            growth = STEEPNESS * np.expm1((mean - LIMIT) / STEEPNESS)
+            mean = np.where(mean > LIMIT, LIMIT + growth, mean)
+        return mean
+
+    def deviation(self, u: Array, w: Array) -> Array:
+        """Return the standard deviation of the metric of points (..., d) in contexts (..., m)."""
+        result = self._noise(w)
+        if self.steep:
+            beyond = np.maximum(self._gentle(u, w) - LIMIT, 0.0)
+            result = result * np.exp(beyond / STEEPNESS)
+        return result
+
+    def _gentle(self, u: Array, w: Array) -> Array:
+        """Return `metric` if it is not steep."""
         c = self.constants
         delta = warped(u) - c.x
         slopes = delta @ c.r.T
@@ -174,8 +205,8 @@ class ClosedForm:
         result: Array = LIMIT + delta @ c.q + parts.sum(axis=-1)
         return result
 
-    def deviation(self, w: Array) -> Array:
-        """Return the standard deviation of the constrained metric in contexts (..., m)."""
+    def _noise(self, w: Array) -> Array:
+        """Return the standard deviation of the metric within its limit, in contexts (..., m)."""
         if self.noise == NONE:
             return np.zeros(np.shape(w)[:-1])
         if self.noise == CONSTANT:
@@ -221,7 +252,7 @@ class ClosedForm:
         """
         context = self._ratio(u)[1]
         levels = (np.arange(QUANTILES) + 0.5) / QUANTILES
-        spread = self.deviation(context) * ndtri(levels)
+        spread = self.deviation(u, context) * ndtri(levels)
         result: Array = self.metric(u, context) + spread
         return result
 
@@ -248,7 +279,7 @@ class ClosedForm:
             limit["probability"] = self.probability
         settings = {
             "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
-            "crash": self.crash,
+            "crash": self.crash, **({"steep": True} if self.steep else {}),
         }  # fmt: skip
         return study_from_mapping(
             {
@@ -294,7 +325,7 @@ class ClosedForm:
         """Least distance to the limit in standard deviations, and its context."""
         contexts = self.worst_contexts(u)
         left = LIMIT - self.metric(u, contexts)
-        deviation = self.deviation(contexts)
+        deviation = self.deviation(u, contexts)
         certain = np.where(left >= 0.0, np.inf, -np.inf)
         ratio = np.divide(left, deviation, out=certain, where=deviation > 0.0)
         # Without noise all that exceed the limit are alike; of these the worst counts.
@@ -334,7 +365,7 @@ class Node(ParameterizedNode):
         sigma = 0.0 if problem.noise == NONE else COST_NOISE
         cost = problem.cost(u) * (1.0 + problem.constants.kappa @ w)
         cost *= np.exp(sigma * noise[0] - sigma**2 / 2.0)
-        stress = problem.metric(u, w) + problem.deviation(w) * noise[1]
+        stress = problem.metric(u, w) + problem.deviation(u, w) * noise[1]
         return {"status": "ok", "reason": "", "cost": float(cost), "stress": float(stress)}
 
 
@@ -345,6 +376,7 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
         contexts=int(settings["contexts"]),
         noise=str(settings["noise"]),
         crash=bool(settings["crash"]),
+        steep=bool(settings.get("steep", False)),
     )
 
 
