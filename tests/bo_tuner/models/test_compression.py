@@ -1,7 +1,10 @@
 """The scale on which a limited metric is modelled, by its closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
@@ -53,6 +56,22 @@ def test_restores_a_deviation_by_the_slope(compression, sign):
     assert deviation == pytest.approx(0.2, rel=1e-3)
 
 
+@pytest.mark.parametrize("deviation", [1e-12, 0.3, 2.0, 5.0])
+@pytest.mark.parametrize("mean", [-4.0, 4.9, 8.0, 12.0, 20.0])
+def test_the_mean_of_the_metric_is_that_of_an_integral(compression, sign, mean, deviation):
+    wide = compression.including(sign * 1e12)
+    grid = mean + deviation * np.linspace(-12.0, 12.0, 200_001)
+    density = norm.pdf(grid, mean, deviation)
+    expected = np.trapezoid(density * wide.restore(sign * grid), grid)
+    found = wide.expectation(sign * np.array([mean]), np.array([deviation]))
+    assert found == pytest.approx([expected], rel=1e-5)
+
+
+def test_the_mean_without_far_values_is_the_mean(sign):
+    mean, deviation = np.array([sign * 3.0, sign * 1e6]), np.array([0.1, 1e6])
+    assert NO_COMPRESSION.expectation(mean, deviation).tolist() == mean.tolist()
+
+
 def test_restores_nothing_beyond_the_farthest_known_value(compression, sign):
     beyond = sign * 1000.0
     assert compression.restore(beyond) == sign * 405.0
@@ -71,6 +90,29 @@ def test_changes_nothing_if_no_known_value_is_far(known):
     values = np.array([0.0, 1e300])
     for found in (compression, NO_COMPRESSION):
         assert found.apply(values).tolist() == found.restore(values).tolist() == values.tolist()
+
+
+class TestWithRunsThatExplodeNowAndThen:
+    """One run of ten is far beyond the limit 1, and all others are 0.5 below it."""
+
+    @pytest.fixture
+    def response(self, sign):
+        x, c = np.repeat([[0.0], [0.5], [1.0]], 20, axis=0), np.empty((60, 0))
+        y = sign * np.where(np.arange(60) % 10 == 7, 50.0, 0.5)
+        compression = Compression.of(y, sign, sign)
+        process = JointProcess.fit(
+            x, c, compression.apply(y), coding=Coding((0,)), rng=np.random.default_rng(0)
+        )
+        return EveryContext(process, sign, np.empty((1, 0)), sign=sign, compression=compression)
+
+    def test_the_mean_exceeds_the_limit(self, response):
+        x = np.array([[0.0], [0.5], [1.0]])
+        assert (response.excess(x) > 0.0).all()
+        assert (np.exp(response.log_probability(x)) < 0.5).all()
+
+    def test_a_run_keeps_it_with_the_probability_of_most_runs(self, response):
+        single = replace(response, deviations=0.5)
+        assert (single.excess(np.array([[0.5]])) < response.excess(np.array([[0.5]]))).all()
 
 
 class TestWithOneValueThatExplodes:

@@ -7,9 +7,10 @@ is changed, to W (1 + log(d / W)), where the width W is the largest distance of 
 limit, or the median distance of all values if that is larger. (Eriksson and Poloczek, 2021, take
 the logarithm on both sides of the limit, which would change what runs near it tell.)
 
-The map is increasing, so it maps quantiles to quantiles. It does not map means to means: what runs
-with values of more than W beyond the limit add to a mean is underestimated, which matters where
-most runs are within the limit and a few far beyond it.
+The map is increasing, so it maps quantiles to quantiles. It does not map means to means: a mean is
+larger than what the mean on this scale stands for, which matters where most runs are within the
+limit and a few far beyond it. With normal noise on this scale it is that of a normal distribution
+up to W and of a log-normal one beyond.
 
 References
 ----------
@@ -21,8 +22,12 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from bo_tuner.numerics.arrays import Array
+
+REACH = 6.0
+"""Standard deviations within which noise counts."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,30 @@ class Compression:
         values = np.asarray(z, dtype=np.float64)
         far = np.minimum(self.width * self._stretch(values), self.largest)
         return np.where(self._is_far(values), self.limit + self.sign * far, values)
+
+    def expectation(self, mean: Array, deviation: Array) -> Array:
+        """Return the mean (m,) of the metric in its unit, with normal noise on this scale.
+
+        With X the distance beyond the limit, mean μ and standard deviation s, it is that of X up to
+        W and of W exp(X / W - 1) beyond.
+
+        Parameters
+        ----------
+        mean, deviation : ndarray, shape (m,)
+            Of the noise, on the scale of the model.
+        """
+        if not np.isfinite(self.width):
+            return mean
+        s = np.maximum(deviation / self.width, np.finfo(np.float64).tiny)
+        mu = self.sign * (mean - self.limit) / self.width
+        left = (1.0 - mu) / s
+        most = max(self.largest / self.width, 1.0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            near = mu * ndtr(left) - s * np.exp(-0.5 * left**2) / np.sqrt(2.0 * np.pi)
+            far = np.exp(mu - 1.0 + 0.5 * s**2) * ndtr(s - left)
+        found = np.clip(near + far, mu, most)
+        # Elsewhere the noise does not reach so far.
+        return np.where(left < REACH, self.limit + self.sign * self.width * found, mean)
 
     def restore_deviation(self, deviation: ArrayLike, z: ArrayLike) -> Array:
         """Return a small deviation at z, on the scale of the model, in the metric's unit."""

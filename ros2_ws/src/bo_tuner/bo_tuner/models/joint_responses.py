@@ -143,9 +143,9 @@ class EveryContext(PooledResponse):
     """Limit on a metric in every context, by its process over parameter set and context.
 
     A single run stays below mean + z σ, or above mean - z σ for a lower limit, with the
-    constraint's probability, where σ is the local noise; z = 0 if the limit is on the mean. The
-    uncertainty is that of both: with ν degrees of freedom the variance of z σ is about
-    z² σ² / (2 ν).
+    constraint's probability, where σ is the local noise; z = 0 if the limit is on the mean, which
+    is that of the metric, not of its compression. The uncertainty is that of both: with ν degrees
+    of freedom the variance of z σ is about z² σ² / (2 ν).
 
     Attributes
     ----------
@@ -176,9 +176,9 @@ class EveryContext(PooledResponse):
         The mean is that of the metric, in its unit, also if the limit is one on single runs.
         """
         rows, mean = self._worst(x)
-        noise, _ = self.process.noise(x, self.contexts, rows)
-        deviation = self.compression.restore_deviation(np.sqrt(noise), mean)
-        return rows, self.compression.restore(mean), deviation
+        noise = np.sqrt(self.process.noise(x, self.contexts, rows)[0])
+        deviation = self.compression.restore_deviation(noise, mean)
+        return rows, self.compression.expectation(mean, noise), deviation
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
@@ -189,8 +189,7 @@ class EveryContext(PooledResponse):
         """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
         rows, mean = self._worst(x)
         noise, _ = self.process.noise(x, self.contexts, rows)
-        quantile = mean + self.sign * (self.deviations * np.sqrt(noise))
-        return self.compression.restore(quantile)
+        return self.compression.restore(self._limited(mean, np.sqrt(noise)))
 
     def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
@@ -212,10 +211,16 @@ class EveryContext(PooledResponse):
         noise, degrees = self.process.noise(x, self.contexts, which)
         margin = self.deviations * np.sqrt(noise)
         return (
-            mean + self.sign * margin,
+            self._limited(mean, np.sqrt(noise)),
             variance + margin**2 / (2.0 * degrees),
             _variance_of_quantile(noise, self.deviations),
         )
+
+    def _limited(self, mean: Array, noise: Array) -> Array:
+        """Return what is limited (m,): a quantile of runs or their mean, by its mean and noise."""
+        if self.deviations:
+            return mean + self.sign * self.deviations * noise
+        return self.compression.apply(self.compression.expectation(mean, noise))
 
     def least_log_probability(self, x: Array) -> Array:
         """Return the log probability (m,) that the limit holds in the most doubtful context."""

@@ -1,7 +1,6 @@
 """Stage two with one process over parameter set and context, whose noise is local."""
 
 from collections.abc import Callable, Mapping, Sequence
-from math import sqrt
 
 import numpy as np
 
@@ -99,12 +98,10 @@ class PooledSearch:
         """Estimate the worst case from all evaluations so far, with the local noise there."""
         process = self._fit(rng)
         point = self._point[None]
-        context, value = self._maximise(lambda c: process.means(point, c)[0], rng)
-        noise, _ = process.noise(point, self._space.cube_of([context]), np.zeros(1, dtype=np.intp))
-        deviation = self._compression.restore_deviation(sqrt(float(noise[0])), value)
-        return WorstCase(
-            float(self._compression.restore(value)), context, max(self._observed), float(deviation)
-        )
+        context, _ = self._maximise(lambda c: process.means(point, c)[0], rng)
+        there = self._everywhere(process, self._space.cube_of([context]))
+        _, mean, noise = there.worst_case(point)
+        return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
 
     def _fit(self, rng: np.random.Generator) -> JointProcess:
         if self._process is None:
@@ -119,8 +116,13 @@ class PooledSearch:
         return self._process
 
     def _quantile(self, process: JointProcess, c: Array) -> tuple[Array, Array]:
-        everywhere = EveryContext(process, self._limit, c, self._deviations)
-        return everywhere.predict_in(np.tile(self._point, (len(c), 1)), np.arange(len(c)))
+        points = np.tile(self._point, (len(c), 1))
+        return self._everywhere(process, c).predict_in(points, np.arange(len(c)))
+
+    def _everywhere(self, process: JointProcess, c: Array) -> EveryContext:
+        return EveryContext(
+            process, self._limit, c, self._deviations, compression=self._compression
+        )
 
     def _upper(self, process: JointProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:
