@@ -8,7 +8,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.repetition import OWN_RUNS, next_repetition
+from bo_tuner.optimizers.repetition import CORNERS, NEAR, OWN_RUNS, next_repetition
 from bo_tuner.trials import Stage
 
 SPREAD = 0.05
@@ -72,22 +72,93 @@ def test_without_an_answer_the_most_provable_one_is_run_again(study, candidate):
     assert next_repetition(study, surrogates, open_ones, 40).trial.number == 1
 
 
-@pytest.mark.parametrize(("done", "runs"), [(0, OWN_RUNS), (3, 1), (4, 0)])
-def test_an_answer_has_runs_of_its_own_and_no_more(study, candidate, done, runs):
-    """Also far from the limit: a model can be wrong. Its most doubtful context may move then."""
+@pytest.fixture
+def constraint(study):
+    """Far from its limit, but a model can be wrong."""
     rng = np.random.default_rng(0)
     contexts = study.context_space()
     x, c = rng.random((60, 1)), rng.random((60, contexts.dimension))
     y = x[:, 0] + rng.normal(0.0, 0.1, 60)
     process = JointProcess.fit(x, c, y, coding=Coding((0,)), rng=rng)
-    constraint = EveryContext(process, 5.0, contexts.candidates())
-    surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
-    best = candidate(0, 0.95, 0.98)
+    return EveryContext(process, 5.0, contexts.candidates())
+
+
+def repeated(study, constraint, best, contexts):
+    """What is repeated next after an answer has been run in the contexts (m, e) of the cube."""
+    space = study.context_space()
     (evaluation,) = best.trial.evaluations
+    checks = tuple(
+        replace(evaluation, stage=Stage.CHECK_WORST, context=space.to_dict(row))
+        for row in space.to_contexts(contexts)
+    )
+    surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
+    answer = replace(best, trial=replace(best.trial, evaluations=checks))
+    return next_repetition(study, surrogates, [answer], 40)
+
+
+@pytest.mark.parametrize(("done", "runs"), [(0, OWN_RUNS), (3, 1)])
+def test_an_answer_has_runs_of_its_own(study, candidate, constraint, done, runs):
+    best = candidate(0, 0.95, 0.98)
     (row,), _ = constraint.most_doubtful(np.array([[0.95]]))
-    far = 1.0 - contexts.candidates()[row]
-    elsewhere = contexts.to_dict(contexts.to_contexts(far[None])[0])
-    check = replace(evaluation, stage=Stage.CHECK_WORST, context=elsewhere)
-    trial = replace(best.trial, evaluations=(check,) * done)
-    found = next_repetition(study, surrogates, [replace(best, trial=trial)], 40)
-    assert (0 if found is None else found.runs) == runs
+    doubtful = np.tile(constraint.contexts[row], (done, 1))
+    assert repeated(study, constraint, best, doubtful).runs == runs
+
+
+def test_an_answer_has_been_run_in_every_corner_and_no_more(study, candidate, constraint):
+    """Where its limit is most doubtful may move then."""
+    best = candidate(0, 0.95, 0.98)
+    space = study.context_space()
+    corners = space.corners()
+    (row,), _ = constraint.most_doubtful(np.array([[0.95]]))
+    done = np.tile(constraint.contexts[row], (OWN_RUNS, 1))
+    for _ in range(len(corners)):
+        found = repeated(study, constraint, best, done)
+        if found is None:
+            break
+        there = space.cube_of([found.context])
+        assert found.runs == 1
+        assert (there == corners).all(axis=1).any()
+        assert (np.abs(done - there) > NEAR).any(axis=1).all()
+        done = np.vstack([done, there])
+    apart = np.abs(corners[:, None] - done).max(axis=2)
+    assert (apart.min(axis=1) <= NEAR).all()
+    assert repeated(study, constraint, best, done) is None
+
+
+def test_of_many_corners_the_most_doubtful_are_run(make_study, candidate):
+    names = [f"c{k}" for k in range(4)]
+    context = {"node": "axis", "distribution": "uniform", "bounds": [0.0, 1.0]}
+    study = make_study(
+        parameters={"x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.0}},
+        contexts=dict.fromkeys(names, context),
+    )
+    rng = np.random.default_rng(0)
+    x, c = rng.random((80, 1)), rng.random((80, 4))
+    process = JointProcess.fit(x, c, c[:, 0], coding=Coding((0,)), rng=rng)
+    constraint = EveryContext(process, 1.0, study.context_space().candidates())
+    best = candidate(0, 0.95, 0.98)
+    done = np.tile(constraint.contexts[constraint.most_doubtful(np.array([[0.95]]))[0]], (4, 1))
+    for _ in range(16):
+        found = repeated(study, constraint, best, done)
+        if found is None:
+            break
+        done = np.vstack([done, list(found.context.values())])
+    corners = np.unique(done, axis=0)
+    assert CORNERS <= len(corners) <= CORNERS + 1
+    # The limit is an upper one, and the metric is the first context variable.
+    assert (corners[:, 0] == 1.0).sum() >= CORNERS - 1
+
+
+def test_without_contexts_there_are_no_corners(make_study, candidate, constraint):
+    study = make_study(
+        parameters={"x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.0}},
+        contexts={},
+    )
+    everywhere = replace(constraint, contexts=np.empty((1, 0)))
+    process = JointProcess.fit(
+        np.linspace(0.0, 1.0, 9)[:, None], np.empty((9, 0)), np.linspace(0.0, 1.0, 9),
+        coding=Coding((0,)), rng=np.random.default_rng(0),
+    )  # fmt: skip
+    everywhere = replace(everywhere, process=process)
+    best = candidate(0, 0.95, 0.98)
+    assert repeated(study, everywhere, best, np.empty((OWN_RUNS, 0))) is None

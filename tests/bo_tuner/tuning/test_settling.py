@@ -108,7 +108,11 @@ def test_runs_are_where_the_limit_is_most_doubtful(settled):
     _, watcher = settled
     assert {e.stage for e in watcher.evaluations} == {Stage.CHECK_WORST}
     loads = [e.context["load"] for e in watcher.evaluations]
-    assert np.mean(np.array(loads) > 1.9) > 0.8
+    assert np.mean(np.array(loads) > 1.9) > 0.6
+    # In the other corner an answer was run once.
+    elsewhere = [e.trial for e in watcher.evaluations if e.context["load"] <= 1.9]
+    assert len(elsewhere) == len(set(elsewhere))
+    assert elsewhere
 
 
 def test_the_answer_has_runs_of_its_own_there(settled):

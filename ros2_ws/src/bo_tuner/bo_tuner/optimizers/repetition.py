@@ -2,7 +2,9 @@
 
 A posterior that chooses among many parameter sets is too optimistic of the one that it chooses: the
 errors of the data and of the fit are part of the choice. So the answer must have runs of its own
-where its limits are most doubtful, made after it was chosen or while it was searched. What is worth
+where its limits are most doubtful, made after it was chosen or while it was searched. Where the
+worst context is another one than of all parameter sets before, the posterior knows nothing of it:
+the answer must have been run in the corners of the contexts, too. What is worth
 further runs is a parameter set that is better than the answer but not shown to be feasible: the one
 with the largest expected gain for each of the runs that are likely to show it. The gain alone would
 prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
@@ -14,7 +16,7 @@ Analysis 7(4).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +34,9 @@ OWN_RUNS = 4
 Far from a limit the most doubtful context moves with each run; so many repetitions in such contexts
 are enough, too.
 """
+
+CORNERS = 8
+"""Corners of the contexts, at most, in which the answer must have been run."""
 
 NEAR = 0.15
 """Distance in every coordinate of the unit cube up to which contexts count as the same."""
@@ -82,13 +87,16 @@ def next_repetition(
     if best is not None:
         doubtful = _doubtful(study, surrogates, best.trial)
         contexts = [context for context in doubtful if context is not None]
+        corners = _Corners(study, best.trial)
         made = sum(e.stage is Stage.CHECK_WORST for e in best.trial.evaluations)
+        most = OWN_RUNS * len(contexts) + corners.seen.sum()
         for context in contexts:
-            lacking = min(
-                OWN_RUNS - _own_runs(study, best.trial, context), OWN_RUNS * len(contexts) - made
-            )
+            lacking = min(OWN_RUNS - _own_runs(study, best.trial, context), most - made)
             if lacking > 0:
-                return Repetition(best.trial, context, lacking)
+                return Repetition(best.trial, context, int(lacking))
+        corner = corners.most_doubtful_unseen(surrogates)
+        if corner is not None:
+            return Repetition(best.trial, corner, 1)
     chosen = _challenger(study, surrogates, candidates, best, left)
     if chosen is None:
         return None
@@ -180,6 +188,33 @@ def _doubtful(
             log_probability = constraint.log_probability(x)
         found.append((float(log_probability[0]), context))
     return [context for _, context in sorted(found, key=lambda pair: pair[0])]
+
+
+class _Corners:
+    """Corners of the contexts, and in which of them a parameter set was run."""
+
+    def __init__(self, study: Study, trial: Trial) -> None:
+        contexts = study.context_space()
+        corners = contexts.to_contexts(contexts.corners())
+        self._cube = contexts.to_cube(corners)
+        self._contexts = [contexts.to_dict(corner) for corner in corners]
+        self._point = study.search_space().to_cube(trial.parameters)
+        self.seen = np.array([_own_runs(study, trial, c) > 0 for c in self._contexts])
+
+    def most_doubtful_unseen(self, surrogates: Surrogates) -> Mapping[str, float] | None:
+        """Return the most doubtful one in which it was not run yet.
+
+        None if it was run in all of them, or in `CORNERS`, or if no limit is one in every context.
+        """
+        limits = [limit for limit in surrogates.limits if isinstance(limit, EveryContext)]
+        if not limits or self.seen.sum() >= min(CORNERS, len(self.seen)):
+            return None
+        x = np.tile(self._point, (len(self._cube), 1))
+        kept = np.zeros(len(self._cube))
+        for limit in limits:
+            there = replace(limit, contexts=self._cube)
+            kept += limit.log_kept(*there.predict_in(x, np.arange(len(x))))
+        return self._contexts[int(np.argmin(np.where(self.seen, np.inf, kept)))]
 
 
 def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:
