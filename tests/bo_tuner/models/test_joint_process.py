@@ -235,6 +235,17 @@ class TestEveryContext:
         assert margin == pytest.approx([norm.ppf(0.9) * 0.05], rel=0.3)
         assert of_runs.predict(x)[1] > of_mean.predict(x)[1]
 
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_is_within_the_responses_on_the_good_side(self, sign):
+        """The slope goes on beyond the data, where the metric is at its bound."""
+        x = np.linspace(0.5, 1.0, 6)[:, None]
+        process = fitted(x, np.empty((6, 0)), sign * (x[:, 0] - 0.5))
+        everywhere = EveryContext(process, sign * 0.3, np.empty((1, 0)), sign=sign)
+        points = np.array([[0.3], [0.9]])
+        assert (sign * process.means(points, np.empty((1, 0))))[0, 0] < -0.05
+        _, worst, _ = everywhere.worst_case(points)
+        assert worst == pytest.approx([0.0, sign * 0.4], abs=0.01)
+
     def test_the_most_doubtful_context_counts(self):
         """No run was in the upper half of the contexts: nothing is shown there."""
         x, c, y = scattered(100)

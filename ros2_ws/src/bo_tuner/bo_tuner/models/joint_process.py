@@ -230,6 +230,13 @@ class JointProcess:
         return self.standardisation.scale
 
     @property
+    def range(self) -> tuple[float, float]:
+        """Least and largest mean of the responses at a point."""
+        least, largest = self.data.mean.min(), self.data.mean.max()
+        shift, scale = self.standardisation.shift, self.standardisation.scale
+        return float(shift + scale * least), float(shift + scale * largest)
+
+    @property
     def noise_variance(self) -> float:
         """Common noise variance, in the squared unit of the response."""
         return (self.scale * self.hyperparameters.noise) ** 2

@@ -173,9 +173,13 @@ class EveryContext(PooledResponse):
     def worst_case(self, x: Array) -> tuple[NDArray[np.intp], Array, Array]:
         """Return row and mean of the worst context, and its noise's standard deviation, (m,) each.
 
-        The mean is that of the metric, in its unit, also if the limit is one on single runs.
+        The mean is that of the metric, in its unit, also if the limit is one on single runs. It is
+        no farther within the limit than any response: a metric that is never negative, such as an
+        overshoot, has no negative worst case.
         """
         rows, mean = self._worst(x)
+        least, largest = self.process.range
+        mean = np.maximum(mean, least) if self.sign > 0.0 else np.minimum(mean, largest)
         noise = np.sqrt(self.process.noise(x, self.contexts, rows)[0])
         deviation = self.compression.restore_deviation(noise, mean)
         return rows, self.compression.expectation(mean, noise), deviation
