@@ -8,7 +8,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.joint_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.repetition import CORNERS, NEAR, OWN_RUNS, next_repetition
+from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, next_repetition
 from bo_tuner.trials import Stage
 
 SPREAD = 0.05
@@ -125,28 +125,27 @@ def test_an_answer_has_been_run_in_every_corner_and_no_more(study, candidate, co
     assert repeated(study, constraint, best, done) is None
 
 
-def test_of_many_corners_the_most_doubtful_are_run(make_study, candidate):
-    names = [f"c{k}" for k in range(4)]
+@pytest.mark.parametrize(("variables", "corners"), [(3, 8), (4, 0)])
+def test_many_corners_are_not_run(make_study, candidate, variables, corners):
     context = {"node": "axis", "distribution": "uniform", "bounds": [0.0, 1.0]}
     study = make_study(
         parameters={"x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.0}},
-        contexts=dict.fromkeys(names, context),
+        contexts={f"c{k}": context for k in range(variables)},
     )
     rng = np.random.default_rng(0)
-    x, c = rng.random((80, 1)), rng.random((80, 4))
+    x, c = rng.random((80, 1)), rng.random((80, variables))
     process = JointProcess.fit(x, c, c[:, 0], coding=Coding((0,)), rng=rng)
-    constraint = EveryContext(process, 1.0, study.context_space().candidates())
+    # The most doubtful context is no corner.
+    inside = np.full((1, variables), 0.6)
+    constraint = EveryContext(process, 5.0, inside)
     best = candidate(0, 0.95, 0.98)
-    done = np.tile(constraint.contexts[constraint.most_doubtful(np.array([[0.95]]))[0]], (4, 1))
+    done = np.tile(inside, (OWN_RUNS, 1))
     for _ in range(16):
         found = repeated(study, constraint, best, done)
         if found is None:
             break
         done = np.vstack([done, list(found.context.values())])
-    corners = np.unique(done, axis=0)
-    assert CORNERS <= len(corners) <= CORNERS + 1
-    # The limit is an upper one, and the metric is the first context variable.
-    assert (corners[:, 0] == 1.0).sum() >= CORNERS - 1
+    assert len(np.unique(done, axis=0)) - 1 == corners
 
 
 def test_without_contexts_there_are_no_corners(make_study, candidate, constraint):

@@ -4,7 +4,7 @@ A posterior that chooses among many parameter sets is too optimistic of the one 
 errors of the data and of the fit are part of the choice. So the answer must have runs of its own
 where its limits are most doubtful, made after it was chosen or while it was searched. Where the
 worst context is another one than of all parameter sets before, the posterior knows nothing of it:
-the answer must have been run in the corners of the contexts, too. What is worth
+the answer must have been run in the corners of the contexts, too, if they are few. What is worth
 further runs is a parameter set that is better than the answer but not shown to be feasible: the one
 with the largest expected gain for each of the runs that are likely to show it. The gain alone would
 prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
@@ -36,7 +36,10 @@ are enough, too.
 """
 
 CORNERS = 8
-"""Corners of the contexts, at most, in which the answer must have been run."""
+"""Largest number of corners of the contexts in all of which the answer must have been run.
+
+With more of them, the runs that they take are better spent where a limit is doubtful.
+"""
 
 NEAR = 0.15
 """Distance in every coordinate of the unit cube up to which contexts count as the same."""
@@ -204,10 +207,11 @@ class _Corners:
     def most_doubtful_unseen(self, surrogates: Surrogates) -> Mapping[str, float] | None:
         """Return the most doubtful one in which it was not run yet.
 
-        None if it was run in all of them, or in `CORNERS`, or if no limit is one in every context.
+        None if it was run in all of them, if there are more than `CORNERS`, or if no limit is one
+        in every context.
         """
         limits = [limit for limit in surrogates.limits if isinstance(limit, EveryContext)]
-        if not limits or self.seen.sum() >= min(CORNERS, len(self.seen)):
+        if not limits or self.seen.all() or len(self.seen) > CORNERS:
             return None
         x = np.tile(self._point, (len(self._cube), 1))
         kept = np.zeros(len(self._cube))
