@@ -26,8 +26,10 @@ FOLDER = "figures"
 
 LEGEND = """\
 How to read the tables. *Held in validation*: the run called its answer feasible, and 25 fresh
-draws showed no violation. *Truly feasible*: the mean over noise keeps the limit in each context of
-a grid over the whole box, and evaluations on the real objects satisfy the chance constraints.
+draws showed no violation. *Truly feasible*: in each context of a grid over the whole box the limit
+is kept by the mean over noise, or by a single run with the limit's probability where the case has
+one and its remarks do not say otherwise, and evaluations on the real objects satisfy the chance
+constraints.
 *Validated objective* and *validated - training* are over all answers; training is the mean of the
 answer's evaluations during tuning. The *true objective* is the mean over 600 drawn contexts.
 *Narrow*: one step of an integer worsens the objective, or exceeds the limit, by more than a fifth.
