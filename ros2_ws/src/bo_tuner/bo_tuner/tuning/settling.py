@@ -32,14 +32,14 @@ from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
 
-SHARE = 1.0 / 3.0
+SHARE = 1.0 / 6.0
 """Repetitions, at most, for each evaluation of the trials."""
 
 
 def most_repetitions(study: Study, evaluations: int, made: int = 0) -> int:
     """Return the largest number of repetitions after trials with so many evaluations.
 
-    They are a third as many, less those that were made already, and at least as many as the check
+    They are a sixth as many, less those that were made already, and at least as many as the check
     of one candidate takes.
     """
     return max(most_check_evaluations(study), math.ceil(SHARE * evaluations) - made)
