@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from axis import write_axis, write_study
 from commands import Fork, finish, start
-from in_process import complaint
+from in_process import call, complaint
 from waiting import DEADLINE, catches, count_in, wait_until
 
 from bo_tuner.cli import tune as tune_command
@@ -308,6 +308,16 @@ class TestBadInput:
         study_file.write_text("\n".join(lines))
         line = refusal("--study", str(study_file))
         assert line.startswith(f"error: {study_file}:{number}: objectiv: unknown key")
+
+    def test_all_study_errors_are_told_a_line_each(self, study_file, capsys):
+        text = study_file.read_text().replace("upper: 1.0", "upper: high")
+        study_file.write_text(text.replace("[0.0, 1.0]", "[1.0, 0.0]"))
+        code, _, errors = call(tune_command, capsys, "--study", str(study_file))
+        assert code == 2
+        lines = errors.splitlines()
+        assert [line.split(": ")[0] for line in lines] == ["error", "error"]
+        assert "parameters.gain.bounds: lower bound" in lines[0]
+        assert "constraints.peak.upper: " in lines[1]
 
     @pytest.mark.parametrize("output", ["file", "file/sub", "/proc/runs"])
     def test_output_cannot_be_written(self, refusal, study_file, tmp_path, output):

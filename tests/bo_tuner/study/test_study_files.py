@@ -56,6 +56,28 @@ class TestLines:
         assert isinstance(caught.value, (BoTunerError, ValueError))
         assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
+    def test_all_parts_are_checked_at_once(self):
+        """In the order of the file, whatever the order of the checks."""
+        text = (
+            STUDY.replace("bounds: [0, 10.0]", "bounds: [1.0, -5.0]", 1)
+            .replace("trials: 12, ", "", 1)
+            .replace("  peak:", "  peek:", 1)
+        )
+        with pytest.raises(StudyError) as caught:
+            parse_study(text, "mine.yaml")
+        assert str(caught.value).startswith("mine.yaml:5: parameters.gains.kp.bounds: lower")
+        (other,) = caught.value.others
+        assert str(other).startswith("mine.yaml:22: budget.trials: missing")
+        # What refers to parts is checked when these are right.
+        with pytest.raises(StudyError) as caught:
+            parse_study(
+                STUDY.replace("  peak:", "  peek:", 1).replace("[window, span]", "[windw, span]"),
+                "mine.yaml",
+            )
+        messages = [str(error) for error in (caught.value, *caught.value.others)]
+        assert len(messages) > 1
+        assert all("did you mean 'peek'" in m or "windw" in m for m in messages)
+
     def test_long_and_unprintable_keys_stay_on_one_short_line(self):
         with pytest.raises(StudyError) as caught:
             parse_study(f'"a\\n{"b" * 500}": 1', "mine.yaml")

@@ -271,12 +271,12 @@ def test_a_lost_run_tells_nothing_of_the_trial(trials, settled):
 
 
 def test_the_number_of_repetitions(study, study_of):
-    """A third of the trials' evaluations, and at least those of a check of one candidate."""
+    """A sixth of the trials' evaluations, and at least those of a check of one candidate."""
     least = DRAWN_EVALUATIONS + WORST_EVALUATIONS
     assert most_repetitions(study, 20) == least
-    assert most_repetitions(study, 300) == 100
-    assert most_repetitions(study, 300, made=40) == 60
-    assert most_repetitions(study, 300, made=95) == least
+    assert most_repetitions(study, 300) == 50
+    assert most_repetitions(study, 300, made=20) == 30
+    assert most_repetitions(study, 300, made=45) == least
     assert most_repetitions(study_of(peak=None), 20) == DRAWN_EVALUATIONS
 
 

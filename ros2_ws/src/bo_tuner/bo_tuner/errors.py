@@ -1,5 +1,7 @@
 """The errors of this package; each also derives from the builtin that fits it best."""
 
+from collections.abc import Sequence
+
 KeyPath = tuple[str | int, ...]
 """Keys and list positions that lead to a value in a study file."""
 
@@ -29,22 +31,37 @@ class StudyError(BoTunerError, ValueError):
         Name of the study file; empty if the study does not come from a file.
     line : int, optional
         Line in the study file, from 1.
+    others : sequence of StudyError
+        What else is wrong with the same study.
     """
 
-    def __init__(self, problem: str, path: KeyPath = (), source: str = "", line: int | None = None):
-        super().__init__(problem, path, source, line)
+    def __init__(
+        self,
+        problem: str,
+        path: KeyPath = (),
+        source: str = "",
+        line: int | None = None,
+        others: "Sequence[StudyError]" = (),
+    ):
+        super().__init__(problem, path, source, line, tuple(others))
         self.problem = problem
         self.path = path
         self.source = source
         self.line = line
+        self.others = tuple(others)
 
     def under(self, *keys: str | int) -> "StudyError":
         """Return the same error as seen from an outer object, `keys` above this one."""
-        return StudyError(self.problem, (*keys, *self.path), self.source, self.line)
+        others = [error.under(*keys) for error in self.others]
+        return StudyError(self.problem, (*keys, *self.path), self.source, self.line, others)
 
     def located(self, source: str, line: int | None) -> "StudyError":
-        """Return the same error with the file and, where known, the line."""
+        """Return the same error, without others, with the file and, where known, the line."""
         return StudyError(self.problem, self.path, source, line)
+
+    def with_others(self, others: "Sequence[StudyError]") -> "StudyError":
+        """Return the same error with what else is wrong."""
+        return StudyError(self.problem, self.path, self.source, self.line, others)
 
     def __str__(self) -> str:
         source = f"{self.source}:{self.line}" if self.source and self.line else self.source

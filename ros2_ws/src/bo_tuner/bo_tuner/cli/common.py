@@ -118,7 +118,11 @@ def guarded(run: Run) -> Run:
             # Flushed here, where a closed pipe is handled.
             sys.stdout.flush()
             return code
-        except (StudyError, OutputError, BackendError, JournalError, RunRecordError) as error:
+        except StudyError as error:
+            for each in (error, *error.others):
+                say_error(f"error: {each}")
+            return EXIT_USAGE
+        except (OutputError, BackendError, JournalError, RunRecordError) as error:
             say_error(f"error: {error}")
             return EXIT_USAGE
         except Interrupted as interrupt:

@@ -20,6 +20,28 @@ def under(*keys: str | int) -> Iterator[None]:
         raise error.under(*keys) from None
 
 
+class Findings:
+    """Collects errors of parts that are checked one after the other, to tell them together."""
+
+    def __init__(self) -> None:
+        self._found: list[StudyError] = []
+
+    @contextmanager
+    def under(self, *keys: str | int) -> Iterator[None]:
+        """Keep an error raised inside, with `keys` before its key path."""
+        try:
+            yield
+        except StudyError as error:
+            found = error.under(*keys)
+            self._found += [found.located(found.source, found.line), *found.others]
+
+    def check(self) -> None:
+        """Raise the first error that was found, if any, with the others."""
+        if self._found:
+            first, *others = self._found
+            raise first.with_others(others)
+
+
 def build(cls: type[T], value: object, **given: object) -> T:
     """Build an object from the fields in `value`; those in `given` are not keys of the file."""
     return cls(**arguments(cls, value, skip=tuple(given)), **given)

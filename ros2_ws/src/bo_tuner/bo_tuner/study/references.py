@@ -1,6 +1,6 @@
 """The references between the parts of a study; a study checks them when it is made.
 
-Each function raises `StudyError` with the key path in the study file.
+Each function raises `StudyError` with the key path in the study file, or below what it was given.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -43,25 +43,22 @@ def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) 
         taken.append(item.metric)
 
 
-def check_constraints(
-    constraints: Mapping[str, Constraint],
-    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric],
+def check_constraint(
+    constraint: Constraint, metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric]
 ) -> None:
-    """Refuse limits on metrics that are not there, and those that no run can keep."""
-    for name, constraint in constraints.items():
-        here = ("constraints", name)
-        checks.reference(constraint.metric, "metric", metrics, *here, "metric")
-        metric = metrics[constraint.metric]
-        if (
-            isinstance(metric, SignalMetric)
-            and metric.measure in NEVER_NEGATIVE
-            and constraint.upper is not None
-            and constraint.upper < 0.0
-        ):
-            raise StudyError(
-                f"no run keeps it: {metric.measure} is at least 0, found {constraint.upper:g}",
-                (*here, "upper"),
-            )
+    """Refuse a limit on a metric that is not there, and one that no run can keep."""
+    checks.reference(constraint.metric, "metric", metrics, "metric")
+    metric = metrics[constraint.metric]
+    if (
+        isinstance(metric, SignalMetric)
+        and metric.measure in NEVER_NEGATIVE
+        and constraint.upper is not None
+        and constraint.upper < 0.0
+    ):
+        raise StudyError(
+            f"no run keeps it: {metric.measure} is at least 0, found {constraint.upper:g}",
+            ("upper",),
+        )
 
 
 def check_run(

@@ -7,6 +7,7 @@ from typing import Any
 
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.building import Findings
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
@@ -24,7 +25,7 @@ from bo_tuner.study.parts import (
     Trigger,
 )
 from bo_tuner.study.references import (
-    check_constraints,
+    check_constraint,
     check_objectives,
     check_run,
     check_targets,
@@ -165,14 +166,26 @@ class Study:
             for name, item in getattr(self, section).items():
                 if item.name != name:
                     raise StudyError(f"is called '{item.name}' in itself", (section, name))
+        findings = Findings()
         for path, node in self._node_references():
-            checks.reference(node, "node", self.nodes, *path, "node")
-        check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
-        check_objectives(self.objectives, self.metrics)
-        check_constraints(self.constraints, self.metrics)
-        check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
-        self._check_park()
-        self.starting_sets()
+            with findings.under():
+                checks.reference(node, "node", self.nodes, *path, "node")
+        # The other references lead through those to nodes.
+        findings.check()
+        with findings.under():
+            check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
+        with findings.under():
+            check_objectives(self.objectives, self.metrics)
+        for name, constraint in self.constraints.items():
+            with findings.under("constraints", name):
+                check_constraint(constraint, self.metrics)
+        with findings.under():
+            check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
+        with findings.under():
+            self._check_park()
+        with findings.under():
+            self.starting_sets()
+        findings.check()
 
     @property
     def objectives(self) -> tuple[Objective, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
-from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.nodes import NodeSpec
@@ -90,7 +90,8 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
     ------
     StudyError
         If there is no such study, the file cannot be read, or it violates a rule. One line with
-        the file, the line, the key path, what was expected and what was found.
+        the file, the line, the key path, what was expected and what was found; ``others`` are the
+        errors of other parts, in the order of the file.
     """
     if isinstance(name_or_path, str) and not _is_path(name_or_path):
         names = shipped_studies()
@@ -116,15 +117,9 @@ def parse_study(text: str, source: str = "study", describe: Describe | None = No
         If the text is not valid YAML or violates a rule.
     """
     lines: Mapping[KeyPath, int] = {}
-    try:
-        document = strict_yaml.parse(text)
-        lines = document.lines
-        if describe is not None and (open_nodes := incomplete(document.value)):
-            _fill_in(document.value, open_nodes, describe)
-        return study_from_mapping(document.value)
-    except StudyError as error:
-        line = error.line
-        path = error.path
+
+    def located(error: StudyError) -> StudyError:
+        line, path = error.line, error.path
         while line is None and path:
             line = lines.get(path)
             path = path[:-1]
@@ -132,7 +127,18 @@ def parse_study(text: str, source: str = "study", describe: Describe | None = No
         problem = error.problem
         if len(problem) > LONGEST_PROBLEM:
             problem = f"{problem[: LONGEST_PROBLEM - 3]}..."
-        raise StudyError(problem, error.path, source, line) from None
+        return StudyError(problem, error.path, source, line)
+
+    try:
+        document = strict_yaml.parse(text)
+        lines = document.lines
+        if describe is not None and (open_nodes := incomplete(document.value)):
+            _fill_in(document.value, open_nodes, describe)
+        return study_from_mapping(document.value)
+    except StudyError as error:
+        found = [located(each) for each in (error, *error.others)]
+        first, *others = sorted(found, key=lambda each: each.line or 0)
+        raise first.with_others(others) from None
 
 
 def study_from_mapping(mapping: object) -> Study:
@@ -141,19 +147,22 @@ def study_from_mapping(mapping: object) -> Study:
     Raises
     ------
     StudyError
-        If they violate a rule; carries the key path to the value.
+        If they violate a rule; carries the key path to the value, and the errors of other parts.
     """
     values = arguments(Study, mapping)
+    findings = Findings()
     for key, cls in _SINGLE.items():
         if key in values:
-            with under(key):
+            with findings.under(key):
                 values[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
     if "further_objectives" in values:
-        values["further_objectives"] = _build_objectives(values["further_objectives"])
+        with findings.under():
+            values["further_objectives"] = _build_objectives(values["further_objectives"])
     for key, cls in _NAMED.items():
         if key in values:
-            with under(key):
+            with findings.under(key):
                 values[key] = _build_named(cls, values[key])
+    findings.check()
     return Study(**values)
 
 
@@ -234,10 +243,11 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping of names, {{}} for none, found {checks.show(value)}")
     items: dict[str, Any] = {}
+    findings = Findings()
     for name, fields in value.items():
         if not isinstance(name, str):
             raise StudyError(f"expected a name, found {checks.show(name)}")
-        with under(name):
+        with findings.under(name):
             if cls is ContextVariable:
                 items[name] = _build_context(name, fields)
             elif (
@@ -250,6 +260,7 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
                 items[name] = build(PythonMetric, fields, name=name)
             else:
                 items[name] = build(cls, fields, name=name)
+    findings.check()
     return items
 
 
