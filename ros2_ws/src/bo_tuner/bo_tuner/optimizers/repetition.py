@@ -94,9 +94,9 @@ def next_repetition(
         made = sum(e.stage is Stage.CHECK_WORST for e in best.trial.evaluations)
         most = OWN_RUNS * len(contexts) + corners.seen.sum()
         for context in contexts:
-            lacking = min(OWN_RUNS - _own_runs(study, best.trial, context), most - made)
-            if lacking > 0:
-                return Repetition(best.trial, context, int(lacking))
+            # One at a time: the first of them may show that another one is the answer.
+            if _own_runs(study, best.trial, context) < OWN_RUNS and made < most:
+                return Repetition(best.trial, context, 1)
         corner = corners.most_doubtful_unseen(surrogates)
         if corner is not None:
             return Repetition(best.trial, corner, 1)
