@@ -88,23 +88,32 @@ def next_repetition(
     """
     best = candidates[0] if candidates and candidates[0].believed_feasible else None
     if best is not None:
-        doubtful = _doubtful(study, surrogates, best.trial)
-        contexts = [context for context in doubtful if context is not None]
-        corners = _Corners(study, best.trial)
-        made = sum(e.stage is Stage.CHECK_WORST for e in best.trial.evaluations)
-        most = OWN_RUNS * len(contexts) + corners.seen.sum()
-        for context in contexts:
-            # One at a time: the first of them may show that another one is the answer.
-            if _own_runs(study, best.trial, context) < OWN_RUNS and made < most:
-                return Repetition(best.trial, context, 1)
-        corner = corners.most_doubtful_unseen(surrogates)
-        if corner is not None:
-            return Repetition(best.trial, corner, 1)
+        own = own_repetition(study, surrogates, best.trial)
+        if own is not None:
+            return own
     chosen = _challenger(study, surrogates, candidates, best, left)
     if chosen is None:
         return None
     runs = runs_until(chosen.trial, looks(chosen.trial) + 1)
     return Repetition(chosen.trial, _doubtful(study, surrogates, chosen.trial)[0], runs)
+
+
+def own_repetition(study: Study, surrogates: Surrogates, trial: Trial) -> Repetition | None:
+    """Return the run of its own that a parameter set lacks before it can be the answer.
+
+    One at a time, since the first of them may show that another one is the answer. Arguments as in
+    `next_repetition`; None if it lacks none.
+    """
+    doubtful = _doubtful(study, surrogates, trial)
+    contexts = [context for context in doubtful if context is not None]
+    corners = _Corners(study, trial)
+    made = sum(e.stage is Stage.CHECK_WORST for e in trial.evaluations)
+    most = OWN_RUNS * len(contexts) + corners.seen.sum()
+    for context in contexts:
+        if _own_runs(study, trial, context) < OWN_RUNS and made < most:
+            return Repetition(trial, context, 1)
+    corner = corners.most_doubtful_unseen(surrogates)
+    return None if corner is None else Repetition(trial, corner, 1)
 
 
 def _challenger(

@@ -16,7 +16,7 @@ from bo_tuner.models.joint_responses import EveryContext
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
-from bo_tuner.optimizers.repetition import next_repetition
+from bo_tuner.optimizers.repetition import next_repetition, own_repetition
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     CHECKS,
@@ -107,6 +107,7 @@ def settle(
         left = most - len(repeated)
         choice = next_repetition(study, models, candidates, left) if left else None
         if choice is None:
+            candidates = _with_own_runs_first(study, models, candidates)
             best = candidates[0]
             best = replace(best, trial=estimated(study, models, best.trial))
             return Recommendation(
@@ -122,6 +123,22 @@ def settle(
             observer.advance()
             if evaluation.outcome.state is not EvaluationState.COMPLETE:
                 break
+
+
+def _with_own_runs_first(
+    study: Study, models: Surrogates, candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """Put the first candidate before the others that has the runs of its own which an answer needs.
+
+    Where the repetitions are used up, a better one may have become the first without any. If none
+    has them, the order stays.
+    """
+    for candidate in candidates:
+        if not candidate.believed_feasible:
+            break
+        if own_repetition(study, models, candidate.trial) is None:
+            return [candidate, *(c for c in candidates if c is not candidate)]
+    return list(candidates)
 
 
 def with_known_repetitions(
