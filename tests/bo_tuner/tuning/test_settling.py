@@ -129,6 +129,39 @@ def test_the_answer_has_runs_of_its_own_there(settled):
     assert worst.observed == max(e.outcome.metrics["peak"] for e in trial.evaluations)
 
 
+def test_without_repetitions_left_the_answer_is_one_that_has_runs_of_its_own(
+    study, trials, function_backend
+):
+    first, second, *_ = rank(study, trials, ALGORITHM.models)
+    assert first.believed_feasible
+    assert second.believed_feasible
+    backend = function_backend(study, axis)
+    answer = settle(study, backend, trials, ALGORITHM.models, most=0)
+    assert answer.candidate.trial.number == first.trial.number
+    number, x = second.trial.number, second.trial.parameters["x"]
+    loads = [2.0] * OWN_RUNS + [1.0]
+    own = [
+        dataclasses.replace(
+            trials[number].evaluations[0],
+            index=len(trials[number].evaluations) + k,
+            stage=Stage.CHECK_WORST,
+            context={"load": load},
+            outcome=Outcome(EvaluationState.COMPLETE, axis(x, load, k)),
+        )
+        for k, load in enumerate(loads)
+    ]
+    known = list(trials)
+    known[number] = with_repetitions(trials[number], own)
+    again = rank(study, known, ALGORITHM.models)
+    assert again[0].trial.number != number
+    (with_own_runs,) = [c for c in again if c.trial.number == number]
+    assert with_own_runs.believed_feasible
+    answer = settle(study, backend, known, ALGORITHM.models, most=0)
+    ranked = [c.trial.number for c in answer.ranked]
+    others = [c.trial.number for c in again if c is not with_own_runs]
+    assert (answer.candidate.trial.number, ranked) == (number, [number, *others])
+
+
 def test_a_record_of_the_repetitions_leads_to_the_same_answer(study, trials, settled):
     found, watcher = settled
 
