@@ -118,16 +118,15 @@ def test_rankings_count_between_repetitions(machine):
     run = machine("boundary")
     run.left.begin(Phase.TUNING)
     pooled_trials(run, 5, 2, per_evaluation=0.3)
-    # Half of 20 repetitions after 10 evaluations, with 2 sqrt(10) rankings between them and a last
-    # one, of as many as are made in the middle; and 10 evaluations of the validation.
-    rankings = (2.0 * math.sqrt(10.0) + 1.0) * 0.3 * (10 + 5)
-    assert run.left.estimate() == pytest.approx(10.0 + rankings + 10.0)
+    # 20 repetitions after 10 evaluations, with a ranking before the first and after each, of as
+    # many as are made in the middle; and 10 evaluations of the validation.
+    rankings = 21 * 0.3 * (10 + 10)
+    assert run.left.estimate() == pytest.approx(20.0 + rankings + 10.0)
     run.left.begin(Phase.CHECKING)
-    assert run.left.estimate() == pytest.approx(10.0 + rankings + 10.0)
+    assert run.left.estimate() == pytest.approx(20.0 + rankings + 10.0)
     run.evaluations(4)
-    # Half of the 16 that are left.
-    rankings = (2.0 * (math.sqrt(12.0) - math.sqrt(4.0)) + 1.0) * 0.3 * (10 + 8)
-    assert run.left.estimate() == pytest.approx(8.0 + rankings + 10.0)
+    rankings = 17 * 0.3 * (10 + 12)
+    assert run.left.estimate() == pytest.approx(16.0 + rankings + 10.0)
 
 
 def test_a_large_run_is_settled_after_25_repetitions(machine):
@@ -145,10 +144,8 @@ def test_points_at_the_boundary_take_fewer_evaluations(machine):
     # five rankings beside them, by all evaluations so far.
     known = np.cumsum([30, 6, *6 * [3]])
     trials = 1 * 6 + 6 * 3 + 5 * sum(2.0 + 0.1 * known[1:])
-    repetitions = max(20, math.ceil(known[-1] / 3)) / 2
-    ranking = 2.0 + 0.1 * (known[-1] + repetitions / 2)
-    rankings = (2.0 * math.sqrt(repetitions) + 1.0) * ranking
-    assert run.left.estimate() == pytest.approx(trials + repetitions + rankings + 10.0)
+    rankings = 21 * (2.0 + 0.1 * (known[-1] + 10))
+    assert run.left.estimate() == pytest.approx(trials + 20.0 + rankings + 10.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -157,7 +154,7 @@ def test_points_at_the_boundary_take_fewer_evaluations(machine):
 def test_a_run_of_pooled_models_is_right_to_a_fifth_from_a_third_on(
     machine, ratio, evaluation, seed
 ):
-    """Where half of the repetitions settle the answer."""
+    """Where the repetitions are used up, all of them for runs of their own of some candidates."""
     rng = np.random.default_rng(seed)
     run = machine("boundary", trials=40, initial_trials=8, validation_draws=25)
     run.left.begin(Phase.TUNING)
@@ -170,10 +167,9 @@ def test_a_run_of_pooled_models_is_right_to_a_fifth_from_a_third_on(
         run.trial(count, proposal=proposal, evaluation=evaluation, ranking=ranking)
         told.append((k + 1, run.now, run.left.estimate()))
     run.left.begin(Phase.CHECKING)
-    repetitions = math.ceil(known / 3) // 2
+    repetitions = math.ceil(known / 6)
     for k in range(repetitions):
-        if math.isqrt(4 * k) < math.isqrt(4 * (k + 1)):
-            run.pass_time(0.002 * (known + k))
+        run.pass_time(0.002 * (known + k))
         run.evaluations(1, evaluation=evaluation)
     run.pass_time(0.002 * (known + repetitions))
     run.left.begin(Phase.VALIDATION)

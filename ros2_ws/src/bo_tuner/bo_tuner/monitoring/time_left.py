@@ -11,7 +11,6 @@ whose evaluations have no search between them, with rankings between the steps o
 it follows the clock, so that a change of the load shows within some trials; a pause does not count.
 """
 
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -35,8 +34,8 @@ DESIGN_WEIGHT = 3
 """The initial design counts as so many of the proposed trials that it precedes."""
 CANDIDATES = 2
 """Candidates that are checked, as if every other one passed."""
-SETTLED, MOST_TO_SETTLE = 0.5, 25
-"""It is settled what the answer is after this part of the repetitions, but not more than so many.
+MOST_TO_SETTLE = 25
+"""It is settled what the answer is after so many repetitions, or when all are used up.
 
 How many it takes differs widely between runs, and hardly depends on how many are allowed.
 """
@@ -166,10 +165,9 @@ class TimeLeft:
                 seconds += count * self._recent_evaluation()
                 seconds += self._rankings_of_trial() * self._ranking_of(evaluations)
         most = most_repetitions(self._study, round(evaluations), self._repeated)
-        total = repeated + min(SETTLED * max(0, most - repeated), MOST_TO_SETTLE)
-        # A ranking follows the first 2 repetitions of a candidate, and each doubling: log2 n in all
-        # if they are of one candidate, n / 2 if each candidate has 2 of them. One is the last.
-        rankings = 2.0 * (math.sqrt(total) - math.sqrt(repeated)) + 1.0
+        total = repeated + min(max(0, most - repeated), MOST_TO_SETTLE)
+        # Most are runs of their own of what may be the answer, and a ranking follows each of them.
+        rankings = total - repeated + 1
         seconds += (total - repeated) * self._plain_evaluation()
         return seconds + rankings * self._ranking_of(evaluations + 0.5 * (repeated + total))
 
