@@ -228,7 +228,7 @@ def _kept(case: Case) -> str:
         )
     if pooled:
         kept.append(
-            f"{' and '.join(pooled)} has at most a seventh of them for repetitions, and goes on "
+            f"{' and '.join(pooled)} keeps part of them for repetitions, and goes on "
             "with further trials when these settle the answer early"
         )
     return "; ".join(kept) or "no row checks its candidates"
