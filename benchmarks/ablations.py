@@ -1,11 +1,15 @@
 """What each choice of the algorithm `boundary` is worth: without it, with the same seeds.
 
-The runs and their judge are those of a case of the experiment `boundary`. A difference is taken
-between runs with the same seed: those in which only one of both has a truly feasible answer, with
-the exact test of McNemar (1947), and the difference of the true objective where both have one, with
-Student's t interval.
+The runs and their judge are those of a case of the experiments `boundary` and `closed_form`, of
+which the latter are harder for the choices in question. A difference is taken between runs with the
+same seed: those in which only one of both has a truly feasible answer, with the exact test of
+McNemar (1947), and the difference of the true objective where both have one, with Student's t
+interval.
+
+Each case has the commit and machine that it was run with; `--cases` runs some of them again.
 """
 
+import json
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -22,20 +26,33 @@ os.environ.update(OPENBLAS_NUM_THREADS="1")
 from common import provenance, result_parser, table, write_result
 
 from bo_tuner.models import fitting, joint_process
-from bo_tuner.optimizers import boundary
+from bo_tuner.models.compression import Compression
+from bo_tuner.optimizers import boundary, repetition
+from bo_tuner.optimizers.boundary import BoundaryOptimization
+from bo_tuner.trials import TrialState
+from bo_tuner.tuning import settling
 from tuning_benchmark.campaign import runs
-from tuning_benchmark.experiments.experiment import Row
 from tuning_benchmark.experiments.experiment_file import load_experiment
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, truth_of
 from tuning_benchmark.pages.statistics import difference, mcnemar, mean
 
-Change = tuple[ModuleType, str, Any]
-ROW = Row(name="boundary", algorithm="boundary")
+Change = tuple[ModuleType | type, str, Any]
+ROW = "boundary"
+EXPERIMENTS = {
+    "mean": "boundary",
+    "single-run": "boundary",
+    "closed-4-2": "closed_form",
+    "closed-4-2-steep": "closed_form",
+    "closed-4-3-crash": "closed_form",
+}
+"""Experiment of each case."""
+
+SHIPPED = "as shipped"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The algorithm with other values of names in modules, or keys of the budget."""
+    """The algorithm with other values of names in modules or classes, or keys of the budget."""
 
     title: str
     changes: Sequence[Change] = ()
@@ -47,8 +64,12 @@ def _all(_: object, evaluations: int) -> int:
     return evaluations
 
 
+def _as_it_is(_: object, limit: float, sign: float = 1.0) -> Compression:
+    return Compression(limit, sign)
+
+
 VARIANTS = (
-    Variant("as shipped", cases=("mean", "single-run")),
+    Variant(SHIPPED, cases=tuple(EXPERIMENTS)),
     Variant("no repetitions: all evaluations for trials", ((runs, "before_repetitions", _all),)),
     Variant("search to the end of the trials", ((boundary, "SEARCHING", 1.0),)),
     Variant("no search: boundary from the initial design on", ((boundary, "SEARCHING", 0.0),)),
@@ -67,12 +88,42 @@ VARIANTS = (
         "5 drawn contexts and 10 searched, as in the paper, for each trial of the search",
         budget={"drawn_contexts": 5, "search_evaluations": 10},
     ),
+    Variant(
+        "up to a third as many repetitions as evaluations of the trials, not a sixth",
+        ((settling, "SHARE", 1.0 / 3.0),),
+        cases=("mean", "closed-4-2"),
+    ),
+    Variant(
+        "answer without runs of its own",
+        ((repetition, "OWN_RUNS", 0), (repetition, "CORNERS", 0)),
+        cases=("mean", "closed-4-2"),
+    ),
+    Variant(
+        "answer not run in the corners of the contexts",
+        ((repetition, "CORNERS", 0),),
+        cases=("closed-4-2", "closed-4-2-steep"),
+    ),
+    Variant(
+        "limited metrics modelled as they are, however far beyond the limit",
+        ((Compression, "of", _as_it_is),),
+        cases=("closed-4-2-steep",),
+    ),
+    Variant(
+        "probability of a crash at most a tenth, not adapted",
+        ((boundary, "ADAPTATION", 0.0),),
+        cases=("closed-4-3-crash",),
+    ),
+    Variant(
+        "any probability of a crash",
+        ((BoundaryOptimization, "avoid", 1.0),),
+        cases=("closed-4-3-crash",),
+    ),
 )
 
 
 def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
     """Run one variant with one seed and judge its answer."""
-    variant, experiment = VARIANTS[index], load_experiment("boundary")
+    variant, experiment = VARIANTS[index], load_experiment(EXPERIMENTS[case_name])
     case = experiment.cases[case_name]
     study = case.study.replace(**variant.budget)
     size = runs.RunSize(case.evaluations, 0, study.budget.initial_trials)
@@ -80,13 +131,14 @@ def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
     with ExitStack() as stack:
         for module, name, value in variant.changes:
             stack.enter_context(patch.object(module, name, value))
-        tuning = runs.Run(study, ROW, seed, size)
+        tuning = runs.Run(study, case.rows[ROW], seed, size)
         for _ in tuning:
             pass
         answer = tuning.answer()
     found: dict[str, Any] = {
         "seed": seed,
         "trials": len(tuning.trials),
+        "failed": sum(t.state is TrialState.FAILED for t in tuning.trials),
         "evaluations": tuning.backend.evaluations,
         "seconds": round(time.process_time() - begin, 1),
         "believed": answer is not None and answer[1],
@@ -106,7 +158,7 @@ def run(case_name: str, index: int, seed: int) -> dict[str, Any]:
 def compare(
     found: Sequence[Mapping[str, Any]], shipped: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return counts, mean objective and evaluations, and the paired difference to the shipped."""
+    """Return counts and means, and the paired difference of the objective to the shipped."""
     feasible = {r["seed"]: r["objective"] for r in found if r["feasible"]}
     reference = {r["seed"]: r["objective"] for r in shipped if r["feasible"]}
     less = difference(feasible, reference)
@@ -116,6 +168,7 @@ def compare(
         "feasible": len(feasible),
         "objective": mean(list(feasible.values())).value if feasible else None,
         "evaluations": mean([r["evaluations"] for r in found]).value,
+        "failed": mean([r["failed"] for r in found]).value,
         "only": only,
         "only_shipped": only_shipped,
         "mcnemar": mcnemar(only, only_shipped),
@@ -128,24 +181,30 @@ def main() -> None:
     parser = result_parser(__doc__, "ablations.json")
     parser.add_argument("--runs", type=int, default=20, help="seeds (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument("--cases", nargs="+", choices=EXPERIMENTS, default=list(EXPERIMENTS))
     arguments = parser.parse_args()
     about = provenance() | {"seeds": list(range(1, arguments.runs + 1))}
-    cases: dict[str, Any] = {}
+    known = arguments.result
+    cases = json.loads(known.read_text(encoding="utf-8"))["cases"] if known.exists() else {}
     rows = []
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        for index, variant in enumerate(VARIANTS):
-            for case in variant.cases:
+        for case in arguments.cases:
+            title = load_experiment(EXPERIMENTS[case]).cases[case].title
+            entry: dict[str, Any] = {"provenance": about, "title": title, "variants": {}}
+            for index, variant in enumerate(VARIANTS):
+                if case not in variant.cases:
+                    continue
                 pending = [pool.submit(run, case, index, seed) for seed in about["seeds"]]
                 found = [item.result() for item in pending]
-                entry = cases.setdefault(
-                    case, {"title": load_experiment("boundary").cases[case].title, "variants": {}}
-                )
-                shipped = entry["variants"].get("as shipped", {"results": found})["results"]
+                shipped = entry["variants"].get(SHIPPED, {"results": found})["results"]
                 summary = compare(found, shipped)
                 entry["variants"][variant.title] = {"results": found} | summary
                 rows.append([case, variant.title, summary["feasible"], summary["objective"]])
                 print(f"{case}: {variant.title}: {summary}", flush=True)
-                write_result(arguments.result, {"provenance": about, "cases": cases})
+            cases[case] = entry
+            write_result(
+                arguments.result, {"cases": {c: cases[c] for c in EXPERIMENTS if c in cases}}
+            )
     print(table(["case", "variant", "feasible", "objective"], rows))
 
 

@@ -50,15 +50,21 @@ def ablations(result: Result) -> str:
     """Say what each choice of `boundary` is worth."""
     parts = [
         "## Choices of the algorithm `boundary`",
-        origin(result),
         "Each variant with the same seeds as the algorithm as shipped. *Only*: seeds with a truly "
         "feasible answer in the variant only, and as shipped only, with the exact test of McNemar. "
         "The difference is that of the true objective in pairs where both are feasible, with its "
         "95 % interval.",
     ]
+    header = [
+        "variant",
+        "truly feasible",
+        "objective",
+        "evaluations",
+        "failed trials",
+        "only",
+        "difference",
+    ]
     for case in result["cases"].values():
-        if len(case["variants"]) < 2:
-            continue
         rows = []
         for title, found in case["variants"].items():
             pairs = f"{found['only']} : {found['only_shipped']} (p = {found['mcnemar']:.2g})"
@@ -71,11 +77,11 @@ def ablations(result: Result) -> str:
                     f"{found['feasible']} of {found['runs']}",
                     "none" if objective is None else f"{objective:.4f}",
                     f"{found['evaluations']:.0f}",
+                    f"{found['failed']:.1f}",
                     *(("", "") if title == "as shipped" else (pairs, shown)),
                 ]
             )
-        header = ["variant", "truly feasible", "objective", "evaluations", "only", "difference"]
-        parts += [f"### {case['title']}", table(header, rows)]
+        parts += [f"### {case['title']}", origin(case), table(header, rows)]
     return "\n\n".join(parts)
 
 
