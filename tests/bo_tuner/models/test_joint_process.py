@@ -6,6 +6,7 @@ from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
+from bo_tuner.models import conditioning
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.joint_process import JointProcess
@@ -115,8 +116,9 @@ class TestPosterior:
         assert sorted(process.points[:, 0]) == [0.0, 0.5, 1.0]
         assert process.counts.sum() == 60
 
-    def test_of_very_many_runs_is_that_of_an_independent_library(self):
+    def test_of_very_many_runs_is_that_of_an_independent_library(self, monkeypatch):
         """On a basis; the library conditions on all of them."""
+        monkeypatch.setattr(conditioning, "BASIS", 400)
         process = fitted(*scattered(1500))
         assert len(process.posterior.basis) < len(process.data.x) == 1000
         x = np.array([[0.1], [0.45], [0.9]])
