@@ -92,6 +92,33 @@ def test_sum_of_logarithms_equals_the_product_of_equation_five():
     np.testing.assert_allclose(np.exp(acquisition(query)), expected, rtol=1e-7, atol=1e-250)
 
 
+@pytest.mark.parametrize("best", [None, 0.2])
+def test_what_cannot_exceed_a_value_is_left_out(best):
+    """Each term lowers the sum, so the first ones can tell."""
+    asked = []
+
+    class Counted(SurrogateConstraint):
+        def log_probability(self, x):
+            asked.append(len(x))
+            return super().log_probability(x)
+
+    acquisition = make_acquisition(
+        model(), best, (SurrogateConstraint(model(1), 1.0), Counted(model(2), 1.8))
+    )
+    x = queries()
+    whole = acquisition(x)
+    assert asked == [len(x)]
+    least = np.full(len(x), np.median(whole))
+    found = acquisition.where_above(least, x)
+    above = whole > least
+    np.testing.assert_allclose(found[above], whole[above], rtol=1e-12)
+    assert above.any()
+    assert (found[~above] == -np.inf).all()
+    assert asked[1] >= above.sum()
+    assert (acquisition.where_above(np.full(len(x), whole.max() + 1e9), x) == -np.inf).all()
+    assert len(asked) == 2
+
+
 @pytest.mark.parametrize("best", [None, -1.0, 0.2, 1e6])
 def test_evaluated_points_are_excluded_exactly_and_no_others(best):
     objective = model()

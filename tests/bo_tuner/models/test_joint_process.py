@@ -6,7 +6,7 @@ from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from bo_tuner.models import conditioning
+from bo_tuner.models import conditioning, joint_process
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.joint_process import JointProcess
@@ -84,6 +84,24 @@ class TestPosterior:
         assert means == pytest.approx(shift + scale * mean, abs=1e-8)
         variances = process.variances(x, CORNERS, which)
         assert np.sqrt(variances) == pytest.approx(scale * deviation, rel=1e-4)
+
+    @pytest.mark.parametrize("basis", [conditioning.BASIS, 20])
+    @pytest.mark.parametrize("sd", [0.0, 0.01])
+    def test_of_many_parameter_sets_in_a_context(self, monkeypatch, basis, sd):
+        """By a factor of its own, where each parameter set has several evaluations."""
+        monkeypatch.setattr(conditioning, "BASIS", basis)
+        rng = np.random.default_rng(3)
+        x, c = np.repeat(rng.random((12, 1)), 4, axis=0), rng.random((48, 1))
+        process = fitted(x, c, x[:, 0] + c[:, 0] ** 2 + sd * rng.standard_normal(48))
+        query = rng.random((joint_process.WORTH_A_FACTOR + 1, 1))
+        first = np.zeros(len(query), dtype=np.intp)
+        factored = process.variances(query, CORNERS, first)
+        # One context has a factor now, and another one has none yet.
+        found = process.variances(query[:10], CORNERS, np.arange(10) % 2)
+        direct = process.variances(query[:10], CORNERS[np.arange(10) % 2], np.arange(10))
+        little = 0.01 * process.noise_variance
+        assert found == pytest.approx(direct, rel=1e-6, abs=little)
+        assert factored[:10:2] == pytest.approx(found[::2], rel=1e-6, abs=little)
 
     def test_of_the_mean_over_contexts(self, process):
         """Its variance is the mean of all covariances of the contexts."""

@@ -126,6 +126,17 @@ def test_no_progress_stops_the_search():
     assert result.evaluations == 10 * 4
 
 
+def test_values_that_improve_nothing_do_not_matter():
+    def improved(known, x):
+        value = rastrigin(x)
+        return np.where(value > known, value, np.nan)
+
+    whole = maximise(rastrigin, 2, np.random.default_rng(0))
+    found = maximise(rastrigin, 2, np.random.default_rng(0), improved=improved)
+    np.testing.assert_array_equal(found.position, whole.position)
+    assert (found.value, found.evaluations) == (whole.value, whole.evaluations)
+
+
 def test_more_given_particles_than_the_swarm_has():
     given_positions = np.random.default_rng(1).random((20, 2))
     few = SwarmSettings(particles=5, iterations=1)

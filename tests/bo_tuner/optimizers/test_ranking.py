@@ -248,9 +248,9 @@ class TestFirst:
         assert first_by(models, study, trials, ModelOptions()) is None
         assert lowest_cost(models, study, trials, ModelOptions()) is None
 
-    @pytest.mark.parametrize("block", [1, ranking.BLOCK])
-    def test_the_lowest_cost_has_no_penalty(self, make_study, make_trial, monkeypatch, block):
-        monkeypatch.setattr(ranking, "BLOCK", block)
+    @pytest.mark.parametrize("few", [1, ranking.FEW])
+    def test_the_lowest_cost_has_no_penalty(self, make_study, make_trial, monkeypatch, few):
+        monkeypatch.setattr(ranking, "FEW", few)
         study, options = make_study(parameters={"x": INTEGER}), ModelOptions()
         # Without the limit 1, x = 0 would be feasible, too.
         trials = along(make_trial, range(21), gorge, lambda x: 2.0 - x, kind=int)

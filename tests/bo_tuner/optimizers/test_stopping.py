@@ -219,9 +219,9 @@ def test_advice_and_optimizer_start_their_search_from_the_feasible_points(
     ]
     seen = []
 
-    def keep(acquisition, dimension, rng, *, repair=None, initial=None):
+    def keep(acquisition, dimension, rng, *, initial=None, **options):
         seen.append(initial)
-        return maximise(acquisition, dimension, rng, repair=repair, initial=initial)
+        return maximise(acquisition, dimension, rng, initial=initial, **options)
 
     monkeypatch.setattr("bo_tuner.optimizers.bayesian.maximise", keep)
     optimizer = BayesianOptimization(study)

@@ -63,16 +63,34 @@ class AcquisitionRule(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LogSum:
-    """Sum of log terms: the logarithm of a product."""
+    """Sum of log terms: the logarithm of a product.
+
+    Attributes
+    ----------
+    terms
+        The improvement, if there is one, and then logarithms of probabilities, none above 0; the
+        sooner one that costs little, the better.
+    """
 
     terms: tuple[Acquisition, ...]
 
     def __call__(self, x: Array) -> Array:
         """Return the sum of the terms (m,) at x (m, d)."""
-        total = np.zeros(len(x))
-        for term in self.terms:
-            total += term(x)
-        return total
+        return self.where_above(np.full(len(x), -np.inf), x)
+
+    def where_above(self, least: Array, x: Array) -> Array:
+        """Return the sum (m,) at x (m, d), where it exceeds `least` (m,), and else -inf.
+
+        All terms but the first must be logarithms of probabilities. So a point whose sum so far is
+        no larger than `least` needs no further term.
+        """
+        total = self.terms[0](x) if self.terms else np.zeros(len(x))
+        for term in self.terms[1:]:
+            open_ = np.flatnonzero(total > least)
+            if not len(open_):
+                break
+            total[open_] += term(x[open_])
+        return np.where(total > least, total, -np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +191,13 @@ def constrained_improvement(
         if incumbent is not None:
             terms.append(LogNoisyImprovement(model, incumbent))
         terms.append(Unevaluated(model))
-    terms += feasibility_terms(surrogates.constraints.values())
     # Without a single outlier or failure there is nothing to avoid. An outlier costs no more than
     # its evaluations, so how many failures are allowed says nothing of it.
     outlying = OUTLYING if avoid < 1.0 else 1.0
     levels = ((surrogates.failures, avoid), (surrogates.outlying, outlying))
     terms += [LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()]
+    # Chance limits are the first of a study, and need many contexts for each point.
+    terms += feasibility_terms(reversed(tuple(surrogates.constraints.values())))
     return LogSum(tuple(terms))
 
 
@@ -207,4 +226,4 @@ def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:
     """
     if not feasible.any():
         return None
-    return float(model.predict(model.points[feasible])[0].min())
+    return float(model.predict_mean(model.points[feasible]).min())

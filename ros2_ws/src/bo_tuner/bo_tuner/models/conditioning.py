@@ -74,7 +74,7 @@ class Posterior:
 def choose_basis(
     hyperparameters: Hyperparameters, x: Array, variances: Array
 ) -> NDArray[np.intp] | None:
-    """Return the rows (m,) of the basis in x (n, d); None if the posterior is exact.
+    """Return the rows (m,) of the basis in x (n, d), sorted; None if the posterior is exact.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def choose_basis(
         left = np.maximum(left - v[:, column] ** 2, 0.0)
         left[pivot] = 0.0
         rows.append(pivot)
-    return np.array(rows)
+    return np.sort(rows)
 
 
 class Prior:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
@@ -83,7 +83,7 @@ class ExpectedObjective:
         if self.objective.scale != LOG:
             linear: Array = cost.mean(axis=1)
             return linear
-        logarithm = logsumexp(self.objective.sign * cost, axis=1) - np.log(len(self.contexts))
+        logarithm = _log_mean_exp(self.objective.sign * cost)
         found: Array = self.objective.sign * (logarithm + 0.5 * self.noise_variance)
         return found
 
@@ -275,19 +275,9 @@ class OverContexts(PooledResponse):
 
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""
-        mean = self.sign * self.process.means(x, self.contexts)
-        noise, degrees = self.process.noise_everywhere(x, self.contexts)
-        # A few contexts stand for all: without noise, each also for those next to it.
-        deviation = np.sqrt(noise) + SMOOTHING * mean.std(axis=1, keepdims=True)
-        deviation += np.finfo(np.float64).tiny
-        z = ndtri(self.probability)
-        lower, upper = (mean + z * deviation).min(axis=1), (mean + z * deviation).max(axis=1)
-        for _ in range(HALVINGS):
-            middle = 0.5 * (lower + upper)
-            kept = ndtr((middle[:, None] - mean) / deviation).mean(axis=1)
-            lower = np.where(kept < self.probability, middle, lower)
-            upper = np.where(kept < self.probability, upper, middle)
-        standardised = (upper[:, None] - mean) / deviation
+        mean, noise, degrees, deviation = self._everywhere(x)
+        quantile, z = self._quantile(mean, deviation), float(ndtri(self.probability))
+        standardised = (quantile[:, None] - mean) / deviation
         # Relative to the largest, so that they do not vanish all at once.
         logarithm = -0.5 * standardised**2 - np.log(deviation)
         weights = np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
@@ -295,7 +285,35 @@ class OverContexts(PooledResponse):
         variance = self.process.variance_of_weighted(x, self.contexts, weights)
         margin = (weights * standardised * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
         of_runs = mean.var(axis=1) + noise.mean(axis=1)
-        return self.sign * upper, variance + margin**2, _variance_of_quantile(of_runs, float(z))
+        return self.sign * quantile, variance + margin**2, _variance_of_quantile(of_runs, z)
+
+    def predict_mean(self, x: Array) -> Array:
+        """Return the limited quantile (m,) at x (m, d) in the metric's unit."""
+        mean, _, _, deviation = self._everywhere(x)
+        return self.compression.restore(self.sign * self._quantile(mean, deviation))
+
+    def _everywhere(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Return mean, noise variance, its degrees of freedom and the deviation in all contexts.
+
+        The mean has the sign of an upper limit. All have the shape (m, k).
+        """
+        mean = self.sign * self.process.means(x, self.contexts)
+        noise, degrees = self.process.noise_everywhere(x, self.contexts)
+        # A few contexts stand for all: without noise, each also for those next to it.
+        deviation = np.sqrt(noise) + SMOOTHING * mean.std(axis=1, keepdims=True)
+        return mean, noise, degrees, deviation + np.finfo(np.float64).tiny
+
+    def _quantile(self, mean: Array, deviation: Array) -> Array:
+        """Return the quantile (m,) of normal runs in all contexts, each argument (m, k)."""
+        z = ndtri(self.probability)
+        lower, upper = (mean + z * deviation).min(axis=1), (mean + z * deviation).max(axis=1)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (lower + upper)
+            kept = ndtr((middle[:, None] - mean) / deviation).mean(axis=1)
+            lower = np.where(kept < self.probability, middle, lower)
+            upper = np.where(kept < self.probability, upper, middle)
+        found: Array = upper
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,3 +360,10 @@ def bound_after(
 def _variance_of_quantile(variance: Array, deviations: float) -> Array:
     """Return the variance of mean + z σ estimated from one run of the `variance` σ²."""
     return variance * (1.0 + 0.5 * deviations**2)
+
+
+def _log_mean_exp(values: Array) -> Array:
+    """Return log of the mean of exp(values) over the columns, (m,) of (m, k)."""
+    largest: Array = values.max(axis=1)
+    found: Array = largest + np.log(np.exp(values - largest[:, None]).mean(axis=1))
+    return found

@@ -22,6 +22,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 
 Objective = Callable[[Array], Array]
+Improvement = Callable[[Array, Array], Array]
 Repair = Callable[[Array], Array]
 
 # Clerc and Kennedy's constriction for φ1 = φ2 = 2.05, which ensures convergence.
@@ -86,6 +87,7 @@ def maximise(
     dimension: int,
     rng: np.random.Generator,
     *,
+    improved: Improvement | None = None,
     repair: Repair | None = None,
     initial: Array | None = None,
     settings: SwarmSettings = SwarmSettings(),
@@ -104,6 +106,10 @@ def maximise(
         Dimension d of the cube.
     rng : numpy.random.Generator
         Draws the start and the moves.
+    improved : callable, optional
+        Maps values, shape (m,), and positions, shape (m, d), to the objective where it exceeds the
+        value, and to anything that does not exceed it elsewhere, if that costs less. A particle
+        needs to know no more of where it goes than whether that is better than all before.
     repair : callable, optional
         Maps positions, shape (m, d), to the nearest admissible ones (rounded integers, order
         constraints) in the cube.
@@ -120,12 +126,11 @@ def maximise(
     position = _start(dimension, rng, initial, settings.particles)
     velocity = rng.uniform(-1.0, 1.0, position.shape) * 0.25
 
-    def evaluate(where: Array) -> Array:
-        values = np.asarray(objective(where), dtype=np.float64)
-        return np.where(np.isnan(values), -np.inf, values)
+    def compare(known: Array, where: Array) -> Array:
+        return objective(where) if improved is None else improved(known, where)
 
     own_best = admissible(position)
-    own_value = evaluate(own_best)
+    own_value = _numbers(objective(own_best))
     evaluations = len(position)
     ring = _ring(len(position))
     reference, stalled = own_value.max(), 0
@@ -133,7 +138,7 @@ def maximise(
         leader = ring[np.arange(len(ring)), own_value[ring].argmax(axis=1)]
         position, velocity = _move(position, velocity, own_best, own_best[leader], rng)
         candidate = admissible(position)
-        value = evaluate(candidate)
+        value = _numbers(compare(own_value, candidate))
         evaluations += len(position)
         better = value > own_value
         own_best = np.where(better[:, None], candidate, own_best)
@@ -150,6 +155,12 @@ def maximise(
 
 def _identity(position: Array) -> Array:
     return position
+
+
+def _numbers(values: Array) -> Array:
+    """Return values (m,), with -inf for NaN."""
+    found = np.asarray(values, dtype=np.float64)
+    return np.where(np.isnan(found), -np.inf, found)
 
 
 def _move(

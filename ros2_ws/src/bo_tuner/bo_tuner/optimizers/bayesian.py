@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.acquisition.acquisition import (
     AcquisitionRule,
+    LogSum,
     best_at_data,
     constrained_improvement,
 )
@@ -83,7 +84,7 @@ class AcquisitionSearch:
             self.feasible = surrogates.log_feasibility(model.points) >= np.log(BELIEVED_FEASIBLE)
             self.incumbent = best_at_data(model, self.feasible)
             # Some particles start near the points with the lowest cost, feasible ones first.
-            cost, _ = model.predict(model.points)
+            cost = model.predict_mean(model.points)
             order = np.lexsort((cost, ~self.feasible))[:STARTS]
             around = rng.normal(0.0, 0.05, (len(order), space.dimension))
             self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
@@ -101,10 +102,14 @@ class AcquisitionSearch:
         SwarmResult
             Position (d,), a point of the search space, and the logarithm of the acquisition there.
         """
+        acquisition = self._rule(
+            self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
+        )
         return maximise(
-            self._rule(self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate),
+            acquisition,
             self._space.dimension,
             self._rng,
+            improved=acquisition.where_above if isinstance(acquisition, LogSum) else None,
             repair=self._space.repair,
             initial=self._starts,
         )

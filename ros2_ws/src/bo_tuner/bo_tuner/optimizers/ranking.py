@@ -44,6 +44,9 @@ a limit is exceeded beside it. Where nothing was tried, that factor is the model
 BLOCK = 100
 """Number of parameter sets that the models are asked at a time, for speed with little memory."""
 
+FEW = 10
+"""Number of parameter sets that are asked for at a time where one of the first is looked for."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -189,8 +192,9 @@ def lowest_cost(
         return None
     cost = ranking.cost(complete)
     order = np.argsort(cost, kind="stable")
-    for k in range(0, len(order), BLOCK):
-        block = order[k : k + BLOCK]
+    order = order[ranking.may_be_feasible([complete[i] for i in order])]
+    for k in range(0, len(order), FEW):
+        block = order[k : k + FEW]
         kept = ranking.believed_feasible([complete[i] for i in block])
         if kept.any():
             return float(cost[block[kept.argmax()]])
@@ -245,6 +249,14 @@ class _Ranking:
     def believed_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
         """Return which (n,) of the trials count as feasible."""
         return self.feasibility(trials) >= [self.required(trial) for trial in trials]
+
+    def may_be_feasible(self, trials: Sequence[Trial]) -> NDArray[np.bool_]:
+        """Return which (n,) of the trials are within their limits by their means.
+
+        No others are believed feasible: where the mean exceeds a limit, that limit is kept with a
+        probability below one half, and the mean costs less than the variance in every context.
+        """
+        return relative_excess(self._models, self._points(trials)) <= 0.0
 
     def candidates(self, trials: Sequence[Trial]) -> list[Candidate]:
         """Estimate trials; at most `BLOCK` of them, for speed with little memory."""
