@@ -24,6 +24,8 @@ BoTorch
 Optuna
     `GPSampler` with one constraint, on the means too; it has suggested once before, so that it
     starts from its earlier kernels.
+Optuna, every evaluation
+    The same with the data that `boundary` has: every evaluation is a trial of Optuna's.
 
 Needs requirements/benchmarks.txt, in an environment of its own:
 
@@ -81,7 +83,8 @@ WORST_CONTEXT = {"stiffness_factor": 1.3, "damping_factor": 0.7}
 
 FITTED = " with a fit"
 OURS = ("boundary", f"boundary{FITTED}", "boundary without warm start", "IV", f"IV{FITTED}")
-OTHERS = ("BoTorch", "Optuna")
+EVERY = ", every evaluation"
+OTHERS = ("BoTorch", "Optuna", f"Optuna{EVERY}")
 RIVALS_UP_TO = 300
 """Trials; an exact process with more takes too long to ask it several times."""
 
@@ -146,10 +149,7 @@ class Problem:
         stage_one = ALGORITHMS[name].optimizer(self._study)
         trials = self._trials
         if name == "boundary":
-            trials = [
-                replace(t, evaluations=t.evaluations[:OF_BOUNDARY] + t.evaluations[REPLICATES:])
-                for t in trials
-            ]
+            trials = self._of_boundary()
         for trial in trials[:-1]:
             stage_one.tell(trial)
         last = trials[-1]
@@ -161,6 +161,13 @@ class Problem:
             last = replace(last, hyperparameters=earlier)
         stage_one.tell(last)
         return lambda: stage_one.ask().parameters
+
+    def _of_boundary(self) -> list[Trial]:
+        """Return the trials with as many evaluations as `boundary` makes."""
+        return [
+            replace(t, evaluations=t.evaluations[:OF_BOUNDARY] + t.evaluations[REPLICATES:])
+            for t in self._trials
+        ]
 
     def botorch(self) -> Callable[[], object]:
         """Make ready BoTorch's data."""
@@ -184,8 +191,8 @@ class Problem:
 
         return suggest
 
-    def optuna(self) -> Callable[[], object]:
-        """Make ready an Optuna study that has suggested one trial before."""
+    def optuna(self, every: bool) -> Callable[[], object]:
+        """Make ready an Optuna study, of means or of all evaluations, that has suggested before."""
         distributions: dict[str, optuna.distributions.BaseDistribution] = {}
         for name in self._space.names:
             parameter = self._study.parameters[name]
@@ -198,6 +205,17 @@ class Problem:
         study = optuna.create_study(
             sampler=optuna.samplers.GPSampler(seed=self._seed, n_startup_trials=1)
         )
+        data = list(zip(self._tuned, self._cost, self._excess, strict=True))
+        if every:
+            data = [
+                (
+                    tuned,
+                    np.log(found[self._study.objective.metric]),
+                    found["overshoot"] - self._limit,
+                )
+                for tuned, trial in zip(self._tuned, self._of_boundary(), strict=True)
+                for found in (evaluation.outcome.metrics for evaluation in trial.evaluations)
+            ]
         rows = [
             optuna.trial.create_trial(
                 params=tuned,
@@ -205,7 +223,7 @@ class Problem:
                 value=float(cost),
                 constraints={"overshoot": float(excess)},
             )
-            for tuned, cost, excess in zip(self._tuned, self._cost, self._excess, strict=True)
+            for tuned, cost, excess in data
         ]
         study.add_trials(rows[:-1])
         pending = study.ask(distributions)
@@ -217,8 +235,8 @@ class Problem:
         """Make a contender ready to suggest."""
         if contender == "BoTorch":
             return self.botorch()
-        if contender == "Optuna":
-            return self.optuna()
+        if contender.startswith("Optuna"):
+            return self.optuna(every=contender.endswith(EVERY))
         return self.ours(contender)
 
 

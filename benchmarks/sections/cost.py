@@ -21,7 +21,8 @@ def suggestion(result: Result) -> str:
             "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
             "that of `boundary` and of IV (median and range over the turns). The models of "
             "`boundary` have three evaluations of each trial as their data, those of the others "
-            "means and worst cases. Beyond a hundred trials, hyperparameters are fitted whenever "
+            "means and worst cases; Optuna is also given every evaluation as a trial of its own, "
+            "the data of `boundary`. Beyond a hundred trials, hyperparameters are fitted whenever "
             "the trials have grown by a tenth: the time is the mean over the trials between "
             "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
             table(["trials", "optimizer", "to boundary", "to IV"], rows),
