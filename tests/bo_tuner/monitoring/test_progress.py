@@ -7,11 +7,18 @@ import re
 import pytest
 from terminals import console
 
-from bo_tuner.monitoring.progress import RunProgress, advice_in_words, describe, duration
+from bo_tuner.monitoring.progress import (
+    RunProgress,
+    advice_in_words,
+    describe,
+    duration,
+    units_in_words,
+)
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
 from bo_tuner.tuning.observer import Phase
 
@@ -52,6 +59,15 @@ class TestLines:
             "  [2 evaluations]"
         )
         assert not ESCAPE.search(text(out))
+
+    def test_the_units_of_the_lines_come_first(self, make_study, tmp_path):
+        study = load_study("benchmark")
+        out = console()
+        RunProgress(out, study).start(tmp_path, "inprocess", "boundary")
+        folder, units = text(out).splitlines()
+        assert folder == f"run folder {tmp_path}"
+        assert units == "units: control_horizon samples, tracking_error (m/s)^2, overshoot m/s"
+        assert units_in_words(make_study()) == ""
 
     def test_a_failure_has_all_that_repeats_it(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}), make_study())

@@ -59,8 +59,10 @@ class RunProgress(Display):
         self._progress.stop()
 
     def start(self, folder: Path, backend: str, algorithm: str) -> None:
-        """Show the run folder."""
+        """Show the run folder, and the units of what the lines of the trials have."""
         self.tell(f"run folder {folder}")
+        if units := units_in_words(self._study):
+            self.tell(units)
 
     def begin(self, phase: str, total: int) -> None:
         """Start counting `total` steps of `phase`."""
@@ -162,6 +164,17 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
         f"incumbent: trial {best.trial.number}, {metric.name} {value}, "
         f"P(feasible) {best.feasibility:.2f}"
     )
+
+
+def units_in_words(study: Study) -> str:
+    """Return a line with the units of all that `describe` shows, empty without any."""
+    shown_metrics = [o.metric for o in study.objectives]
+    shown_metrics += [c.metric for c in study.worst_case_constraints]
+    named = [item for item in study.parameters.values() if item.is_tuned]
+    units = {item.name: item.unit for item in named}
+    units |= {name: study.metrics[name].unit for name in shown_metrics}
+    text = ", ".join(f"{name} {unit}" for name, unit in units.items() if unit)
+    return f"units: {text}" if text else ""
 
 
 def advice_in_words(advice: StopAdvice, study: Study) -> str:
