@@ -47,7 +47,7 @@ class Start(Node):
             os.kill(os.getpid(), signum)
         super().__init__("start")
 
-sys.exit(run(Start))
+sys.exit(run(Start, "", ()))
 """
 
 

@@ -1,6 +1,9 @@
 """What a node makes of its command line and parameter files."""
 
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -46,6 +49,35 @@ def test_a_bad_start_ends_with_one_line_and_code_2(bad_starts, index):
     # What else is there comes from rcl's own log.
     others = [line for line in node.output.splitlines() if line not in lines]
     assert all("[rcl]" in line for line in others), node.output
+
+
+def run_node(package, *arguments):
+    """Run a node's executable that ends by itself."""
+    command = [Path(sys.prefix) / "lib" / package / package, *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
+
+
+@pytest.mark.parametrize("argument", ["--params-file", "gain:=2.0"])
+def test_ros_arguments_without_their_mark_are_refused(ros_environment, argument):
+    """Ignored, they would leave the node with its defaults."""
+    done = run_node("mpc_controller", argument, "best.yaml")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        f"error: unexpected argument '{argument}'; expected ROS arguments only, "
+        "such as: mpc_controller --ros-args --params-file FILE\n"
+    )
+
+
+@pytest.mark.parametrize("package", ["mpc_controller", "milling_plant"])
+def test_help_names_the_parameters(ros_environment, start_node, peer, package):
+    done = run_node(package, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: {package} [--ros-args")
+    assert "[rad/s]" in done.stdout
+    start_node(package)
+    listed = [line.split()[0] for line in done.stdout.partition("parameters:\n")[2].splitlines()]
+    # Of names among which one is unknown, a node returns no value at all.
+    assert len(peer.get_parameters(package, listed)) == len(listed) > 10
 
 
 def test_whole_numbers_are_taken_for_doubles(start_node, peer):

@@ -11,10 +11,13 @@ def main() -> None:
     exit_on_stop_signal()
     use_one_thread()
 
+    from feed_axis_common.parameters import specifications
     from feed_axis_common.ros.process import run
     from milling_plant.node import PlantNode
+    from milling_plant.settings import PlantSettings
 
-    sys.exit(run(PlantNode))
+    what = "Feed axis of a milling centre, simulated: cuts along a reference on request."
+    sys.exit(run(PlantNode, what, specifications(PlantSettings)))
 
 
 if __name__ == "__main__":

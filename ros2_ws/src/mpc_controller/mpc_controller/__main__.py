@@ -11,10 +11,13 @@ def main() -> None:
     exit_on_stop_signal()
     use_one_thread()
 
+    from feed_axis_common.parameters import specifications
     from feed_axis_common.ros.process import run
     from mpc_controller.node import ControllerNode
+    from mpc_controller.settings import ControllerSettings
 
-    sys.exit(run(ControllerNode))
+    what = "Kalman filter and model predictive controller of a feed axis."
+    sys.exit(run(ControllerNode, what, specifications(ControllerSettings)))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import FrameType
 
 import rclpy
@@ -12,8 +13,10 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from feed_axis_common.errors import SettingsError
+from feed_axis_common.parameters import Specification
 from feed_axis_common.signals import STOP_SIGNALS
 
 try:
@@ -34,13 +37,37 @@ def make_executor() -> Executor:
     return SingleThreadedExecutor() if EventsExecutor is None else EventsExecutor()
 
 
-def run(make_node: Callable[[], Node]) -> int:
+def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specification]) -> int:
     """Run one node until SIGINT or SIGTERM and return the exit code.
 
     rclpy's own handlers are not used: an idle ``rclpy.spin`` may hang on SIGTERM, and a second
     signal during the exit kills the process. Invalid parameters or arguments give one line on
-    stderr and the code 2.
+    stderr and the code 2. A node that ignored what does not follow ``--ros-args`` would start with
+    its defaults where a parameter file was meant.
+
+    Parameters
+    ----------
+    make_node
+        Makes the node.
+    what
+        What the node does, in a line for ``--help``.
+    parameters
+        Of the node, for ``--help``.
     """
+    command = Path(sys.argv[0]).name
+    try:
+        arguments = remove_ros_args(sys.argv)[1:]
+    except RuntimeError as error:
+        return _refuse(f"cannot start the node: {str(error).splitlines()[0]}")
+    if arguments and arguments[0] in ("-h", "--help"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `--help | head` is no error
+        print(_help(command, what, parameters))
+        return 0
+    if arguments:
+        return _refuse(
+            f"unexpected argument {arguments[0]!r}; expected ROS arguments only, "
+            f"such as: {command} --ros-args --params-file FILE"
+        )
     stop = False
 
     def request_stop(_signum: int, _frame: FrameType | None) -> None:
@@ -81,6 +108,20 @@ def run(make_node: Callable[[], Node]) -> int:
         rclpy.try_shutdown()
         deadline.cancel()
     return 0
+
+
+def _help(command: str, what: str, parameters: Sequence[Specification]) -> str:
+    """Return the text of ``--help``."""
+    width = max(len(spec.name) for spec in parameters)
+    lines = [
+        f"usage: {command} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r __ns:=/NAME]]",
+        "",
+        what,
+        "",
+        "parameters:",
+        *(f"  {spec.name:{width}}  {spec.description}" for spec in parameters),
+    ]
+    return "\n".join(lines)
 
 
 def _refuse(reason: str) -> int:
