@@ -84,6 +84,7 @@ class ParameterWatch:
             self._keys.setdefault(full_name, []).append(key)
         self._expected: Mapping[str, Mapping[str, object]] = {}
         self._seen: list[Difference] = []
+        self._declaring: set[str] = set()
         self.problem = ""
         """What came since `expect` and cannot be read: it may tell of any parameter."""
         self._subscription = node.create_subscription(
@@ -101,9 +102,14 @@ class ParameterWatch:
         self._expected = expected
 
     def forget(self, key: str) -> None:
-        """Forget what was seen of a node: it was started anew, and has declared its parameters."""
+        """Forget what was seen of a node: it was started anew, and has declared its parameters.
+
+        That it has may become known late. Its events arrive in their order, so until the first
+        change all that it tells of new parameters is what it has declared.
+        """
         self._take_all()
         self._seen = [difference for difference in self._seen if difference.node != key]
+        self._declaring.add(key)
 
     def take_seen(self) -> list[Difference]:
         """Return what was not as expected since this was last asked."""
@@ -125,9 +131,12 @@ class ParameterWatch:
             return
         for key in self._keys.get(event.node, ()):
             expected = self._expected.get(key, {})
-            changed = _read((*event.new_parameters, *event.changed_parameters))
             deleted = {p.name: None for p in event.deleted_parameters}
-            now = changed | deleted
+            now = _read(event.changed_parameters) | deleted
+            if now:
+                self._declaring.discard(key)
+            if key not in self._declaring:
+                now = _read(event.new_parameters) | now
             watched = {name: value for name, value in expected.items() if name in now}
             self._seen += differences(key, now, watched)
 

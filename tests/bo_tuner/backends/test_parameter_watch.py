@@ -1,0 +1,78 @@
+"""What nodes tell of their parameters, as it comes from a middleware that is not there."""
+
+import contextlib
+from types import SimpleNamespace
+
+import pytest
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.serialization import serialize_message
+
+from bo_tuner.backends.ros.parameters import ParameterWatch, to_messages
+
+
+class Events(contextlib.nullcontext):
+    """The subscription to the events, in the order in which they were published."""
+
+    def __init__(self):
+        super().__init__()
+        self.waiting = []
+
+    def tell(self, kind, **values):
+        event = ParameterEvent(node="/axis", **{f"{kind}_parameters": to_messages(values)})
+        self.waiting.append(serialize_message(event))
+
+    def take_message(self, _type, _raw):
+        return (self.waiting.pop(0), {}) if self.waiting else None
+
+
+@pytest.fixture
+def events():
+    return Events()
+
+
+@pytest.fixture
+def watch(events):
+    node = SimpleNamespace(
+        get_name=lambda: "tuner",
+        get_namespace=lambda: "/",
+        create_subscription=lambda *_args, **_options: SimpleNamespace(handle=events),
+    )
+    watch = ParameterWatch(node, {"axis": "axis"})
+    watch.expect({"axis": {"gain": 2.0}})
+    return watch
+
+
+def seen(watch):
+    return [str(difference) for difference in watch.take_seen()]
+
+
+def test_other_values_are_seen_and_the_own_are_not(watch, events):
+    events.tell("changed", gain=2.0, limit=7.0)
+    assert seen(watch) == []
+    events.tell("changed", gain=3.0)
+    events.tell("changed", gain=2.0)
+    assert seen(watch) == ["axis: parameter gain is 3.0, expected 2.0"]
+    events.tell("deleted", gain=2.0)
+    assert seen(watch) == ["axis: parameter gain is not set, expected 2.0"]
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_what_a_node_declares_when_it_is_started_anew_is_no_change(watch, events, late):
+    """It may become known after the tuner has asked the node for it."""
+    if not late:
+        events.tell("new", gain=0.5)
+    watch.forget("axis")
+    if late:
+        events.tell("new", gain=0.5)
+    events.tell("changed", gain=2.0)
+    assert seen(watch) == []
+    # A node that declares its parameters after that is another one.
+    events.tell("new", gain=0.5)
+    assert seen(watch) == ["axis: parameter gain is 0.5, expected 2.0"]
+
+
+def test_a_change_by_others_counts_right_after_a_start(watch, events):
+    watch.forget("axis")
+    events.tell("new", gain=0.5)
+    events.tell("changed", gain=3.0)
+    assert seen(watch) == ["axis: parameter gain is 3.0, expected 2.0"]
