@@ -206,7 +206,9 @@ class Problem:
             sampler=optuna.samplers.GPSampler(seed=self._seed, n_startup_trials=1)
         )
         data = list(zip(self._tuned, self._cost, self._excess, strict=True))
+        latest = 1
         if every:
+            latest = OF_BOUNDARY + 1
             data = [
                 (
                     tuned,
@@ -225,10 +227,10 @@ class Problem:
             )
             for tuned, cost, excess in data
         ]
-        study.add_trials(rows[:-1])
+        study.add_trials(rows[:-latest])
         pending = study.ask(distributions)
         study.tell(pending, state=optuna.trial.TrialState.FAIL)
-        study.add_trial(rows[-1])
+        study.add_trials(rows[-latest:])
         return lambda: study.ask(distributions).params
 
     def ready(self, contender: str) -> Callable[[], object]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bo_tuner.acquisition.acquisition import best_at_data, constrained_improvement
+from bo_tuner.acquisition.acquisition import LogProduct, best_at_data, constrained_improvement
 from bo_tuner.models.constraints import SurrogateConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
@@ -117,6 +117,18 @@ def test_what_cannot_exceed_a_value_is_left_out(best):
     assert asked[1] >= above.sum()
     assert (acquisition.where_above(np.full(len(x), whole.max() + 1e9), x) == -np.inf).all()
     assert len(asked) == 2
+
+
+@pytest.mark.parametrize("improvement", [np.nan, -np.inf, 2.0])
+def test_only_a_number_above_the_value_counts(improvement):
+    known = np.full(3, improvement)
+    product = LogProduct(lambda x: known, (lambda x: np.where(x[:, 0] > 0.5, -np.inf, -1.0),))
+    x, least = np.array([[0.0], [0.2], [0.9]]), np.array([-np.inf, 5.0, -np.inf])
+    found = product.where_above(least, x)
+    sound = improvement - 1.0 if improvement > 0.0 else -np.inf
+    assert found.tolist() == [sound, -np.inf, -np.inf]
+    # What a factor returns is its own.
+    np.testing.assert_array_equal(known, np.full(3, improvement))
 
 
 @pytest.mark.parametrize("best", [None, -1.0, 0.2, 1e6])

@@ -1,12 +1,15 @@
 """Processes over parameter set and context, against scikit-learn and closed forms."""
 
+import pickle
+import weakref
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from bo_tuner.models import conditioning, joint_process
+from bo_tuner.models import conditioning, context_reduction
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.joint_process import JointProcess
@@ -45,7 +48,7 @@ def reference(process):
     theta = process.hyperparameters
     kernel = ConstantKernel(theta.signal**2) * RBF(theta.length_scales) + ConstantKernel(1.0)
     x, c = process.data.x[:, : process.columns], process.data.x[:, process.columns :]
-    noise, _ = process.noise(x, c, np.arange(len(c)))
+    noise, _ = process.noise(process.coding.decode(x), c, np.arange(len(c)))
     regressor = GaussianProcessRegressor(
         kernel, alpha=noise / process.scale**2 / process.data.count, optimizer=None
     )
@@ -85,23 +88,80 @@ class TestPosterior:
         variances = process.variances(x, CORNERS, which)
         assert np.sqrt(variances) == pytest.approx(scale * deviation, rel=1e-4)
 
-    @pytest.mark.parametrize("basis", [conditioning.BASIS, 20])
-    @pytest.mark.parametrize("sd", [0.0, 0.01])
-    def test_of_many_parameter_sets_in_a_context(self, monkeypatch, basis, sd):
+    @pytest.mark.parametrize("basis", [conditioning.BASIS, 60])
+    def test_of_many_parameter_sets_in_a_context(self, monkeypatch, basis):
         """By a factor of its own, where each parameter set has several evaluations."""
         monkeypatch.setattr(conditioning, "BASIS", basis)
-        rng = np.random.default_rng(3)
-        x, c = np.repeat(rng.random((12, 1)), 4, axis=0), rng.random((48, 1))
-        process = fitted(x, c, x[:, 0] + c[:, 0] ** 2 + sd * rng.standard_normal(48))
-        query = rng.random((joint_process.WORTH_A_FACTOR + 1, 1))
+        process = self.repeated(sd=0.05)
+        query = np.random.default_rng(4).random((context_reduction.WORTH_A_FACTOR + 1, 1))
         first = np.zeros(len(query), dtype=np.intp)
-        factored = process.variances(query, CORNERS, first)
+        found = process.variances(query, CORNERS, first)
+        mean = process.variance_of_mean(query, CORNERS)
+        assert sorted(process._reduction(CORNERS)._factors) == [0, 3]
         # One context has a factor now, and another one has none yet.
-        found = process.variances(query[:10], CORNERS, np.arange(10) % 2)
-        direct = process.variances(query[:10], CORNERS[np.arange(10) % 2], np.arange(10))
-        little = 0.01 * process.noise_variance
-        assert found == pytest.approx(direct, rel=1e-6, abs=little)
-        assert factored[:10:2] == pytest.approx(found[::2], rel=1e-6, abs=little)
+        some, which = query[:10], np.arange(10) % 2
+        directly = process.variances(some, CORNERS[which], np.arange(10))
+        assert process.variances(some, CORNERS, which) == pytest.approx(directly, rel=1e-6)
+        assert found[:10:2] == pytest.approx(directly[::2], rel=1e-6)
+        others = CORNERS[::-1].copy()
+        assert mean[:10] == pytest.approx(process.variance_of_mean(some, others), rel=1e-6)
+
+    def test_without_noise_has_no_factor(self):
+        """It would have too few digits for variances as small as these."""
+        process = self.repeated(sd=0.0)
+        query = np.random.default_rng(4).random((context_reduction.WORTH_A_FACTOR + 1, 1))
+        process.variance_of_mean(query, CORNERS)
+        assert not process._reduction(CORNERS)._factors
+
+    def repeated(self, sd):
+        """A process with ten evaluations of each of twelve parameter sets."""
+        rng = np.random.default_rng(3)
+        x, c = np.repeat(rng.random((12, 1)), 10, axis=0), rng.random((120, 1))
+        return fitted(x, c, np.sin(9.0 * x[:, 0]) + c[:, 0] ** 2 + sd * rng.standard_normal(120))
+
+    def test_is_freed_with_its_last_user(self, process):
+        """Large models must not wait for the garbage collector."""
+        process.means(np.array([[0.5]]), CORNERS)
+        process.variance_of_mean(np.array([[0.5]]), CORNERS)
+        process.noise(np.array([[0.5]]), CORNERS, np.zeros(1, dtype=np.intp))
+        copy = pickle.loads(pickle.dumps(process))
+        gone = weakref.ref(copy)
+        del copy
+        assert gone() is None
+
+    def test_of_choices_is_that_of_an_independent_library(self):
+        rng = np.random.default_rng(5)
+        x, c = rng.integers(0, 3, (60, 1)) / 2.0, rng.random((60, 1))
+        coding = Coding((3,))
+        process = fitted(x, c, x[:, 0] * c[:, 0] + 0.1 * rng.standard_normal(60), coding)
+        query, which = np.array([[0.0], [0.5], [1.0]]), np.array([2, 0, 1])
+        mean, sd = reference(process).predict(
+            np.hstack([coding.encode(query), CORNERS[which]]), return_std=True
+        )
+        found = process.means(query, CORNERS)[np.arange(3), which]
+        assert found == pytest.approx(process.standardisation.restore(mean, sd)[0], abs=1e-8)
+        variance = process.variances(query, CORNERS, which)
+        assert np.sqrt(variance) == pytest.approx(process.scale * sd, rel=1e-4)
+        whole = process.noise_everywhere(query, CORNERS)
+        for one, every in zip(process.noise(query, CORNERS, which), whole, strict=True):
+            assert one == pytest.approx(every[np.arange(3), which])
+
+    def test_without_contexts_is_that_of_an_independent_library(self):
+        rng = np.random.default_rng(6)
+        x, nothing = rng.random((40, 1)), np.empty((40, 0))
+        process = fitted(x, nothing, np.sin(5.0 * x[:, 0]) + 0.1 * rng.standard_normal(40))
+        query, context = np.array([[0.2], [0.9]]), np.empty((1, 0))
+        kernel = ConstantKernel(process.hyperparameters.signal**2) * RBF(
+            process.hyperparameters.length_scales
+        ) + ConstantKernel(1.0)
+        own = process.noise(process.data.x, context, np.zeros(len(process.data.x), dtype=np.intp))
+        regressor = GaussianProcessRegressor(
+            kernel, alpha=own[0] / process.scale**2 / process.data.count, optimizer=None
+        ).fit(process.data.x, process.data.mean)
+        _, sd = regressor.predict(query, return_std=True)
+        variance = process.variances(query, context, np.zeros(2, dtype=np.intp))
+        assert np.sqrt(variance) == pytest.approx(process.scale * sd, rel=1e-4)
+        assert process.variance_of_mean(query, context) == pytest.approx(variance, rel=1e-6)
 
     def test_of_the_mean_over_contexts(self, process):
         """Its variance is the mean of all covariances of the contexts."""
@@ -337,6 +397,12 @@ class TestChance:
         expected = x[:, 0] + np.quantile(runs, probability)
         assert quantile == pytest.approx(expected, abs=0.03)
         assert np.all((variance > 0.0) & (variance < 0.03**2))
+
+    def test_the_quantile_alone(self):
+        constraint = self.constraint(self.process(np.random.default_rng(4)), 0.9, sign=-1.0)
+        x = np.array([[0.2], [0.7]])
+        quantile, _ = constraint.predict(x)
+        assert constraint.predict_mean(x) == pytest.approx(quantile, rel=1e-12)
 
     def test_of_a_lower_limit_is_the_mirror_image(self):
         process = self.process(np.random.default_rng(1))

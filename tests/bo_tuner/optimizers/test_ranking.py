@@ -226,6 +226,10 @@ class TestFirst:
         options = ModelOptions(pooled=pooled)
         models = ranking_models(study, trials, options)
         self.compare(models, study, trials, options)
+        ranked = ranked_by(models, study, trials, options)
+        feasible = [c.objective for c in ranked if c.believed_feasible]
+        lowest = lowest_cost(models, study, trials, options)
+        assert lowest == (pytest.approx(min(feasible)) if feasible else None)
 
     def compare(self, models, study, trials, options):
         found, (first, *_) = (f(models, study, trials, options) for f in (first_by, ranked_by))

@@ -7,8 +7,8 @@ RI is the expected improvement under the reinterpolation model of the objective 
 p_out and p_fail come from the nearest-neighbour classifiers. The logarithm preserves the order of
 points where α underflows.
 
-Each factor is a class, and `LogSum` adds their logarithms: another acquisition function is another
-list of terms.
+Each factor is a class, and `LogProduct` adds their logarithms: another acquisition function has
+another improvement, or other probabilities.
 
 Notation: d tuned parameters, m query points in the unit cube.
 """
@@ -62,34 +62,38 @@ class AcquisitionRule(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class LogSum:
-    """Sum of log terms: the logarithm of a product.
+class LogProduct:
+    """Logarithm of an improvement, if there is one, times probabilities.
 
     Attributes
     ----------
-    terms
-        The improvement, if there is one, and then logarithms of probabilities, none above 0; the
-        sooner one that costs little, the better.
+    improvement
+        Logarithm of the improvement; None for the probabilities alone.
+    probabilities
+        Logarithms of probabilities, none above 0: the sooner one that costs little, the better.
     """
 
-    terms: tuple[Acquisition, ...]
+    improvement: Acquisition | None
+    probabilities: tuple[Acquisition, ...]
 
     def __call__(self, x: Array) -> Array:
-        """Return the sum of the terms (m,) at x (m, d)."""
+        """Return the sum of all logarithms (m,) at x (m, d)."""
         return self.where_above(np.full(len(x), -np.inf), x)
 
     def where_above(self, least: Array, x: Array) -> Array:
-        """Return the sum (m,) at x (m, d), where it exceeds `least` (m,), and else -inf.
+        """Return the sum (m,) at x (m, d) where it exceeds `least` (m,), and else -inf.
 
-        All terms but the first must be logarithms of probabilities. So a point whose sum so far is
-        no larger than `least` needs no further term.
+        A probability can only lower the sum, so where that is no larger than `least` any more, the
+        further ones are not asked for.
         """
-        total = self.terms[0](x) if self.terms else np.zeros(len(x))
-        for term in self.terms[1:]:
-            open_ = np.flatnonzero(total > least)
-            if not len(open_):
+        total = np.zeros(len(x))
+        if self.improvement is not None:
+            total += self.improvement(x)
+        for probability in self.probabilities:
+            rows = np.flatnonzero(total > least)
+            if not len(rows):
                 break
-            total[open_] += term(x[open_])
+            total[rows] += probability(x[rows])
         return np.where(total > least, total, -np.inf)
 
 
@@ -183,22 +187,25 @@ def constrained_improvement(
         Use the improvement under the reinterpolation model; else the one under the noisy model,
         with evaluated points excluded.
     """
-    terms: list[Acquisition] = []
+    improvement: Acquisition | None = None
+    probabilities: list[Acquisition] = []
     model = surrogates.objective
     if model is not None and incumbent is not None and reinterpolate:
-        terms.append(LogReinterpolationImprovement(model, incumbent))
+        improvement = LogReinterpolationImprovement(model, incumbent)
     elif model is not None:
         if incumbent is not None:
-            terms.append(LogNoisyImprovement(model, incumbent))
-        terms.append(Unevaluated(model))
+            improvement = LogNoisyImprovement(model, incumbent)
+        probabilities.append(Unevaluated(model))
     # Without a single outlier or failure there is nothing to avoid. An outlier costs no more than
     # its evaluations, so how many failures are allowed says nothing of it.
     outlying = OUTLYING if avoid < 1.0 else 1.0
     levels = ((surrogates.failures, avoid), (surrogates.outlying, outlying))
-    terms += [LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()]
+    probabilities += [
+        LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()
+    ]
     # Chance limits are the first of a study, and need many contexts for each point.
-    terms += feasibility_terms(reversed(tuple(surrogates.constraints.values())))
-    return LogSum(tuple(terms))
+    probabilities += feasibility_terms(reversed(tuple(surrogates.constraints.values())))
+    return LogProduct(improvement, tuple(probabilities))
 
 
 def feasibility_terms(constraints: Iterable[LimitedResponse]) -> list[Acquisition]:

@@ -59,6 +59,8 @@ class Posterior:
         ȳ less the mean at the points.
     leverages : ndarray, shape (n,)
         h_i: part of the mean at the i-th point that its own ȳ_i contributes.
+    variances : ndarray, shape (n,)
+        λ.
     warnings : tuple of str
         Numerical problems, one line each.
     """
@@ -68,13 +70,14 @@ class Posterior:
     whitening: Array
     residuals: Array
     leverages: Array
+    variances: Array
     warnings: tuple[str, ...]
 
 
 def choose_basis(
     hyperparameters: Hyperparameters, x: Array, variances: Array
 ) -> NDArray[np.intp] | None:
-    """Return the rows (m,) of the basis in x (n, d), sorted; None if the posterior is exact.
+    """Return the rows (m,) of the basis in x (n, d), in its order; None if the posterior is exact.
 
     Parameters
     ----------
@@ -146,7 +149,7 @@ class Prior:
         whitening = lapack.dtrtri(factor, lower=1)[0]
         own = np.einsum("ij,ij->j", whitening, whitening)
         left, leverages = variances * weights, 1.0 - variances * own
-        return Posterior(self._basis, weights, whitening, left, leverages, warnings)
+        return Posterior(self._basis, weights, whitening, left, leverages, variances, warnings)
 
     def _projected(self, mean: Array, variances: Array) -> Posterior:
         v = self._v
@@ -166,6 +169,7 @@ class Prior:
             reverse[::-1, ::-1].T @ self._whitening,
             mean - v @ latent,
             np.einsum("ij,ij->j", own, own) / variances,
+            variances,
             self._warnings + warnings + further,
         )
 

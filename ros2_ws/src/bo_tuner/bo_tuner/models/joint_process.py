@@ -34,13 +34,14 @@ from typing import Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, lapack
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.conditioning import Posterior, Prior, choose_basis
+from bo_tuner.models.context_reduction import ContextReduction
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, correlation
+from bo_tuner.models.parameter_sets import ParameterSets
 from bo_tuner.models.replicates import Replicates, Standardisation
 from bo_tuner.numerics.arrays import Array
 
@@ -69,16 +70,6 @@ changes.
 BLOCK = 1000
 """Number of points whose noise is estimated at a time."""
 
-WORTH_A_FACTOR = 300
-"""Number of variances in a context from which on its own factor is worth its time."""
-
-NOISY = 1e-7
-"""Least noise variance of a mean, in prior variances, with which factors are used.
-
-With prior variance s² and noise variance λ their error is about ε s³ / √λ, ε = 2e-16, which at the
-data, where the variance is λ, is a part ε (s² / λ)^1.5 of it. The direct way has more digits.
-"""
-
 PRIOR_DEGREES = 2.0
 """Weight of the common noise variance in a local one, in degrees of freedom."""
 
@@ -90,38 +81,26 @@ class _Latest(Generic[T]):
     once, since threads may share a process.
     """
 
-    def __init__(self, compute: Callable[[Array], T]) -> None:
-        self._compute = compute
+    def __init__(self) -> None:
         self._known: tuple[Array, T] | None = None
 
-    def of(self, x: Array) -> T:
-        """Return `compute(x)`, which the caller must not change."""
+    def of(self, x: Array, compute: Callable[[Array], T]) -> T:
+        """Return `compute(x)`, of which the caller must not change an array."""
         known = self._known
         if known is None or not np.array_equal(known[0], x):
-            self._known = known = x.copy(), self._compute(x)
+            self._known = known = x.copy(), compute(x)
         return known[1]
 
 
-class _Sets:
-    """Distinct parameter sets of sorted joint points (n, columns + e), which sort them, too."""
+class _Known:
+    """What a process has computed of the latest parameter sets and contexts."""
 
-    def __init__(self, z: Array, columns: int) -> None:
-        x = z[:, :columns]
-        begins = np.ones(len(z), dtype=bool)
-        begins[1:] = (x[1:] != x[:-1]).any(axis=1)
-        self._starts = np.flatnonzero(begins)
-        self._owners = np.cumsum(begins) - 1
-        self.distinct = x[self._starts]
-
-    def sum(self, values: Array, axis: int = 0) -> Array:
-        """Return the sums of values (…, n, …) over the points of each parameter set."""
-        found: Array = np.add.reduceat(values, self._starts, axis=axis)
-        return found
-
-    def spread(self, values: Array) -> Array:
-        """Return values (m, q) of parameter sets at their points, shape (m, n)."""
-        spread: Array = values[:, self._owners]
-        return spread
+    def __init__(self) -> None:
+        self.kernel = _Latest[Array]()
+        self.near = _Latest[Array]()
+        self.reduction = _Latest[ContextReduction]()
+        self.between = _Latest[Array]()
+        self.noise = _Latest[tuple[Array, Array]]()
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,26 +270,19 @@ class JointProcess:
 
     @property
     def points(self) -> Array:
-        """Distinct parameter sets (n', d) of the data, in the unit cube."""
-        return self._distinct[0]
+        """Distinct parameter sets (p, d) of the data, in the unit cube."""
+        return self.coding.decode(self._data_sets.distinct)
 
     @property
     def counts(self) -> Array:
-        """Number of observations (n',) of each of `points`."""
-        return self._distinct[1]
-
-    @cached_property
-    def _distinct(self) -> tuple[Array, Array]:
-        encoded, index = np.unique(self.data.x[:, : self.columns], axis=0, return_inverse=True)
-        return self.coding.decode(encoded), np.bincount(index.ravel(), self.data.count).astype(
-            np.float64
-        )
+        """Number of observations (p,) of each of `points`."""
+        return self._data_sets.sum(self.data.count)
 
     def means(self, x: Array, contexts: Array) -> Array:
         """Return the posterior mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
-        weights = self.posterior.weights
-        mean = self._parameter_kernel.of(x) @ self._across.of(contexts).weighted
-        found: Array = self.standardisation.shift + self.scale * (mean + MEAN_SD**2 * weights.sum())
+        constant = MEAN_SD**2 * self.posterior.weights.sum()
+        mean = self._parameter_kernel(x) @ self._reduction(contexts).weights + constant
+        found: Array = self.standardisation.shift + self.scale * mean
         return found
 
     def variances(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> Array:
@@ -323,36 +295,21 @@ class JointProcess:
         which : ndarray of int, shape (m,)
             Row of `contexts` for each parameter set.
         """
-        kernel, across = self._parameter_kernel.of(x), self._across.of(contexts)
-        across.asked += np.bincount(which, minlength=len(contexts))
-        prior = self.hyperparameters.signal**2 + MEAN_SD**2
-        direct = ~across.worth_a_factor[which]
-        reduction = np.empty(len(x))
-        for row in np.unique(which[~direct]):
-            here = which == row
-            reduction[here] = self._factored(kernel[here], across.factor(row))
-        cross = self._basis_sets.spread(kernel[direct]) * across.kernel.T[which[direct]]
-        reduction[direct] = self._reduction(cross + MEAN_SD**2)
-        return self._variance(prior, reduction)
+        reduction = self._reduction(contexts).of_each(self._parameter_kernel(x), which)
+        return self._variance(self._prior_variance, reduction)
 
     def variance_of_mean(self, x: Array, contexts: Array) -> Array:
         """Return the posterior variance (m,) of the mean over contexts (k, e), at x (m, d)."""
-        kernel, across = self._parameter_kernel.of(x), self._across.of(contexts)
-        if across.exact:
-            reduction = self._factored(kernel, across.factor_of_mean)
-        else:
-            cross = self._basis_sets.spread(kernel) * across.kernel.mean(axis=1)
-            reduction = self._reduction(cross + MEAN_SD**2)
-        prior = self.hyperparameters.signal**2 * self._between.of(contexts).mean()
+        reduction = self._reduction(contexts).of_mean(self._parameter_kernel(x))
+        prior = self.hyperparameters.signal**2 * self._between(contexts).mean()
         return self._variance(float(prior) + MEAN_SD**2, reduction)
 
     def variance_of_weighted(self, x: Array, contexts: Array, weights: Array) -> Array:
         """Return the posterior variance (m,) of sums over contexts (k, e) with weights (m, k)."""
-        across = weights @ self._across.of(contexts).kernel.T
-        cross = self._basis_sets.spread(self._parameter_kernel.of(x)) * across
-        within = weights @ self._between.of(contexts)
+        reduction = self._reduction(contexts).of_sums(self._parameter_kernel(x), weights)
+        within = weights @ self._between(contexts)
         prior = self.hyperparameters.signal**2 * np.einsum("ij,ij->i", within, weights)
-        return self._variance(prior + MEAN_SD**2, self._reduction(cross + MEAN_SD**2))
+        return self._variance(prior + MEAN_SD**2, reduction)
 
     def noise(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the local noise variance (m,), in the squared unit, and its degrees of freedom.
@@ -362,160 +319,96 @@ class JointProcess:
         x, contexts, which
             As in `variances`.
         """
-        variance, degrees = self.noise_everywhere(x, contexts)
-        rows = np.arange(len(x))
-        return variance[rows, which], degrees[rows, which]
+        near, (squares, degrees) = self._near(x), self._noise_across(contexts)
+        return self._noise(
+            np.einsum("ij,ij->i", near, squares.T[which]),
+            np.einsum("ij,ij->i", near, degrees.T[which]),
+        )
 
     def noise_everywhere(self, x: Array, contexts: Array) -> tuple[Array, Array]:
         """Return as `noise`, for each of x (m, d) in all contexts (k, e); (m, k) each."""
-        near, (squares, degrees) = self._near.of(x), self._noise_across.of(contexts)
-        total = near @ degrees + PRIOR_DEGREES
-        return self.noise_variance * (near @ squares + PRIOR_DEGREES) / total, total
+        near, (squares, degrees) = self._near(x), self._noise_across(contexts)
+        return self._noise(near @ squares, near @ degrees)
 
-    @cached_property
-    def _basis_sets(self) -> _Sets:
-        return _Sets(self.posterior.basis, self.columns)
-
-    @cached_property
-    def _data_sets(self) -> _Sets:
-        return _Sets(self.data.x, self.columns)
-
-    @cached_property
-    def _parameter_kernel(self) -> _Latest[Array]:
-        """s² k(x, u) of x (m, d) with the parameter sets u of the basis, shape (m, q)."""
-        scales = self.hyperparameters.length_scales[: self.columns]
-        return _Latest(
-            lambda x: (
-                self.hyperparameters.signal**2
-                * correlation(self.coding.encode(x), self._basis_sets.distinct, scales)
-            )
-        )
-
-    @cached_property
-    def _across(self) -> "_Latest[_Across]":
-        return _Latest(lambda contexts: _Across(self, contexts))
-
-    @cached_property
-    def _between(self) -> _Latest[Array]:
-        """k(c, c) of all pairs of contexts (k, e), shape (k, k)."""
-        return _Latest(lambda c: correlation(c, c, self._context_scales))
-
-    @cached_property
-    def _near(self) -> _Latest[Array]:
-        """Weight in the noise at x (m, d) of the parameter sets of the data, shape (m, p)."""
-        widths = _widths(self.columns, self.data.x[:, self.columns :])[: self.columns]
-        sets = self._data_sets.distinct
-        return _Latest(lambda x: correlation(self.coding.encode(x), sets, widths))
-
-    @cached_property
-    def _noise_across(self) -> _Latest[tuple[Array, Array]]:
-        """Sums of squares and degrees of freedom of the sets, weighted for contexts (p, k)."""
-        own = self.data.x[:, self.columns :]
-        widths = _widths(self.columns, own)[self.columns :]
-
-        def compute(contexts: Array) -> tuple[Array, Array]:
-            across = correlation(own, contexts, widths)
-            sums = self._data_sets.sum
-            return sums(across * self.squares[:, None]), sums(across * self.degrees[:, None])
-
-        return _Latest(compute)
-
-    @property
-    def _context_scales(self) -> Array:
-        return self.hyperparameters.length_scales[self.columns :]
-
-    def _reduction(self, cross: Array) -> Array:
-        """Return ‖W k‖² (m,) of covariances k with the basis, the rows of cross (m, b)."""
-        whitened = blas.dtrmm(1.0, self.posterior.whitening, cross.T, lower=1)
-        reduction: Array = np.einsum("ij,ij->j", whitened, whitened)
-        return reduction
-
-    def _factored(self, kernel: Array, factor: Array) -> Array:
-        """Return ‖W k‖² (m,) by a factor of `_Across`, of s² k(x, u) (m, q)."""
-        extended = np.vstack([kernel.T, np.ones(len(kernel))])
-        reduced = blas.dtrmm(1.0, factor, extended)
-        reduction: Array = np.einsum("ij,ij->j", reduced, reduced)
-        return reduction
+    def _noise(self, squares: Array, degrees: Array) -> tuple[Array, Array]:
+        total = degrees + PRIOR_DEGREES
+        return self.noise_variance * (squares + PRIOR_DEGREES) / total, total
 
     def _variance(self, prior: float | Array, reduction: Array) -> Array:
         found: Array = self.scale**2 * np.maximum(prior - reduction, 0.0)
         return found
 
-
-class _Across:
-    """What predictions in given contexts need, whatever the parameter set.
-
-    Parameters
-    ----------
-    process
-        Of the response.
-    contexts : ndarray, shape (k, e)
-
-    Attributes
-    ----------
-    kernel : ndarray, shape (b, k)
-        k(c_u, c) with the contexts of the basis.
-    weighted : ndarray, shape (q, k)
-        The mean at x is s² k(x, u) @ weighted, less that of the constant.
-    asked : ndarray of int, shape (k,)
-        Number of variances that each context was asked for.
-    """
-
-    def __init__(self, process: JointProcess, contexts: Array) -> None:
-        self._process = process
-        basis = process.posterior.basis[:, process.columns :]
-        self.kernel = correlation(basis, contexts, process._context_scales)
-        self.weighted = process._basis_sets.sum(self.kernel * process.posterior.weights[:, None])
-        self.asked = np.zeros(len(contexts), dtype=np.intp)
-        self._factors: dict[int, Array] = {}
-
     @property
-    def worth_a_factor(self) -> NDArray[np.bool_]:
-        """Which contexts (k,) are asked for so many variances that a factor saves time."""
-        few_sets = 2 * len(self._process._basis_sets.distinct) <= len(self.kernel)
-        worth: NDArray[np.bool_] = (self.asked > WORTH_A_FACTOR) & (few_sets and self.exact)
-        return worth
-
-    @property
-    def exact(self) -> bool:
-        """Whether there is so much noise that variances by a factor are exact."""
-        theta, count = self._process.hyperparameters, self._process.data.count
-        return bool(theta.noise**2 / count.max() >= NOISY * (theta.signal**2 + MEAN_SD**2))
-
-    def factor(self, row: int) -> Array:
-        """Return the factor (q + 1, q + 1) of a context, see `_factor`."""
-        if row not in self._factors:
-            self._factors[row] = self._factor(self.kernel[:, row])
-        return self._factors[row]
+    def _prior_variance(self) -> float:
+        return self.hyperparameters.signal**2 + MEAN_SD**2
 
     @cached_property
-    def factor_of_mean(self) -> Array:
-        """The factor (q + 1, q + 1) of the mean over the contexts, see `_factor`."""
-        return self._factor(self.kernel.mean(axis=1))
+    def _basis_sets(self) -> ParameterSets:
+        return ParameterSets(self.posterior.basis, self.columns)
 
-    def _factor(self, across: Array) -> Array:
-        """Return the upper triangular R with ‖R g‖² = ‖W k‖², where g is s² k(x, u) and a 1.
+    @cached_property
+    def _data_sets(self) -> ParameterSets:
+        return ParameterSets(self.data.x, self.columns)
 
-        The covariance of a sum over contexts at x with the basis is k_i = s² k(x, u_i) a_i +
-        MEAN_SD², with the sum a (b,) of k(c_u, c). Points of one parameter set have the same u_i,
-        so W k is the product of g with a matrix that has a column for each parameter set; R is that
-        of its QR factorization. (The square of the matrix would be faster, and lose half of the
-        digits of small variances.)
-        """
-        whitening, sets = self._process.posterior.whitening, self._process._basis_sets
-        columns = sets.sum(whitening * across, axis=1)
-        constant = MEAN_SD**2 * whitening.sum(axis=1)
-        factored, _, _, _ = lapack.dgeqrf(np.column_stack([columns, constant]))
-        rows = np.zeros((factored.shape[1], factored.shape[1]), order="F")
-        rows[: len(factored)] = np.triu(factored[: factored.shape[1]])
-        return rows
+    @cached_property
+    def _known(self) -> _Known:
+        return _Known()
+
+    def _parameter_kernel(self, x: Array) -> Array:
+        """Return s² k(x, u) of x (m, d) with the parameter sets u of the basis, shape (m, q)."""
+
+        def compute(x: Array) -> Array:
+            scales = self.hyperparameters.length_scales[: self.columns]
+            near = correlation(self.coding.encode(x), self._basis_sets.distinct, scales)
+            return self.hyperparameters.signal**2 * near
+
+        return self._known.kernel.of(x, compute)
+
+    def _reduction(self, contexts: Array) -> ContextReduction:
+        """Return what predictions in contexts (k, e) need."""
+
+        def compute(contexts: Array) -> ContextReduction:
+            basis = self.posterior.basis[:, self.columns :]
+            across = correlation(basis, contexts, self._context_scales)
+            return ContextReduction(self.posterior, self._basis_sets, across, self._prior_variance)
+
+        return self._known.reduction.of(contexts, compute)
+
+    def _between(self, contexts: Array) -> Array:
+        """Return k(c, c) of all pairs of contexts (k, e), shape (k, k)."""
+        return self._known.between.of(contexts, lambda c: correlation(c, c, self._context_scales))
+
+    def _near(self, x: Array) -> Array:
+        """Return the weight in the noise at x (m, d) of the sets of the data, shape (m, p)."""
+
+        def compute(x: Array) -> Array:
+            distinct = self._data_sets.distinct
+            return correlation(self.coding.encode(x), distinct, _parameter_widths(self.columns))
+
+        return self._known.near.of(x, compute)
+
+    def _noise_across(self, contexts: Array) -> tuple[Array, Array]:
+        """Return the squares and degrees of the data's sets, weighted for contexts, (p, k) each."""
+
+        def compute(contexts: Array) -> tuple[Array, Array]:
+            own = self.data.x[:, self.columns :]
+            across = correlation(own, contexts, _context_widths(own.shape[1]))
+            sums = self._data_sets.sum
+            return sums(across * self.squares[:, None]), sums(across * self.degrees[:, None])
+
+        return self._known.noise.of(contexts, compute)
+
+    @property
+    def _context_scales(self) -> Array:
+        return self.hyperparameters.length_scales[self.columns :]
 
 
 def _local_ratio(
     z: Array, points: Array, columns: int, squares: Array, degrees: Array
 ) -> tuple[Array, Array]:
     """Return local over common noise variance and degrees of freedom at joint points, (m,) each."""
-    widths = _widths(columns, points[:, columns:])
+    contexts = points.shape[1] - columns
+    widths = np.append(_parameter_widths(columns), _context_widths(contexts))
     weighted = np.column_stack([squares, degrees])
     # In blocks, lest the kernel between all data takes more memory than anything else.
     blocks = np.array_split(z, 1 + len(z) // BLOCK)
@@ -523,9 +416,14 @@ def _local_ratio(
     return (near[:, 0] + PRIOR_DEGREES) / (near[:, 1] + PRIOR_DEGREES), near[:, 1] + PRIOR_DEGREES
 
 
-def _widths(columns: int, contexts: Array) -> Array:
-    """Return the widths of the kernel around a place whose noise is estimated, see `WIDTH`."""
-    return np.append(np.full(columns, WIDTH * columns**0.5), np.full(contexts.shape[1], WIDTH))
+def _parameter_widths(columns: int) -> Array:
+    """Return the widths (columns,) of the kernel around a place whose noise is estimated."""
+    return np.full(columns, WIDTH * columns**0.5)
+
+
+def _context_widths(contexts: int) -> Array:
+    """Return the widths (contexts,) of the same kernel along the context variables."""
+    return np.full(contexts, WIDTH)
 
 
 def _spread_over_values(y: Array) -> NDArray[np.intp]:

@@ -187,7 +187,7 @@ class EveryContext(PooledResponse):
     def forecast(self, x: Array) -> tuple[Array, Array, Array]:
         """Return as `PooledResponse.forecast`, of a run in the worst context."""
         rows, mean = self._worst(x)
-        return self._quantile(x, rows, mean)
+        return self._quantile(x, rows, mean, *self.process.noise(x, self.contexts, rows))
 
     def predict_mean(self, x: Array) -> Array:
         """Return the mean (m,) of the limited quantile at x (m, d) in the metric's unit."""
@@ -197,9 +197,10 @@ class EveryContext(PooledResponse):
 
     def predict_in(self, x: Array, which: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the quantile at x (m, d), in a context each."""
-        means = self.process.means(x, self.contexts)
-        mean, variance, _ = self._quantile(x, which, means[np.arange(len(x)), which])
-        return mean, variance
+        mean = self.process.means(x, self.contexts)[np.arange(len(x)), which]
+        noise = self.process.noise(x, self.contexts, which)
+        quantile, variance, _ = self._quantile(x, which, mean, *noise)
+        return quantile, variance
 
     def _worst(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return row and mean (m,) of the worst context."""
@@ -208,11 +209,10 @@ class EveryContext(PooledResponse):
         return rows, means[np.arange(len(x)), rows]
 
     def _quantile(
-        self, x: Array, which: NDArray[np.intp], mean: Array
+        self, x: Array, which: NDArray[np.intp], mean: Array, noise: Array, degrees: Array
     ) -> tuple[Array, Array, Array]:
-        """Return a `forecast` in a context each, where the metric's mean is known."""
+        """Return a `forecast` in a context each, where the metric's mean and noise are known."""
         variance = self.process.variances(x, self.contexts, which)
-        noise, degrees = self.process.noise(x, self.contexts, which)
         margin = self.deviations * np.sqrt(noise)
         return (
             self._limited(mean, np.sqrt(noise)),
@@ -233,8 +233,10 @@ class EveryContext(PooledResponse):
     def most_doubtful(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return the row of the most doubtful context, and the log probability there, (m,) each."""
         found, rows = np.full(len(x), np.inf), np.zeros(len(x), dtype=np.intp)
-        for row, mean in enumerate(self.process.means(x, self.contexts).T):
-            quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean)
+        means = self.process.means(x, self.contexts)
+        noise, degrees = self.process.noise_everywhere(x, self.contexts)
+        for row, (mean, *of_runs) in enumerate(zip(means.T, noise.T, degrees.T, strict=True)):
+            quantile, variance, _ = self._quantile(x, np.full(len(x), row), mean, *of_runs)
             here = self.log_kept(quantile, variance)
             rows[here < found] = row
             found = np.minimum(found, here)

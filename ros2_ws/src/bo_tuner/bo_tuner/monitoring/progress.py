@@ -167,7 +167,7 @@ def incumbent_in_words(best: Candidate | None, study: Study) -> str:
 
 
 def units_in_words(study: Study) -> str:
-    """Return a line with the units of all that `describe` shows, empty without any."""
+    """Return a line with the units of parameters and metrics in `describe`; empty without any."""
     shown_metrics = [o.metric for o in study.objectives]
     shown_metrics += [c.metric for c in study.worst_case_constraints]
     named = [item for item in study.parameters.values() if item.is_tuned]

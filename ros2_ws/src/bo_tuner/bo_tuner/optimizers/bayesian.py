@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.acquisition.acquisition import (
     AcquisitionRule,
-    LogSum,
+    LogProduct,
     best_at_data,
     constrained_improvement,
 )
@@ -109,7 +109,7 @@ class AcquisitionSearch:
             acquisition,
             self._space.dimension,
             self._rng,
-            improved=acquisition.where_above if isinstance(acquisition, LogSum) else None,
+            improved=acquisition.where_above if isinstance(acquisition, LogProduct) else None,
             repair=self._space.repair,
             initial=self._starts,
         )
