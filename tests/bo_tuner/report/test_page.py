@@ -92,6 +92,15 @@ def test_the_answer_is_that_of_the_journal(page, tuned):
     assert rows["gain"][:2] == ["0.5", f"{best:.4g}"]
 
 
+def test_what_to_do_next_names_the_folder_that_the_run_is_in(tuned, tmp_path):
+    folder = tmp_path / "axes" / "first"
+    folder.mkdir(parents=True)
+    record = dataclasses.replace(tuned, path=folder)
+    text = write_report(record, folder / "report.html").read_text(encoding="utf-8")
+    assert "axes/first" in text
+    assert "runs/first" not in text
+
+
 def test_every_trial_is_listed_with_its_values(page, tuned):
     rows = table(page, f"{len(tuned.trials)} trials")
     for trial in tuned.trials:

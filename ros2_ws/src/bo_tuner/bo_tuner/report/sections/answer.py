@@ -73,6 +73,7 @@ class Answer:
 def answer(analysis: Analysis) -> Answer:
     """Return the answer of a run, or its state so far."""
     verdict, record = analysis.verdict, analysis.record
+    folder = record.path.resolve()
     sentences = list(verdict.sentences)
     if verdict.quantities:
         tiles, table = _tiles(analysis), _comparison(analysis)
@@ -85,7 +86,8 @@ def answer(analysis: Analysis) -> Answer:
         verdict=verdict,
         sentences=sentences,
         tiles=tiles,
-        steps=next_steps(verdict, f"runs/{record.path.resolve().name}"),
+        # As from where the runs are: the page may be read on another machine.
+        steps=next_steps(verdict, f"{folder.parent.name}/{folder.name}"),
         files=[(name, what) for name, what in FILES if (record.path / name).exists()],
         table=table,
         notes=[f"{line}." for line in verdict.draws_in_words],
