@@ -13,7 +13,7 @@ from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.parts import UPPER
+from bo_tuner.study.parts import ROS, UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import EvaluationState, Stage, Trial
@@ -81,6 +81,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
                 float(str(summary.get("predicted_feasibility") or 0.0)),
                 passed=passed_check,
             ),
+            measured=record.backend == ROS,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(

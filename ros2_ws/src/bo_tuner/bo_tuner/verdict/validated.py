@@ -48,6 +48,7 @@ def validated(
     evaluations: Sequence[Evaluation],
     *,
     doubt: str,
+    measured: bool,
 ) -> Verdict:
     """Return the verdict of a run by its validation.
 
@@ -63,6 +64,8 @@ def validated(
         All evaluations on record.
     doubt
         Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
+    measured
+        Whether metrics of time are measured, on nodes, and not modelled.
     """
     reasons = [doubt] if doubt else []
     reasons += _problems(study, tuned)
@@ -89,7 +92,10 @@ def validated(
             },
         ),
         choice="" if doubt else _choice(study),
-        remarks=(*_load(study, tuned), *_lost(evaluations, tuned.parameters)),
+        remarks=(
+            *(_load(study, tuned) if measured else ()),
+            *_lost(evaluations, tuned.parameters),
+        ),
         observed=observed_sides,
         is_default=is_default(study, tuned.parameters),
     )
@@ -228,10 +234,10 @@ def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) ->
 
 
 def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
-    """Return a remark if only measured times exceed their limits."""
-    broken = [study.constraints[name] for name, s in tuned.constraints.items() if not s.holds]
-    metrics = [study.metrics[constraint.metric] for constraint in broken]
-    if not metrics or not all(metric.measures_time for metric in metrics):
+    """Return a remark if only measured times exceed their limits, in all draws."""
+    samples = [s for s in tuned.constraints.values() if s.violations or not s.holds]
+    metrics = [study.metrics[study.constraints[sample.name].metric] for sample in samples]
+    if all(sample.holds for sample in samples) or not all(m.measures_time for m in metrics):
         return ()
     names = ", ".join(metric.name for metric in metrics)
     return (f"Only {names} exceeded a limit, which other load on this machine can also cause.",)

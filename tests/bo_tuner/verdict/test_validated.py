@@ -1,0 +1,39 @@
+"""What the verdict by a validation says besides."""
+
+import math
+
+import pytest
+
+from bo_tuner.study.study_file import load_study
+from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.validated import validated
+
+LOAD = "Only return_time exceeded a limit, which other load on this machine can also cause."
+
+
+def validation(study, violations):
+    """One of 25 draws, with so many violations of each limit; more than 4 refute it."""
+    samples = {
+        name: Sample(name, math.nan, 25, count, count <= 4) for name, count in violations.items()
+    }
+    return Validation(study.search_space().defaults, 25, 0, 0.2, 0.01, samples)
+
+
+@pytest.mark.parametrize(
+    ("violations", "measured", "told"),
+    [
+        ({"real_time": 25, "overshoot": 0}, True, True),
+        # Counted operations do not depend on the load.
+        ({"real_time": 25, "overshoot": 0}, False, False),
+        ({"real_time": 25, "overshoot": 9}, True, False),
+        ({"real_time": 25, "overshoot": 3}, True, False),
+        ({"real_time": 0, "overshoot": 9}, True, False),
+        ({"real_time": 0, "overshoot": 0}, True, False),
+    ],
+)
+def test_other_load_explains_only_measured_times(violations, measured, told):
+    study = load_study("benchmark")
+    both = validation(study, violations)
+    verdict = validated(study, 0, both, both, (), doubt="", measured=measured)
+    assert verdict.remarks == ((LOAD,) if told else ())
