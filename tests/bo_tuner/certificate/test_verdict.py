@@ -1,5 +1,6 @@
 """The certificate: what passes, how often it passes wrongly, and what it compares."""
 
+import dataclasses
 import itertools
 import math
 
@@ -54,6 +55,12 @@ def evidence(peaks, repeated=((0.5, 0.6),)):
             tuple(evaluation(p, Stage.CHECK_WORST) for p in peaks) for peaks in repeated
         ),
     )
+
+
+def nowhere(peaks):
+    """Evidence of a study without contexts."""
+    found = [dataclasses.replace(evaluation(p, Stage.CHECK_WORST), context={}) for p in peaks]
+    return Evidence({"gain": 0.5}, tuple(found), repeated=(tuple(found),))
 
 
 def normal(count, mean, deviation):
@@ -129,6 +136,26 @@ class TestWorstCase:
         found = judge(make_study(), evidence([0.5] * 100, [[0.9, 0.91] * 10, wide]), 0.95)
         assert [w.shown for w in found.constraints[0].worst] == [False, True]
         assert not found.passed
+
+    @pytest.mark.parametrize("constraint", [{}, {"upper": None, "lower": 0.2}])
+    def test_the_context_with_the_bound_that_decides_is_the_first(self, make_study, constraint):
+        """Both keep the limit; the one with the worse mean is known better."""
+        sure, doubtful = [0.6, 0.61] * 20, [0.42, 0.72] * 10
+        if constraint:
+            sure, doubtful = ([1.0 - value for value in values] for values in (sure, doubtful))
+        study = make_study(constraints={"peak": {"kind": "worst_case", "metric": "peak"} | (
+            {key: value for key, value in constraint.items() if value} or {"upper": LIMIT}
+        )})  # fmt: skip
+        (found,) = judge(study, evidence([0.5] * 100, [sure, doubtful]), 0.95).constraints
+        assert found.passed
+        first, second = found.worst
+        assert (first.evaluations, second.evaluations) == (20, 40)
+        bound = first.mean.lower if constraint else first.mean.upper
+        assert f"{bound:.4g}, limit" in found.reason
+
+    def test_without_contexts_none_is_named(self, make_study):
+        (found,) = judge(make_study(), nowhere([0.5, 0.6] * 10), 0.95).constraints
+        assert found.reason.startswith("mean over noise at most 0.")
 
     def test_it_needs_a_look_at_the_worst_context(self, make_study):
         assert not judge(make_study(), evidence([0.5] * 100, []), 0.95).passed

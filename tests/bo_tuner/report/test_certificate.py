@@ -6,7 +6,9 @@ import pytest
 
 from bo_tuner.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.errors import RunRecordError
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.certificate import certificate
+from bo_tuner.report.sections.tolerance import tolerance
 
 
 def findings(violations, passed):
@@ -60,6 +62,7 @@ def content(verdict):
                 "validated": 1.5, "gap": 0.3, "standard_error": 0.1,
             }
         ],
+        "context_tolerances": [],
     }  # fmt: skip
 
 
@@ -102,6 +105,36 @@ def test_without_the_default_there_is_one_column(certified):
     limits = found.section.tables[0]
     assert limits.header == ["", "tuned", "unit"]
     assert ["mean error", "1.5 ± 0.02", "s"] in limits.rows
+
+
+def band(median):
+    return {"low": median - 0.1, "median": median, "high": median + 0.1}
+
+
+def drift(bound):
+    return {"bound": bound, "limit": band(bound), "breaks": 0.0}
+
+
+def test_what_it_says_of_the_context_is_what_the_report_says(certified, tuned):
+    """The certificate has more evaluations than the record of the run."""
+    analysis = Analysis(tuned)
+    assert "0.123" not in tolerance(analysis).lead
+    drifts = {name: drift(1.0) for name in ("down", "up", "worst_down", "worst_up")}
+    variable = {"name": "load", "unit": "kg", "nominal": 1.5, "relief": band(0.123)} | drifts
+    found = {
+        "constraint": "peak", "metric": "peak", "unit": "N", "limit": 1.0, "side": "upper",
+        "evaluations": 1234, "nominal": band(0.5), "worst": band(0.9),
+        "worst_context": {"load": 2.0}, "variables": [variable],
+    }  # fmt: skip
+    answer = dict(analysis.answer.parameters)
+    ours = content("PASS") | {
+        "context_tolerances": [found],
+        "parameters": answer,
+        "parameters_sha256": parameters_sha256(answer),
+    }
+    section = tolerance(Analysis(certified(json.dumps(ours))))
+    assert "by 0.123 N (0.023 to 0.223)" in section.lead
+    assert "From 1234 evaluations" in section.notes[0]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"verdict": "PASS"}', "\x00"])

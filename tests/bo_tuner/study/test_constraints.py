@@ -73,6 +73,18 @@ class TestBothLimits:
             _ = constraint.limit
 
 
+def test_a_limit_is_named_where_another_one_is_on_the_same_side(make_study):
+    study = make_study(
+        constraints={"peak": BOTH, "mean": {"kind": "chance", "metric": "peak", "upper": 0.9}}
+    )
+    titles = {name: study.titled(c, c.limited) for name, c in study.constraints.items()}
+    assert titles == {
+        "peak_lower": "lowest peak",
+        "peak_upper": "peak (peak_upper)",
+        "mean": "peak (mean)",
+    }
+
+
 def test_several_worst_cases(make_study):
     study = make_study(
         constraints={

@@ -15,6 +15,7 @@ How often the bands hold the truth is measured by `benchmarks/band_coverage.py`.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -60,6 +61,11 @@ class Band:
     median: float
     high: float
 
+    @classmethod
+    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
+        """Return the band that a certificate holds."""
+        return cls(float(item["low"]), float(item["median"]), float(item["high"]))
+
 
 @dataclass(frozen=True)
 class Drift:
@@ -78,6 +84,12 @@ class Drift:
     bound: float
     limit: Band
     breaks: float
+
+    @classmethod
+    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
+        """Return the drift that a certificate holds."""
+        limit = Band.from_mapping(item["limit"])
+        return cls(float(item["bound"]), limit, float(item["breaks"]))
 
 
 @dataclass(frozen=True)
@@ -105,6 +117,16 @@ class VariableTolerance:
     up: Drift
     worst_down: Drift
     worst_up: Drift
+
+    @classmethod
+    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
+        """Return the effect that a certificate holds."""
+        drifts = {
+            name: Drift.from_mapping(item[name])
+            for name in ("down", "up", "worst_down", "worst_up")
+        }
+        relief = Band.from_mapping(item["relief"])
+        return cls(item["name"], item["unit"], float(item["nominal"]), relief, **drifts)
 
 
 @dataclass(frozen=True)
@@ -135,6 +157,19 @@ class ContextTolerance:
     worst: Band
     worst_context: Mapping[str, float]
     variables: tuple[VariableTolerance, ...]
+
+    @classmethod
+    def from_mapping(cls, item: Mapping[str, Any]) -> Self:
+        """Return what a certificate holds of a constraint.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If that is not all of it.
+        """
+        bands = {name: Band.from_mapping(item[name]) for name in ("nominal", "worst")}
+        variables = tuple(map(VariableTolerance.from_mapping, item["variables"]))
+        return cls(**dict(item) | bands | {"variables": variables})
 
     @property
     def relieved(self) -> str:

@@ -95,7 +95,8 @@ class ConstraintVerdict:
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, first those where the limit is not
-        shown to hold, then by the worst mean.
+        shown to hold, then by the bound that decides: that of the mean, or of the probability of a
+        violation.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """

@@ -16,6 +16,7 @@ from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, Wor
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.study.parts import CHANCE, SINGLE_RUN, UPPER
+from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 
 
@@ -42,7 +43,7 @@ def certificate_table(certificate: Certificate) -> Table:
     level = spent(certificate.confidence, certificate.attempt)
     for constraints in zip(*[f.constraints for f in both], strict=True):
         table.add_section()
-        for row in _constraint_rows(constraints, level):
+        for row in _constraint_rows(study, constraints, level):
             table.add_row(*row)
     table.add_section()
     table.add_row("failed evaluations", "", *[f"{f.failures} of {f.evaluations}" for f in both])
@@ -64,19 +65,22 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
             f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
         )
     for tolerance in certificate.tolerances:
-        yield from _context(tolerance)
+        yield from _context(certificate.study, tolerance)
     for warning in certificate.warnings:
         yield f"warning: {warning}"
 
 
-def _constraint_rows(both: Sequence[ConstraintVerdict], confidence: float) -> Iterator[list[str]]:
+def _constraint_rows(
+    study: Study, both: Sequence[ConstraintVerdict], confidence: float
+) -> Iterator[list[str]]:
     tuned = both[-1]
+    constraint = study.constraints[tuned.name]
     metric, unit = tuned.metric, tuned.unit
     bound = f"{100.0 * confidence:.4g} % bound"
     upper = tuned.side == UPPER
     beyond = f"{'above' if upper else 'below'} {tuned.limit:g}"
-    extreme = "largest" if upper else "smallest"
-    yield [f"{extreme} {metric}", unit, *[f"{c.extreme:.4g}" for c in both]]
+    extreme = study.titled(constraint, f"{constraint.extreme} {metric}")
+    yield [extreme, unit, *[f"{c.extreme:.4g}" for c in both]]
     yield [_tail(), unit, *[f"{c.tail:.4g}" for c in both]]
     yield [f"  draws {beyond}", "", *[str(c.violations) for c in both]]
     yield [f"  P(violation), {bound}", "", *[f"{c.violation_bound:.4f}" for c in both]]
@@ -84,7 +88,8 @@ def _constraint_rows(both: Sequence[ConstraintVerdict], confidence: float) -> It
         yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
     if all(c.worst for c in both):
         worst = [c.worst[0] for c in both]
-        yield [f"worst-case {metric}, mean", unit, *[_mean(w.mean) for w in worst]]
+        title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
+        yield [title, unit, *[_mean(w.mean) for w in worst]]
         bounds = [w.mean.upper if upper else w.mean.lower for w in worst]
         yield [f"  {bound}", unit, *[f"{value:.4g}" for value in bounds]]
         if tuned.statistic == SINGLE_RUN:
@@ -96,13 +101,14 @@ def _constraint_rows(both: Sequence[ConstraintVerdict], confidence: float) -> It
         yield [f"  evaluations {beyond}", "", *[_beyond(w) for w in worst]]
 
 
-def _context(tolerance: ContextTolerance) -> Iterator[str]:
+def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
     first = tolerance.variables[0]
     unit = f" {tolerance.unit}" if tolerance.unit else ""
+    constraint = study.constraints[tolerance.constraint]
     yield (
-        f"{tolerance.metric} is most sensitive to {first.name}: at its nominal value the worst "
-        f"case would be {tolerance.relieved} by {first.relief.median:.2g}{unit} "
-        f"({first.relief.low:.2g} to {first.relief.high:.2g})"
+        f"{study.titled(constraint, constraint.limited)} is most sensitive to {first.name}: "
+        f"at its nominal value the worst case would be {tolerance.relieved} by "
+        f"{first.relief.median:.2g}{unit} ({first.relief.low:.2g} to {first.relief.high:.2g})"
     )
     for variable in tolerance.variables:
         yield f"{variable.name}: {_tolerated(variable)}"

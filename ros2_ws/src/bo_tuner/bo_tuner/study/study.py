@@ -246,6 +246,15 @@ class Study:
         """Constraints that must hold in every context."""
         return tuple(item for item in self.constraints.values() if item.kind == WORST_CASE)
 
+    def titled(self, constraint: Constraint, text: str) -> str:
+        """Return a text on a constraint, with its name if another one limits the same side, too."""
+        same = [
+            item
+            for item in self.constraints.values()
+            if (item.metric, item.sign) == (constraint.metric, constraint.sign)
+        ]
+        return text if len(same) == 1 else f"{text} ({constraint.name})"
+
     def assignments(
         self, parameters: Mapping[str, Value], context: Mapping[str, float], seed: int
     ) -> dict[str, dict[str, checks.ParameterValue]]:

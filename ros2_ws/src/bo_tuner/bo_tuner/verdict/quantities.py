@@ -107,7 +107,7 @@ def _of_constraint(
         farthest = shown(constraint.farthest(on_record))
         parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
     return Quantity(
-        label=label,
+        label=study.titled(constraint, label),
         metric=metric,
         unit=study.metrics[metric].unit,
         default=values[0],

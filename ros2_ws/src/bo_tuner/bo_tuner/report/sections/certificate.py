@@ -6,12 +6,13 @@ from pathlib import PurePath
 from typing import Any
 
 from bo_tuner.certificate.certificate import DEFAULT, TUNED
+from bo_tuner.certificate.context_tolerance import ContextTolerance
 from bo_tuner.certificate.store import certificate_paths, read_certificate
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.parts import UPPER
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
 
 
@@ -47,6 +48,15 @@ class CertificateFile:
         return f"{self.content['drawn']} fresh draws, {confidence:g} % confidence over all attempts"
 
     @property
+    def tolerances(self) -> tuple[ContextTolerance, ...]:
+        """How far each context variable may drift."""
+        return tuple(map(ContextTolerance.from_mapping, self.content["context_tolerances"]))
+
+    def is_of(self, trial: Trial) -> bool:
+        """Return whether the parameter set that was tested is that of a trial."""
+        return bool(self.content["parameters"] == dict(trial.parameters))
+
+    @property
     def reasons(self) -> Sequence[str]:
         """Why it did not pass; empty if it did."""
         return [str(reason) for reason in self.content["reasons"]]
@@ -70,15 +80,16 @@ def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | No
         return None
     path, content = (of_answer or found)[0]
     try:
-        file = CertificateFile(content, _section(content, path.relative_to(record.path)))
+        section = _section(record.study, content, path.relative_to(record.path))
+        file = CertificateFile(content, section)
         # All that the report takes from it, so that what is wrong is found here.
-        _ = (file.passed, file.trial, file.scope, file.reasons)
+        _ = (file.passed, file.trial, file.scope, file.reasons, file.tolerances)
         return file
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
 
 
-def _section(content: Mapping[str, Any], path: PurePath) -> Section:
+def _section(study: Study, content: Mapping[str, Any], path: PurePath) -> Section:
     verdict = str(content["verdict"])
     confidence = f"{100.0 * float(content['bound_confidence']):.4g} %"
     lead = (
@@ -91,7 +102,7 @@ def _section(content: Mapping[str, Any], path: PurePath) -> Section:
         name="certificate",
         title=f"Certificate: {verdict}",
         lead=lead,
-        tables=[_limits(content, confidence), *_gaps(content)],
+        tables=[_limits(study, content, confidence), *_gaps(content)],
         notes=[
             *map(str, content["reasons"]),
             *map(str, content["warnings"]),
@@ -100,7 +111,7 @@ def _section(content: Mapping[str, Any], path: PurePath) -> Section:
     )
 
 
-def _limits(content: Mapping[str, Any], confidence: str) -> Table:
+def _limits(study: Study, content: Mapping[str, Any], confidence: str) -> Table:
     sides = [side for side in (DEFAULT, TUNED) if content[side] is not None]
     both = [content[side] for side in sides]
     objective = content["objective"]
@@ -111,11 +122,13 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
     ]
     for pair in zip(*(f["constraints"] for f in both), strict=True):
         first = pair[-1]
-        metric, unit, limit = first["metric"], first["unit"], number(first["limit"])
-        side = first["side"]
-        extreme, beyond = ("largest", "above") if side == UPPER else ("smallest", "below")
+        unit, limit, side = first["unit"], number(first["limit"]), first["side"]
+        constraint = study.constraints[first["name"]]
+        beyond = constraint.beyond
+        extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
+        mean = study.titled(constraint, f"worst-case mean {constraint.limited}")
         rows += [
-            [f"{extreme} {metric}", *(number(c["extreme"]) for c in pair), unit],
+            [extreme, *(number(c["extreme"]) for c in pair), unit],
             [f"  {tail}", *(number(c["tail"]) for c in pair), unit],
             [f"  draws {beyond} {limit}", *(str(c["violations"]) for c in pair), ""],
             [
@@ -127,7 +140,7 @@ def _limits(content: Mapping[str, Any], confidence: str) -> Table:
         if all(c["worst"] for c in pair):
             worst = [c["worst"][0] for c in pair]
             rows += [
-                [f"worst-case mean {metric}", *(_mean(w["mean"]) for w in worst), unit],
+                [mean, *(_mean(w["mean"]) for w in worst), unit],
                 [f"  {confidence} bound", *(number(w["mean"][side]) for w in worst), unit],
                 [
                     f"  probability of a violation there, {confidence} bound",

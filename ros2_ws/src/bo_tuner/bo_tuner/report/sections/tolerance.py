@@ -11,6 +11,7 @@ from bo_tuner.certificate.context_tolerance import (
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, numbered, quantity, values
+from bo_tuner.study.study import Study
 
 
 def tolerance(analysis: Analysis) -> Section | None:
@@ -18,14 +19,22 @@ def tolerance(analysis: Analysis) -> Section | None:
     answer = analysis.answer
     if answer is None:
         return None
-    tolerances = context_tolerances(analysis.study, analysis.evaluations_of(answer.parameters))
+    certificate, study = analysis.certificate, analysis.study
+    if certificate is not None and certificate.is_of(answer):
+        tolerances = certificate.tolerances
+    else:
+        tolerances = context_tolerances(study, analysis.evaluations_of(answer.parameters))
     if not tolerances:
         return None
+    limited = [_limited(study, found) for found in tolerances]
     return Section(
         name="tolerance",
         title="How far each context variable may drift",
-        lead=" ".join(map(_lead, tolerances)),
-        figures=[_reliefs(found, numbered("tolerance", k)) for k, found in enumerate(tolerances)],
+        lead=" ".join(map(_lead, tolerances, limited)),
+        figures=[
+            _reliefs(found, name, numbered("tolerance", k))
+            for k, (found, name) in enumerate(zip(tolerances, limited, strict=True))
+        ],
         tables=[_table(found) for found in tolerances],
         notes=[
             *(_note(found, analysis.answer_set) for found in tolerances),
@@ -34,10 +43,15 @@ def tolerance(analysis: Analysis) -> Section | None:
     )
 
 
-def _lead(found: ContextTolerance) -> str:
+def _limited(study: Study, found: ContextTolerance) -> str:
+    constraint = study.constraints[found.constraint]
+    return study.titled(constraint, constraint.limited)
+
+
+def _lead(found: ContextTolerance, limited: str) -> str:
     first = found.variables[0]
     return (
-        f"{found.metric} is most sensitive to {first.name}: at its nominal value the worst "
+        f"{limited} is most sensitive to {first.name}: at its nominal value the worst "
         f"case would be {found.relieved} by {quantity(first.relief.median, found.unit)} "
         f"({number(first.relief.low)} to {number(first.relief.high)})."
     )
@@ -72,14 +86,14 @@ def _note(found: ContextTolerance, subject: str) -> str:
     )
 
 
-def _reliefs(found: ContextTolerance, name: str) -> Figure:
+def _reliefs(found: ContextTolerance, limited: str, name: str) -> Figure:
     reliefs = [variable.relief for variable in found.variables]
     places = np.arange(len(reliefs), dtype=float)
     names = [variable.name for variable in found.variables]
     texts = [f"{n}: {quantity(r.median, found.unit)}" for n, r in zip(names, reliefs, strict=True)]
     return Figure(
         name=name,
-        title=f"Effect of each context variable on the worst {found.metric}",
+        title=f"Effect of each context variable on the worst {limited}",
         caption="Distance by which the worst case moves away from the limit when this variable "
         f"alone returns to its nominal value, with the {100.0 * CREDIBLE:g} % credible band.",
         alternative="; ".join(texts),
