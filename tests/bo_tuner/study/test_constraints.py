@@ -75,7 +75,10 @@ class TestBothLimits:
 
 def test_a_limit_is_named_where_another_one_is_on_the_same_side(make_study):
     study = make_study(
-        constraints={"peak": BOTH, "mean": {"kind": "chance", "metric": "peak", "upper": 0.9}}
+        constraints={
+            "peak": BOTH,
+            "mean": {"kind": "chance", "metric": "peak", "upper": 0.9, "probability": 0.96},
+        }
     )
     titles = {name: study.titled(c, c.limited) for name, c in study.constraints.items()}
     assert titles == {
