@@ -137,21 +137,23 @@ class TestWorstCase:
         assert [w.shown for w in found.constraints[0].worst] == [False, True]
         assert not found.passed
 
-    @pytest.mark.parametrize("constraint", [{}, {"upper": None, "lower": 0.2}])
-    def test_the_context_with_the_bound_that_decides_is_the_first(self, make_study, constraint):
+    @pytest.mark.parametrize("lower", [False, True])
+    def test_the_bound_that_decides_need_not_be_that_of_the_worst_mean(self, make_study, lower):
         """Both keep the limit; the one with the worse mean is known better."""
         sure, doubtful = [0.6, 0.61] * 20, [0.42, 0.72] * 10
-        if constraint:
+        limit = {"upper": LIMIT}
+        if lower:
             sure, doubtful = ([1.0 - value for value in values] for values in (sure, doubtful))
-        study = make_study(constraints={"peak": {"kind": "worst_case", "metric": "peak"} | (
-            {key: value for key, value in constraint.items() if value} or {"upper": LIMIT}
-        )})  # fmt: skip
+            limit = {"lower": 0.2}
+        study = make_study(constraints={"peak": {"kind": "worst_case", "metric": "peak"} | limit})
         (found,) = judge(study, evidence([0.5] * 100, [sure, doubtful]), 0.95).constraints
         assert found.passed
-        first, second = found.worst
-        assert (first.evaluations, second.evaluations) == (20, 40)
-        bound = first.mean.lower if constraint else first.mean.upper
-        assert f"{bound:.4g}, limit" in found.reason
+        assert [w.evaluations for w in found.worst] == [40, 20]
+        bounds = [w.mean.lower if lower else w.mean.upper for w in found.worst]
+        widest = bounds[1]
+        assert widest == (min if lower else max)(bounds)
+        assert "in the least certain of the worst contexts" in found.reason
+        assert f"{widest:.4g}, limit" in found.reason
 
     def test_without_contexts_none_is_named(self, make_study):
         (found,) = judge(make_study(), nowhere([0.5, 0.6] * 10), 0.95).constraints

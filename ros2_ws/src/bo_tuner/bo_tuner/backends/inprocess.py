@@ -39,7 +39,7 @@ class InProcessBackend(SequentialBackend):
         self._triggered = ""
 
     def open(self) -> None:
-        """Make the objects and give them the study's constant parameters.
+        """Make the objects, and give them the study's constant parameters and then its defaults.
 
         Raises
         ------
@@ -67,8 +67,14 @@ class InProcessBackend(SequentialBackend):
                     dict(node.parameters) | dict(node.inprocess_parameters)
                 )
             except Exception as error:
-                problem = str(error) if isinstance(error, ValueError) else repr(error)
-                raise StudyError(problem, ("nodes", key, "parameters")) from error
+                raise StudyError(_reason(error), ("nodes", key, "parameters")) from error
+        # What an object never takes would cost all trials.
+        for key, values in self._study.nominal_assignments().items():
+            try:
+                self._objects[key].set_parameters(values)
+            except Exception as error:
+                problem = f"refuses the defaults of the study: {_reason(error)}"
+                raise StudyError(problem, ("nodes", key)) from error
 
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics."""
@@ -80,9 +86,8 @@ class InProcessBackend(SequentialBackend):
             try:
                 self._objects[key].set_parameters(values)
             except Exception as error:
-                reason = str(error) if isinstance(error, ValueError) else repr(error)
                 return Outcome(
-                    EvaluationState.FAILED, {}, f"{key} refused its parameters: {reason}"
+                    EvaluationState.FAILED, {}, f"{key} refused its parameters: {_reason(error)}"
                 )
         trigger = self._triggered
         others = {k: o for k, o in self._objects.items() if k != trigger}
@@ -98,6 +103,10 @@ class InProcessBackend(SequentialBackend):
     def close(self) -> None:
         """Forget the objects."""
         self._objects.clear()
+
+
+def _reason(refusal: Exception) -> str:
+    return str(refusal) if isinstance(refusal, ValueError) else repr(refusal)
 
 
 def triggered(study: Study) -> str:

@@ -1,13 +1,27 @@
 """The evidence for a certificate: the evaluations, and what they show for each constraint."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from bo_tuner.certificate.risk import Mean
+from bo_tuner.study.parts import UPPER
 from bo_tuner.trials import Evaluation, Value
 
 TAIL = 0.95
 """Level of the conditional value at risk, here the mean of the worst 5 % of the draws."""
+
+
+def widest(side: str, bounds: Iterable[float]) -> float:
+    """Return the bound, of those in several contexts, that decides whether a limit is kept.
+
+    Parameters
+    ----------
+    side
+        Which limit it is: ``upper`` or ``lower``.
+    bounds
+        One for each context.
+    """
+    return max(bounds) if side == UPPER else min(bounds)
 
 
 @dataclass(frozen=True)
@@ -95,8 +109,7 @@ class ConstraintVerdict:
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
         For a worst case: the contexts that may be the worst, first those where the limit is not
-        shown to hold, then by the bound that decides: that of the mean, or of the probability of a
-        violation.
+        shown to hold, then by the worst mean.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """

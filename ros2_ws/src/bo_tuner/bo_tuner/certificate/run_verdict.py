@@ -8,6 +8,7 @@ from typing import Any
 
 from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
+from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.store import certificate_problem, latest_certificate, read_certificate
 from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.certificate.verdict import PASS
@@ -204,12 +205,12 @@ def _observed(
             constraint["name"]: WorstMean(
                 value=_number(mean["value"], nan),
                 standard_error=_number(mean["standard_error"], nan),
-                bound=_bound(constraint["side"], mean),
+                bound=widest(side, [_bound(side, w["mean"]) for w in constraint["worst"]]),
                 count=int(constraint["worst"][0]["evaluations"]),
             )
             for constraint in findings["constraints"]
             if constraint["worst"]
-            for mean in (constraint["worst"][0]["mean"],)
+            for mean, side in ((constraint["worst"][0]["mean"], constraint["side"]),)
         },
     )
 

@@ -12,7 +12,13 @@ from bo_tuner.certificate.context_tolerance import (
     Drift,
     VariableTolerance,
 )
-from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Findings, WorstContext
+from bo_tuner.certificate.evidence import (
+    TAIL,
+    ConstraintVerdict,
+    Findings,
+    WorstContext,
+    widest,
+)
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.study.parts import CHANCE, SINGLE_RUN, UPPER
@@ -90,11 +96,12 @@ def _constraint_rows(
         worst = [c.worst[0] for c in both]
         title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
         yield [title, unit, *[_mean(w.mean) for w in worst]]
-        bounds = [w.mean.upper if upper else w.mean.lower for w in worst]
-        yield [f"  {bound}", unit, *[f"{value:.4g}" for value in bounds]]
+        # Of all contexts that the search found: the worst one need not have the widest bound.
+        means = [[w.mean.upper if upper else w.mean.lower for w in c.worst] for c in both]
+        yield [f"  {bound}", unit, *[f"{widest(tuned.side, values):.4g}" for values in means]]
         if tuned.statistic == SINGLE_RUN:
-            there = [f"{w.violation_bound:.4f}" for w in worst]
-            yield [f"  P(violation), {bound}", "", *there]
+            there = [max(w.violation_bound for w in c.worst) for c in both]
+            yield [f"  P(violation), {bound}", "", *[f"{value:.4f}" for value in there]]
             yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
         for k, name in enumerate(tuned.worst[0].context):
             yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]

@@ -179,7 +179,11 @@ def _judge(
         found = [
             _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
         ]
-        worst = tuple(sorted(found, key=lambda w: _place(constraint, w)))
+        # A context without a complete evaluation has no mean, and counts as the worst.
+        sign = constraint.sign
+        worst = tuple(
+            sorted(found, key=lambda w: (w.shown, -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
+        )
         refuted = _refuted(constraint, events, values, confidence)
         passed, reason = _worst_case(constraint, events, worst, unit, refuted_by_draws=refuted)
     else:
@@ -235,9 +239,17 @@ def _worst_case(
     if failures := sum(w.failures for w in worst):
         return False, f"{failures} evaluations failed in the worst contexts (none may)"
     passed = all(w.shown for w in worst)
-    on_mean, top = constraint.statistic == EXPECTATION, worst[0]
+    on_mean = constraint.statistic == EXPECTATION
+    # The context with the largest mean need not have the largest bound.
+    top = max(
+        worst,
+        key=lambda w: (
+            constraint.sign * _mean_bound(constraint, w) if on_mean else w.violation_bound
+        ),
+    )
     context = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items())
-    where = f"in the worst context ({context}) " if context else ""
+    which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
+    where = f"in {which} ({context}) " if context else ""
     says = "at most" if passed else "may be"
     if on_mean and not np.isfinite(_mean_bound(constraint, top)):
         return passed, (
@@ -254,19 +266,6 @@ def _worst_case(
         f"{where}{top.beyond} of {top.evaluations} runs violate the limit: "
         f"violation probability {says} {top.violation_bound:.4f}, allowed {constraint.allowed:.4g}"
     )
-
-
-def _place(constraint: Constraint, worst: WorstContext) -> tuple[bool, float, float]:
-    """Return what the worst contexts are sorted by: the first one decides, by its bound.
-
-    One without a complete evaluation has no mean, and counts as the worst.
-    """
-    sign = constraint.sign
-    mean = np.nan_to_num(sign * worst.mean.value, nan=np.inf)
-    bound = np.nan_to_num(sign * _mean_bound(constraint, worst), nan=np.inf)
-    if constraint.statistic == EXPECTATION:
-        return worst.shown, -float(bound), -float(mean)
-    return worst.shown, -worst.violation_bound, -float(mean)
 
 
 def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:

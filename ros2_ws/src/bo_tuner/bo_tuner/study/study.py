@@ -202,6 +202,14 @@ class Study:
         space = self.search_space()
         return space.completed(space.defaults | dict(self.park.parameters))
 
+    def nominal_assignments(
+        self, parameters: Mapping[str, Value] | None = None
+    ) -> dict[str, dict[str, checks.ParameterValue]]:
+        """Return `assignments` in the nominal context with the seed 0; of the defaults if None."""
+        contexts = self.context_space()
+        chosen = self.search_space().defaults if parameters is None else parameters
+        return self.assignments(chosen, contexts.to_dict(contexts.nominal()), 0)
+
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
 

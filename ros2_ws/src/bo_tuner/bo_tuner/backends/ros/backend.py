@@ -161,6 +161,7 @@ class RosBackend(SequentialBackend):
                 note=self._run_log is None,
             )
             self._safe = safe_parameters(self._study)
+            self._set_undeclared(client, found)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
                 self._set_safe(client)
@@ -395,6 +396,18 @@ class RosBackend(SequentialBackend):
                 client.parameters.assign_and_read_back(key, spec.parameters)
             except RefusedError as refusal:
                 problem = StudyError(str(refusal), ("nodes", key, "parameters"))
+                raise self._named(key, problem) from refusal
+
+    def _set_undeclared(
+        self, client: StudyClient, found: Mapping[str, Mapping[str, object]]
+    ) -> None:
+        """Set what the nodes have not declared; what they never take would cost all trials."""
+        for key, values in self._study.nominal_assignments().items():
+            undeclared = {name: v for name, v in values.items() if name not in found[key]}
+            try:
+                client.parameters.assign(key, undeclared)
+            except RefusedError as refusal:
+                problem = StudyError(str(refusal), ("nodes", key))
                 raise self._named(key, problem) from refusal
 
     def _set_safe(self, client: StudyClient) -> None:

@@ -36,9 +36,7 @@ def divide(
 
 
 def _assigned(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
-    contexts = study.context_space()
-    nominal = contexts.to_dict(contexts.nominal())
-    return {key: dict(v) for key, v in study.assignments(parameters, nominal, 0).items()}
+    return {key: dict(v) for key, v in study.nominal_assignments(parameters).items()}
 
 
 def compare_with_earlier(

@@ -7,6 +7,7 @@ from typing import Any
 
 from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.context_tolerance import ContextTolerance
+from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.store import certificate_paths, read_certificate
 from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
@@ -141,10 +142,14 @@ def _limits(study: Study, content: Mapping[str, Any], confidence: str) -> Table:
             worst = [c["worst"][0] for c in pair]
             rows += [
                 [mean, *(_mean(w["mean"]) for w in worst), unit],
-                [f"  {confidence} bound", *(number(w["mean"][side]) for w in worst), unit],
+                [
+                    f"  {confidence} bound",
+                    *(number(_widest_mean(side, c["worst"])) for c in pair),
+                    unit,
+                ],
                 [
                     f"  probability of a violation there, {confidence} bound",
-                    *(number(w["violation_bound"]) for w in worst),
+                    *(number(max(w["violation_bound"] for w in c["worst"])) for c in pair),
                     "",
                 ],
                 *(
@@ -162,6 +167,12 @@ def _limits(study: Study, content: Mapping[str, Any], confidence: str) -> Table:
         rows=rows,
         numeric=list(range(1, 1 + len(sides))),
     )
+
+
+def _widest_mean(side: str, worst: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the bound of the mean that decides; None for an infinite one, as JSON has it."""
+    bounds = [context["mean"][side] for context in worst]
+    return None if None in bounds else widest(side, bounds)
 
 
 def _gaps(content: Mapping[str, Any]) -> list[Table]:
