@@ -33,7 +33,8 @@ from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
-from bo_tuner.tuning.limits import judge_samples
+from bo_tuner.tuning.limits import WITHIN, judge_samples
+from bo_tuner.tuning.limits import verdict as verdict_of
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
@@ -481,3 +482,16 @@ def test_a_verdict_survives_evaluations_that_cannot_be_read(tuned, tmp_path, tex
     verdict = run_verdict(run)
     assert verdict.certificate == FAIL
     assert verdict.reasons[0].startswith("peak: ")
+
+
+def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
+    within = [t.number for t in run.trials if verdict_of(run.study, t) == WITHIN]
+    ranked = [t.number for t in run.trials if t.number != within[0]]
+    summary = dict(run.summary) | {"ranked_trials": ranked}
+    found = run_verdict(dataclasses.replace(run, summary=summary))
+    assert found.outliers == (within[0],)
+    assert any(f"Trial {within[0]} kept all limits" in text for text in found.sentences)
+    for known in ([*ranked, within[0]], None):
+        everyone = dataclasses.replace(run, summary=summary | {"ranked_trials": known})
+        assert run_verdict(everyone).outliers == ()

@@ -217,7 +217,7 @@ def test_a_run_in_which_everything_failed_has_a_report(axis_run, tmp_path):
     run = axis_run(**with_ends(-1.0))
     page = page_of(run, tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "All 7 trials failed." in text
+    assert "All 7 trials failed: axis: " in text
     assert len(page.tables["Failed evaluations, in the order in which they ran"]) == 1 + 7
 
 

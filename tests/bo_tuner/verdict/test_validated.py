@@ -37,3 +37,24 @@ def test_other_load_explains_only_measured_times(violations, measured, told):
     both = validation(study, violations)
     verdict = validated(study, 0, both, both, (), doubt="", measured=measured)
     assert verdict.remarks == ((LOAD,) if told else ())
+
+
+def test_outliers_that_kept_all_limits_are_told_of():
+    """Otherwise the answer seems to violate less than they do."""
+    study = load_study("benchmark")
+    both = validation(study, {"real_time": 25, "overshoot": 9})
+    found = [
+        validated(study, 0, both, both, (), doubt="", measured=False, outliers=numbers).sentences
+        for numbers in ((), (4,), (4, 7))
+    ]
+    assert "best.yaml holds the least violating parameter set; do not use it." in found[0]
+    assert not any("outlier" in sentence for sentence in found[0])
+    assert (
+        "Trial 4 kept all limits, but is an outlier of the objective, far from all others, and no "
+        "candidate for that."
+    ) in found[1]
+    assert (
+        "Trials 4, 7 kept all limits, but are outliers of the objective, far from all others, and "
+        "no candidates for that."
+    ) in found[2]
+    assert "best.yaml holds the least violating one of the candidates; do not use it." in found[2]

@@ -18,6 +18,7 @@ from bo_tuner.study.parts import ROS, UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import EvaluationState, Stage, Trial
+from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.quantities import quantities
@@ -83,11 +84,23 @@ def _by_validation(record: RunRecord) -> Verdict | None:
                 passed=passed_check,
             ),
             measured=record.backend == ROS,
+            outliers=_outliers(record, summary.get("ranked_trials")),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"
         ) from error
+
+
+def _outliers(record: RunRecord, ranked: object) -> list[int]:
+    """Return the trials that kept all limits and are not among those that were ranked."""
+    if not isinstance(ranked, list):
+        return []
+    return [
+        trial.number
+        for trial in record.trials
+        if trial.number not in ranked and limits.verdict(record.study, trial) == limits.WITHIN
+    ]
 
 
 def certified(record: RunRecord, trial: Trial, path: Path) -> Verdict:

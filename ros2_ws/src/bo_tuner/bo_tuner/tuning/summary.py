@@ -189,6 +189,7 @@ def summarize(
         "trial": best.candidate.trial.number,
         "passed_check": best.feasible,
         "checked_trials": best.checked,
+        "ranked_trials": sorted(candidate.trial.number for candidate in best.ranked),
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
         "default": asdict(default) | {"feasible": default.feasible},

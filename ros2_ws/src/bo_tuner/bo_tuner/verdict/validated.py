@@ -32,7 +32,9 @@ def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
     spent = study.budget.is_spent(done, count_evaluations(trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)
     if spent and failed == done:
-        reasons = (f"All {failed} trials failed",)
+        why = {trial.reason for trial in trials}
+        common = f": {why.pop()}" if len(why) == 1 else ""
+        reasons = (f"All {failed} trials failed{common}",)
         return Verdict(state=State.INFEASIBLE, trial=None, evidence="", reasons=reasons)
     evidence = f"{done} of {planned} trials"
     if spent:
@@ -49,6 +51,7 @@ def validated(
     *,
     doubt: str,
     measured: bool,
+    outliers: Sequence[int] = (),
 ) -> Verdict:
     """Return the verdict of a run by its validation.
 
@@ -66,6 +69,8 @@ def validated(
         Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
     measured
         Whether metrics of time are measured, on nodes, and not modelled.
+    outliers
+        As in `Verdict`.
     """
     reasons = [doubt] if doubt else []
     reasons += _problems(study, tuned)
@@ -98,6 +103,7 @@ def validated(
         ),
         observed=observed_sides,
         is_default=is_default(study, tuned.parameters),
+        outliers=tuple(outliers),
     )
 
 

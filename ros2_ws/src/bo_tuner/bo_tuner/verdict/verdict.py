@@ -128,6 +128,9 @@ class Verdict:
         Whether `apply` refuses a result that passed, such as for code that has changed since.
     is_default
         Whether the tuned parameter set is the default itself.
+    outliers
+        Numbers of the trials that kept all limits, but are outliers of the objective and were
+        therefore no candidates.
     """
 
     state: State
@@ -142,6 +145,7 @@ class Verdict:
     default_certified: bool = True
     apply_refuses: bool = False
     is_default: bool = False
+    outliers: tuple[int, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -212,12 +216,25 @@ class Verdict:
         found = [f"Trial {self.trial} against the default, in {self.evidence}."]
         found += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:
-            found.append("best.yaml holds the least violating parameter set; do not use it.")
+            found += self._least_violating()
         found.append(self.default_in_words)
         found += self._changes()
         if self.choice:
             found.append(self.choice)
         return (*found, *self.remarks)
+
+    def _least_violating(self) -> list[str]:
+        """Return what ``best.yaml`` holds where nothing was found feasible."""
+        if not self.outliers:
+            return ["best.yaml holds the least violating parameter set; do not use it."]
+        one = len(self.outliers) == 1
+        numbers = ", ".join(map(str, self.outliers))
+        return [
+            f"Trial{'' if one else 's'} {numbers} kept all limits, but {'is' if one else 'are'} "
+            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and no "
+            f"candidate{'' if one else 's'} for that.",
+            "best.yaml holds the least violating one of the candidates; do not use it.",
+        ]
 
     @property
     def default_in_words(self) -> str:
