@@ -5,14 +5,21 @@ import io
 import pytest
 
 from bo_tuner.monitoring.display import PlainConsole
-from bo_tuner.text import csv_cell, one_line, printable
+from bo_tuner.text import csv_cell, one_line, printable, shown
 
 HOSTILE = "\x1b[2Jx\x07\x9b1m\u202etxt\u2066\u200f\r"
 
 
 def test_nothing_steers_the_terminal():
-    shown = printable(f"{HOSTILE}\nü [b]")
-    assert shown == "?[2Jx??1m?txt???\nü [b]"
+    assert printable(f"{HOSTILE}\nü [b]") == "?[2Jx??1m?txt???\nü [b]"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(-0.0, "0"), (0.0, "0"), (-0.5, "-0.5"), (12345.6, "1.235e+04"), (7, "7"), (True, "true")],
+)
+def test_a_value(value, text):
+    assert shown(value) == text
 
 
 def test_a_line_stays_a_line():

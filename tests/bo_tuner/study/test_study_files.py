@@ -78,6 +78,13 @@ class TestLines:
         assert len(messages) > 1
         assert all("did you mean 'peek'" in m or "windw" in m for m in messages)
 
+    def test_an_error_of_the_parameters_is_told_once(self):
+        """Not of each part that refers to them."""
+        with pytest.raises(StudyError) as caught:
+            parse_study(STUDY.replace("[window, span]", "[windw, span]"), "mine.yaml")
+        assert "windw" in str(caught.value)
+        assert caught.value.others == ()
+
     def test_long_and_unprintable_keys_stay_on_one_short_line(self):
         with pytest.raises(StudyError) as caught:
             parse_study(f'"a\\n{"b" * 500}": 1', "mine.yaml")

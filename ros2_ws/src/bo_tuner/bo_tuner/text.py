@@ -57,7 +57,7 @@ def shown(value: bool | int | float | str) -> str:
     """Format a parameter's value: a number with four digits, a truth value as in a study file."""
     if isinstance(value, bool):
         return "true" if value else "false"
-    return value if isinstance(value, str) else f"{value:.4g}"
+    return value if isinstance(value, str) else f"{value + 0.0:.4g}"  # no "-0"
 
 
 def counted(number: int, noun: str) -> str:

@@ -182,9 +182,12 @@ class Study:
         with findings.under():
             check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
         with findings.under():
-            self._check_park()
-        with findings.under():
-            self.starting_sets()
+            # What is wrong with the parameters themselves is told once, and not of each use.
+            self.search_space()
+            with findings.under():
+                self._check_park()
+            with findings.under():
+                self.starting_sets()
         findings.check()
 
     @property
