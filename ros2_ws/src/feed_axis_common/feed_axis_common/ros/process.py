@@ -54,20 +54,9 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
     parameters
         Of the node, for ``--help``.
     """
-    command = Path(sys.argv[0]).name
-    try:
-        arguments = remove_ros_args(sys.argv)[1:]
-    except RuntimeError as error:
-        return _refuse(f"cannot start the node: {str(error).splitlines()[0]}")
-    if arguments and arguments[0] in ("-h", "--help"):
-        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `--help | head` is no error
-        print(_help(command, what, parameters))
-        return 0
-    if arguments:
-        return _refuse(
-            f"unexpected argument {arguments[0]!r}; expected ROS arguments only, "
-            f"such as: {command} --ros-args --params-file FILE"
-        )
+    code = _answer_arguments(what, parameters)
+    if code is not None:
+        return code
     stop = False
 
     def request_stop(_signum: int, _frame: FrameType | None) -> None:
@@ -108,6 +97,25 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
         rclpy.try_shutdown()
         deadline.cancel()
     return 0
+
+
+def _answer_arguments(what: str, parameters: Sequence[Specification]) -> int | None:
+    """Return the exit code if the arguments ask for help or are refused; None for a node to run."""
+    command = Path(sys.argv[0]).name
+    try:
+        arguments = remove_ros_args(sys.argv)[1:]
+    except RuntimeError as error:
+        return _refuse(f"cannot start the node: {str(error).splitlines()[0]}")
+    if not arguments:
+        return None
+    if arguments[0] in ("-h", "--help"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `--help | head` is no error
+        print(_help(command, what, parameters))
+        return 0
+    return _refuse(
+        f"unexpected argument {arguments[0]!r}; expected ROS arguments only, "
+        f"such as: {command} --ros-args --params-file FILE"
+    )
 
 
 def _help(command: str, what: str, parameters: Sequence[Specification]) -> str:
