@@ -51,6 +51,30 @@ sys.exit(run(Start, "", ()))
 """
 
 
+STUCK_SPIN = """
+import sys
+import time
+from feed_axis_common.ros import process
+from rclpy.node import Node
+
+class Executor:
+    def add_node(self, node):
+        print("spinning", flush=True)
+
+    def spin_once(self, timeout_sec):
+        # Like a call that does not return to the interpreter.
+        while True:
+            try:
+                time.sleep(3600.0)
+            except BaseException:
+                pass
+
+process.make_executor = Executor
+process.EXIT_TIMEOUT = 0.2
+sys.exit(process.run(lambda: Node("stuck"), "", ()))
+"""
+
+
 def start(start_node, keys):
     """Start nodes by (namespace, package)."""
     return {key: start_node(key[1], "-r", f"__ns:=/{key[0]}") for key in keys}
@@ -101,6 +125,17 @@ def test_a_node_that_is_being_made(ros_environment):
         [sys.executable, "-c", STUCK_START], check=False, capture_output=True, text=True
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_whose_spin_does_not_return(ros_environment, signum):
+    with subprocess.Popen([sys.executable, "-c", STUCK_SPIN], stdout=subprocess.PIPE) as node:
+        try:
+            assert node.stdout.readline() == b"spinning\n"
+            node.send_signal(signum)
+            assert node.wait(DEADLINE) == 0
+        finally:
+            node.kill()
 
 
 def test_idle_nodes(start_node, peer):

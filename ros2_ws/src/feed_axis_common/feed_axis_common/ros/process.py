@@ -29,7 +29,7 @@ EXIT_USAGE = 2
 SPIN_PERIOD = 0.1
 """Longest time [s] from a signal to the end of the loop."""
 EXIT_TIMEOUT = 5.0
-"""Time [s] that the middleware has to shut down."""
+"""Time [s] that the middleware has to return from a spin, and again to shut down."""
 
 
 def make_executor() -> Executor:
@@ -65,6 +65,7 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
 
     for signum in STOP_SIGNALS:
         signal.signal(signum, request_stop)
+    _watch_for_stop()
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
@@ -88,15 +89,39 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
         for signum in STOP_SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
         # On rare occasions the middleware hangs in its shutdown.
-        deadline = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
-        deadline.daemon = True
-        deadline.start()
+        deadline = _deadline()
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()
         rclpy.try_shutdown()
         deadline.cancel()
     return 0
+
+
+def _watch_for_stop() -> None:
+    """End the process if it does not take notice of a signal.
+
+    On rare occasions the middleware does not return from a spin, and Python calls the handler of a
+    signal only after that. That one has come is written to a pipe at once.
+    """
+    receiver, sender = os.pipe()
+    os.set_blocking(sender, False)
+    signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
+
+    def wait() -> None:
+        while os.read(receiver, 1)[0] not in STOP_SIGNALS:
+            pass
+        _deadline()
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _deadline() -> threading.Timer:
+    """Start the time after which the process ends, unless that is canceled."""
+    timer = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def _answer_arguments(what: str, parameters: Sequence[Specification]) -> int | None:
