@@ -63,8 +63,12 @@ class Band:
 
     @classmethod
     def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return the band that a certificate holds."""
-        return cls(float(item["low"]), float(item["median"]), float(item["high"]))
+        """Return the band that a certificate holds, where null stands for NaN."""
+        low, median, high = (
+            np.nan if item[name] is None else float(item[name])
+            for name in ("low", "median", "high")
+        )
+        return cls(low, median, high)
 
 
 @dataclass(frozen=True)
