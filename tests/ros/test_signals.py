@@ -59,9 +59,10 @@ from rclpy.node import Node
 
 class Executor:
     def add_node(self, node):
-        print("spinning", flush=True)
+        pass
 
     def spin_once(self, timeout_sec):
+        print("spinning", flush=True)
         # Like a call that does not return to the interpreter.
         while True:
             try:
