@@ -69,7 +69,8 @@ class InProcessBackend(SequentialBackend):
             except Exception as error:
                 raise StudyError(_reason(error), ("nodes", key, "parameters")) from error
         # What an object never takes would cost all trials.
-        for key, values in self._study.nominal_assignments().items():
+        defaults = self._study.search_space().defaults
+        for key, values in self._study.nominal_assignments(defaults).items():
             try:
                 self._objects[key].set_parameters(values)
             except Exception as error:

@@ -206,12 +206,11 @@ class Study:
         return space.completed(space.defaults | dict(self.park.parameters))
 
     def nominal_assignments(
-        self, parameters: Mapping[str, Value] | None = None
+        self, parameters: Mapping[str, Value]
     ) -> dict[str, dict[str, checks.ParameterValue]]:
-        """Return `assignments` in the nominal context with the seed 0; of the defaults if None."""
+        """Return `assignments` in the nominal context with the seed 0."""
         contexts = self.context_space()
-        chosen = self.search_space().defaults if parameters is None else parameters
-        return self.assignments(chosen, contexts.to_dict(contexts.nominal()), 0)
+        return self.assignments(parameters, contexts.to_dict(contexts.nominal()), 0)
 
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.

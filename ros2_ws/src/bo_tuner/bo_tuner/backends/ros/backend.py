@@ -401,8 +401,9 @@ class RosBackend(SequentialBackend):
     def _set_undeclared(
         self, client: StudyClient, found: Mapping[str, Mapping[str, object]]
     ) -> None:
-        """Set what the nodes have not declared; what they never take would cost all trials."""
-        for key, values in self._study.nominal_assignments().items():
+        """Set safe values of what nodes have not declared: what is never taken costs all trials."""
+        safe = self._study.nominal_assignments(self._study.safe_parameters)
+        for key, values in safe.items():
             undeclared = {name: v for name, v in values.items() if name not in found[key]}
             try:
                 client.parameters.assign(key, undeclared)
