@@ -231,6 +231,24 @@ def test_a_cut_that_was_ended_from_outside_has_no_metrics(plant_settings):
     assert "tracking_error" not in result
 
 
+def test_another_command_for_a_sample_disturbs_the_cut(plant_settings):
+    settings = plant_settings(reference_levels=(0.5,), samples_per_level=3)
+    cut = Cut(settings)
+    for command in (0.4, 0.5, 0.6):
+        assert not cut.contradicted(cut.sample, 9.0)  # it waits for its first one
+        cut.apply(command)
+    for sample, command in ((0, 0.4), (2, 0.6), (-1, 9.0), (3, 9.0)):
+        assert not cut.contradicted(sample, command)
+    assert cut.result()["status"] == "ok"
+    assert cut.contradicted(1, 0.4)
+    assert not cut.contradicted(2, 0.4)  # it is known already
+    result = cut.result()
+    assert (result["status"], "tracking_error" in result) == ("disturbed", False)
+    assert result["reason"] == (
+        "sample 1 has two commands, 0.5 and 0.4 m/s; does a second controller run?"
+    )
+
+
 def test_plant_parameters_change_all_or_none():
     plant = MillingPlant()
     before = plant.settings

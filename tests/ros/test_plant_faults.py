@@ -5,6 +5,7 @@ import math
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from milling_nodes import values_of
 
 from feed_axis_common.ros.messages import from_stamp, to_stamp
 
@@ -77,7 +78,7 @@ def test_a_lost_first_measurement_comes_again_with_its_reference(stand_in_contro
 
 def test_answers_given_twice_are_taken_once_and_counted(stand_in_controller):
     controller = stand_in_controller(
-        lambda message: [(message.header.stamp, 0.5), (message.header.stamp, 0.9)], **SHORT
+        lambda message: [(message.header.stamp, 0.5), (message.header.stamp, 0.5)], **SHORT
     )
     result, _ = controller.run_cut()
     assert result["status"] == "ok"
@@ -86,10 +87,40 @@ def test_answers_given_twice_are_taken_once_and_counted(stand_in_controller):
     assert float(result["overshoot"]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("late", [1, SAMPLES - 1], ids=["in the cut", "after its end"])
+def test_another_answer_to_a_sample_is_that_of_a_second_controller(stand_in_controller, late):
+    """Also after the end, when the result is out already."""
+    stamps = []
+
+    def twice(message):
+        stamps.append(message.header.stamp)
+        other = [(stamps[0], 0.9)] if len(stamps) == late + 1 else []
+        return [(message.header.stamp, 0.5), *other]
+
+    controller = stand_in_controller(twice, **ONCE)
+    first, _ = controller.run_cut()
+    controller.peer.spin_until(lambda: says_disturbed(controller), "that it is disturbed")
+    last = values_of(controller.results[-1])
+    assert last["reason"].startswith("sample 0 has two commands, 0.5 and 0.9 m/s")
+    assert last["cut"] == first["cut"]
+    assert first["status"] == ("ok" if late == SAMPLES - 1 else "disturbed")
+    stamps.clear()
+    controller.answer = lambda message: [(message.header.stamp, 0.5)]
+    assert controller.run_cut()[0]["status"] == "ok"
+
+
+def says_disturbed(controller):
+    (status,) = controller.results[-1].status
+    return (
+        status.level == DiagnosticStatus.ERROR
+        and values_of(controller.results[-1])["status"] == "disturbed"
+    )
+
+
 def test_answers_with_other_stamps_are_ignored_and_counted(stand_in_controller):
     def beside(message):
         now = from_stamp(message.header.stamp)
-        wrong = [to_stamp(now - 20_000_000), to_stamp(now + 20_000_000), to_stamp(now + 1), Time()]
+        wrong = [to_stamp(now - 1), to_stamp(now + 20_000_000), to_stamp(now + 1), Time()]
         return [*((stamp, math.nan) for stamp in wrong), (message.header.stamp, 0.5)]
 
     controller = stand_in_controller(beside, **ONCE)

@@ -116,6 +116,14 @@ def test_a_failed_node_fails_the_evaluation_whatever_its_figures(make_study, sai
     assert found.metrics == {}
 
 
+def test_what_others_did_is_not_held_against_the_parameters(make_study):
+    for status in ("failed", "disturbed"):
+        found = judge(make_study, axis={"status": status, "reason": "two commands"})
+        assert found.state is EvaluationState.FAILED
+        assert found.reason == "axis: two commands"
+        assert found.spoilt is (status == "disturbed")
+
+
 def test_all_that_was_said_is_kept(make_study):
     found = judge(make_study, axis=OK | {"error": 0.25, "peak": 1, "note": "x"}, other={"a": 2.0})
     assert found.details["axis.note"] == "x"

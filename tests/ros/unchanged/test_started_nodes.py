@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from waiting import DEADLINE
 
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
@@ -119,6 +121,28 @@ def test_a_controller_that_restarts_in_mid_run(backend, running, in_run, signum)
     assert "motor" not in found.reason.split(";")[0]
     # It is told its parameters again.
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
+
+
+def test_a_node_that_is_slow_to_hear_of_the_tuner_loses_no_message(backend, running, monkeypatch):
+    """The tuner knows its publishers at once; the first run waits until it knows the tuner, too."""
+    motor, _ = running("motor"), running("pid")
+    connect, thawed = SignalRecorder.connect, threading.Event()
+
+    def thaw():
+        thawed.set()
+        motor.send_signal(signal.SIGCONT)
+
+    def frozen(*arguments):
+        motor.send_signal(signal.SIGSTOP)
+        threading.Timer(0.5, thaw).start()
+        connect(*arguments)
+        assert not thawed.is_set()
+
+    monkeypatch.setattr(SignalRecorder, "connect", frozen)
+    made = backend(position(), attach=True)
+    assert thawed.is_set()
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
 
 
 def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(backend, in_run):

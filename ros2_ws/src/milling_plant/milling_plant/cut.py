@@ -66,6 +66,8 @@ class Cut:
         Index k of the sample that waits for its command; N once the cut is done.
     failure
         Why the cut failed, or an empty text.
+    disturbed
+        Whether it failed for what somebody else did, which says nothing of the parameters.
     """
 
     def __init__(self, settings: PlantSettings) -> None:
@@ -73,6 +75,7 @@ class Cut:
         self.reference = reference_velocity(settings)
         self.sample = 0
         self.failure = ""
+        self.disturbed = False
         n = self.reference.size
         rng = np.random.default_rng(settings.seed)
         self._noise = rng.normal(0.0, sqrt(settings.noise_variance), n)
@@ -119,19 +122,34 @@ class Cut:
         """End the cut as failed."""
         self.failure = reason
 
+    def contradicted(self, sample: int, command: float) -> bool:
+        """Fail the cut, also one that has ended, if a sample had another command [m/s] than this.
+
+        Then more than one controller answers, and the cut is none's. Returns whether that is new.
+        """
+        if not 0 <= sample < self.sample or self.disturbed or command == self._commands[sample]:
+            return False
+        self.fail(
+            f"sample {sample} has two commands, {self._commands[sample]:.6g} and {command:.6g} m/s; "
+            "does a second controller run?"
+        )
+        self.disturbed = True
+        return True
+
     def result(self) -> dict[str, float | str]:
         """Sum up the cut.
 
         Returns
         -------
         dict
-            ``status`` (``ok`` or ``failed``), ``reason``, context, seed and number of samples,
+            ``status`` (``ok``, ``failed`` or ``disturbed``), ``reason``, context, seed and number of samples,
             and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
             true velocity, and ``effort`` [m/s].
         """
         s = self._settings
+        failed = "disturbed" if self.disturbed else "failed"
         summary: dict[str, float | str] = {
-            "status": "failed" if self.failure else "ok",
+            "status": failed if self.failure else "ok",
             "reason": self.failure,
             "stiffness_factor": s.stiffness_factor,
             "damping_factor": s.damping_factor,

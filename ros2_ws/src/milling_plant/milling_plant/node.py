@@ -72,7 +72,7 @@ class PlantNode(Node):
         start = max(self.get_clock().now().nanoseconds, self._next_start)
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
-        if self._cut is not None:
+        if self._running is not None:
             cut = cut_identifier(self._start)
             response.message = f"cut {cut} is still running; wait until it ends, or abort it"
         elif self._reference.get_subscription_count() == 0:
@@ -86,13 +86,19 @@ class PlantNode(Node):
         return response
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = self._cut is not None
+        cut = self._running
+        response.success = cut is not None
         response.message = "no cut is running"
-        if self._cut is not None:
+        if cut is not None:
             response.message = f"aborted cut {cut_identifier(self._start)}"
-            self._cut.fail(f"aborted at sample {self._cut.sample}")
-            self._end(self._cut)
+            cut.fail(f"aborted at sample {cut.sample}")
+            self._end(cut)
         return response
+
+    @property
+    def _running(self) -> Cut | None:
+        """The cut that waits for a command."""
+        return None if self._cut is None or self._cut.done else self._cut
 
     def _begin(self, settings: PlantSettings, start: int) -> None:
         self._settings = settings
@@ -127,13 +133,14 @@ class PlantNode(Node):
         )
 
     def _on_command(self, message: JointState) -> None:
-        cut = self._cut
-        if cut is None or from_stamp(message.header.stamp) != self._time(cut.sample):
+        cut, time = self._cut, from_stamp(message.header.stamp)
+        command = read_joint_velocity(message, self._settings.joint_name)
+        if cut is None or command is None:
             self._ignored += 1
             return
-        command = read_joint_velocity(message, self._settings.joint_name)
-        if command is None:
+        if cut.done or time != self._time(cut.sample):
             self._ignored += 1
+            self._compare(cut, time, command)
             return
         cut.apply(command)
         self._progress = monotonic_ns()
@@ -142,8 +149,14 @@ class PlantNode(Node):
         else:
             self._publish_measurement(cut)
 
+    def _compare(self, cut: Cut, time: int, command: float) -> None:
+        """Compare a command that comes too late with the one that was taken."""
+        sample = round((time - self._start) / (self._settings.sample_time * NANOSECONDS))
+        if time == self._time(sample) and cut.contradicted(sample, command):
+            self._end(cut)
+
     def _on_watchdog(self) -> None:
-        cut = self._cut
+        cut = self._running
         if cut is None:
             return
         silence = (monotonic_ns() - self._progress) / NANOSECONDS
@@ -159,7 +172,6 @@ class PlantNode(Node):
             self._publish_measurement(cut)
 
     def _end(self, cut: Cut) -> None:
-        self._cut = None
         # Cuts are faster than real time, but their stamps must not overlap: after a failed one
         # the controller still waits for the rest, and a recording holds all cuts in one sequence.
         self._next_start = self._time(cut.reference.size)

@@ -8,7 +8,7 @@ from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import ReportedMetric, Study
 from bo_tuner.text import MOST_SAID, brief
-from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
 
 STATUS_OK = "ok"
 LARGEST_METRIC = 1e90
@@ -51,7 +51,8 @@ class Collector:
         Outcome
             Failed if a node ran with another parameter, if it says so or sends more than
             `maxima.ANSWER` values, or if a metric is missing, no number, not finite or beyond
-            `LARGEST_METRIC`.
+            `LARGEST_METRIC`. With the status `DISTURBED` a node says that somebody else had a hand
+            in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -69,8 +70,9 @@ class Collector:
             return Outcome(EvaluationState.FAILED, {}, brief(mismatch), details)
         for node, pairs in results.items():
             if pairs.get("status") != STATUS_OK:
-                reason = brief(str(pairs.get("reason") or "no reason given"))
-                return Outcome(EvaluationState.FAILED, {}, f"{node}: {reason}", details)
+                reason = f"{node}: {brief(str(pairs.get('reason') or 'no reason given'))}"
+                disturbed = {DISTURBED: reason} if pairs.get("status") == DISTURBED else {}
+                return Outcome(EvaluationState.FAILED, {}, reason, details | disturbed)
         metrics = {}
         for name, metric in self._study.metrics.items():
             try:

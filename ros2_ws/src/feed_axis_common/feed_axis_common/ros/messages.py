@@ -157,7 +157,7 @@ def cut_result(
     stamp
         Time of the message [ns].
     result
-        The result; ``status`` (``ok`` or ``failed``) becomes the level and ``reason`` the
+        The result; from ``status`` comes the level, OK if it is ``ok``, and ``reason`` is the
         message. Numbers are written so that they can be read back exactly.
     """
     ok = result["status"] == "ok"

@@ -116,3 +116,25 @@ class ParameterClient:
 
     def _call(self, kind: Any, request: Any, timeout: float | None) -> Any:
         return self._tuner.call(self._clients[kind], request, self.node, timeout)
+
+
+def meet(tuner: TunerNode, node: str, deadline: float) -> None:
+    """Wait until a node sends here all that this process has subscribed to so far.
+
+    What it publishes before is lost, and that its publishers are known here does not tell. But it
+    hears of the subscriptions in the order in which they were made, so one that answers a new
+    client knows all earlier ones. One without parameter services is not waited for.
+
+    Raises
+    ------
+    SilentError
+        If it does not answer until `deadline`, a time of `monotonic`.
+    """
+    client = ParameterClient(tuner, node, GetParameters)
+    try:
+        if not client.servers():
+            return
+        tuner.wait_until(client.is_ready, deadline - time.monotonic())
+        client.expect_answers(deadline)
+    finally:
+        client.destroy()

@@ -7,6 +7,7 @@ from rclpy.expand_topic_name import expand_topic_name
 
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
 from bo_tuner.backends.ros.trigger import of_node
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode
@@ -72,6 +73,7 @@ class Presence:
             self._tuner.spin_once()
         for client in self._parameters.clients.values():
             client.expect_answers(deadline)
+            meet(self._tuner, client.node, deadline)
         self.restarted()
 
     def wait_until_gone(self, timeout: float) -> None:

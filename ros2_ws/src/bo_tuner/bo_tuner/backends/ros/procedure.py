@@ -1,5 +1,7 @@
 """Performs the run of a study on nodes that know nothing of the tuner."""
 
+import contextlib
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -10,6 +12,7 @@ from rclpy.publisher import Publisher
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
@@ -341,3 +344,7 @@ class Procedure:
             elif prepared is not None:
                 self._steps[path] = prepared
         self._recorder.connect(self._clock, wait)
+        for node in self._recorder.publishers:
+            # One that is none of the study's need not answer.
+            with contextlib.suppress(LostError):
+                meet(self._tuner, node, time.monotonic() + CONNECT_TIMEOUT)

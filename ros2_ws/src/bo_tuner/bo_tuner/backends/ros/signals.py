@@ -86,6 +86,16 @@ class SignalRecorder:
         latched = [heard for heard in self._heard.values() if heard.is_latched]
         wait(lambda: all(heard.has_message() for heard in latched))
 
+    @property
+    def publishers(self) -> set[str]:
+        """Full names of the nodes that publish the signals, as far as the graph tells."""
+        return {
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for topic in self._heard
+            for info in self.node.get_publishers_info_by_topic(topic)
+            if info.node_name != UNKNOWN_NODE
+        }
+
     def begin(self, in_run: bool = True) -> None:
         """Count time from now on, and of what came before only the latest.
 
