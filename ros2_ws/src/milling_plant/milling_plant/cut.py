@@ -129,10 +129,8 @@ class Cut:
         """
         if not 0 <= sample < self.sample or self.disturbed or command == self._commands[sample]:
             return False
-        self.fail(
-            f"sample {sample} has two commands, {self._commands[sample]:.6g} and {command:.6g} m/s; "
-            "does a second controller run?"
-        )
+        both = f"{self._commands[sample]:.6g} and {command:.6g} m/s"
+        self.fail(f"sample {sample} has two commands, {both}; does a second controller run?")
         self.disturbed = True
         return True
 
@@ -142,8 +140,8 @@ class Cut:
         Returns
         -------
         dict
-            ``status`` (``ok``, ``failed`` or ``disturbed``), ``reason``, context, seed and number of samples,
-            and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
+            ``status`` (``ok``, ``failed`` or ``disturbed``), ``reason``, context, seed and number
+            of samples, and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
             true velocity, and ``effort`` [m/s].
         """
         s = self._settings
