@@ -141,8 +141,8 @@ class Cut:
         -------
         dict
             ``status`` (``ok``, ``failed`` or ``disturbed``), ``reason``, context, seed and number
-            of samples, and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s], both on the
-            true velocity, and ``effort`` [m/s].
+            of samples, and for a whole cut ``tracking_error`` [(m/s)^2] and ``overshoot`` [m/s],
+            both on the true velocity, and ``effort`` [m/s].
         """
         s = self._settings
         failed = "disturbed" if self.disturbed else "failed"
