@@ -79,7 +79,7 @@ def test_a_node_that_does_not_take_its_safe_values_is_named_at_once(refusal, sys
         ("gian", 0.5, "the node has no parameter 'gian'; did you mean 'gain'"),
         ("serial", 8.0, "'serial' is read-only in the node"),
         ("count", 2.5, "'count' is of type integer in the node, not double"),
-        ("limited", 2.5, "9 lies outside the range of 'limited' in the node"),
+        ("limited", 1.5, "9 lies outside the range of 'limited' in the node, [0, 2]"),
     ],
 )
 def test_a_parameter_that_the_node_does_not_have_as_the_study_says(
@@ -95,6 +95,13 @@ def test_a_context_variable_that_the_node_does_not_have(refusal):
     context = {"node": "servo", "distribution": "uniform", "bounds": [1, 2], "nominal": 1}
     reason = refusal(contexts={"laod": context})
     assert reason.startswith("contexts.laod: the node has no parameter 'laod'; "), reason
+
+
+def test_a_context_that_the_node_does_not_take_in_full(refusal):
+    """It is found before the first trial, not in those that draw from what is beyond."""
+    context = {"node": "servo", "distribution": "uniform", "bounds": [1, 3], "nominal": 1}
+    reason = refusal(contexts={"limited": context})
+    assert reason == ("contexts.limited: 3 lies outside the range of 'limited' in the node, [0, 2]")
 
 
 def test_a_failure_to_park_is_told(backend, system):

@@ -1,7 +1,7 @@
 """What nodes say of their parameters, held against a study, and filled in where it says nothing."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
@@ -126,7 +126,9 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                     item.setdefault("step", kind(described.step))
 
 
-def node_problems(study: Study, key: str, known: Mapping[str, Described]) -> list[StudyError]:
+def node_problems(
+    study: Study, key: str, known: Mapping[str, Described], *, declared: bool = False
+) -> list[StudyError]:
     """Return why a node will not take what a study sets on it, each with the place in the study.
 
     Parameters
@@ -137,16 +139,25 @@ def node_problems(study: Study, key: str, known: Mapping[str, Described]) -> lis
         The node's, in the study.
     known
         All parameters of the node.
+    declared
+        Whether to tell of these only: a node may take others that it has not declared.
     """
     found = []
     for name, item in study.parameters.items():
-        if item.node == key and (text := problem(item, known)):
+        if item.node != key or (declared and (item.array or item.parameter) not in known):
+            continue
+        if text := problem(item, known):
             found.append(StudyError(text, ("parameters", name)))
-    found += [
-        StudyError(_undeclared(name, known), path)
-        for path, node, name in _further_parameters(study)
-        if node == key and name not in known
-    ]
+    for path, node, name in _further_parameters(study):
+        if node == key and name not in known and not declared:
+            found.append(StudyError(_undeclared(name, known), path))
+    for name, variable in study.contexts.items():
+        described = known.get(variable.parameter)
+        if variable.node != key or described is None:
+            continue
+        ends = (variable.distribution.lower, variable.distribution.upper)
+        if text := _outside(ends, variable.parameter, described):
+            found.append(StudyError(text, ("contexts", name)))
     return found
 
 
@@ -183,10 +194,16 @@ def problem(item: Parameter, known: Mapping[str, Described]) -> str:
         return f"'{name}' is of type {described.type} in the node, not {expected}"
     if item.is_number and not item.array:
         given = [*(item.bounds or ()), *([] if item.fixed is None else [item.fixed])]
-        outside = [v for v in given if not described.lower <= float(v) <= described.upper]
-        if outside:
+        return _outside([float(value) for value in given], name, described)
+    return ""
+
+
+def _outside(values: Iterable[float], name: str, described: Described) -> str:
+    """Tell in a line which value a parameter's range does not have; empty if it has all."""
+    for value in values:
+        if not described.lower <= value <= described.upper:
             return (
-                f"{outside[0]:g} lies outside the range of '{name}' in the node, "
+                f"{value:g} lies outside the range of '{name}' in the node, "
                 f"[{described.lower:g}, {described.upper:g}]"
             )
     return ""

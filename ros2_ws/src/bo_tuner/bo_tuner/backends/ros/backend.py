@@ -117,9 +117,9 @@ class RosBackend(SequentialBackend):
             one runs more than once; or if, attached, a parameter that the study does not set is
             not what it was when the first backend with this log directory was opened.
         StudyError
-            If a node does not take its constant or safe parameters, the study does not say how to
-            start it, a topic, service or action of its run is not there, or a function of its
-            metrics cannot be imported.
+            If a node does not take its constant or safe parameters, or says that it does not take
+            others of the study, the study does not say how to start it, a topic, service or action
+            of its run is not there, or a function of its metrics cannot be imported.
         """
         check_wall_clock()
         signals = signal_sources(self._study, lambda: self.recording)
@@ -154,12 +154,14 @@ class RosBackend(SequentialBackend):
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
-            compare_with_earlier(
+            is_first = compare_with_earlier(
                 self._run_log or self._log_directory,
                 others,
                 refuse=self._attach,
                 note=self._run_log is None,
             )
+            if is_first:
+                self._refuse_ranges(tuner)
             self._safe = safe_parameters(self._study)
             self._set_undeclared(client, found)
             if self._study.run is not None:
@@ -419,6 +421,16 @@ class RosBackend(SequentialBackend):
                 section = "park" if self._study.park.parameters else "parameters"
                 problem = StudyError(f"as safe values: {refusal}", (section,))
                 raise self._named(key, problem) from refusal
+
+    def _refuse_ranges(self, tuner: TunerNode) -> None:
+        """Refuse a study with values that a node says it does not take: they would fail runs."""
+        for key, spec in self._study.nodes.items():
+            try:
+                known = describe(tuner, spec.node)
+            except BackendError:
+                continue  # It need not describe its parameters.
+            for problem in node_problems(self._study, key, known, declared=True):
+                raise problem
 
     def _named(self, key: str, refusal: StudyError) -> StudyError:
         """Return what the study sets that the node cannot take, or the node's refusal itself."""

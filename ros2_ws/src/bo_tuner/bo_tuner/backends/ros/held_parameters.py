@@ -45,7 +45,7 @@ def compare_with_earlier(
     *,
     refuse: bool,
     note: bool = True,
-) -> None:
+) -> bool:
     """Compare parameters with those that were noted down first in a folder, or note them down.
 
     A validation, or the rest of a run, on attached nodes would else measure something else.
@@ -61,6 +61,11 @@ def compare_with_earlier(
     note
         Whether to note them down where there is nothing yet; else the folder is only read.
 
+    Returns
+    -------
+    bool
+        Whether there was nothing yet to compare with.
+
     Raises
     ------
     BackendError
@@ -73,14 +78,14 @@ def compare_with_earlier(
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         known = {}
     if not known:
-        if not note:
-            return
-        with contextlib.suppress(OutputError):
-            write_atomically(file, json.dumps(values, indent=1, default=str))
-        return
+        if note:
+            with contextlib.suppress(OutputError):
+                write_atomically(file, json.dumps(values, indent=1, default=str))
+        return True
     if not refuse:
-        return
+        return False
     for key, now in values.items():
         common = {name: known[key][name] for name in now if name in known[key]}
         if changed := differences(key, json.loads(json.dumps(now, default=str)), common):
             raise BackendError(f"{changed[0]}, as when the run began; set it back")
+    return False
