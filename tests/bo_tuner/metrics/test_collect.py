@@ -43,6 +43,8 @@ def test_a_missing_metric(make_study):
     found = judge(make_study, axis=OK | {"error": 0.25})
     assert found.state is EvaluationState.FAILED
     assert found.reason == "axis: metric peak is missing"
+    found = judge(make_study, axis=OK | {"error": 0.25, "peek": 1.0})
+    assert found.reason == "axis: metric peak is missing; did you mean 'peek'?"
 
 
 def test_the_largest_number_is_one_that_the_models_take(make_study):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
+from bo_tuner.study import checks
 from bo_tuner.study.study import ReportedMetric, Study
 
 Results = Mapping[str, Mapping[str, object]]
@@ -43,9 +44,12 @@ class ResultMessage:
 
     def value(self, results: Results) -> object:
         """Return the value as the node reported it."""
-        found = results.get(self._node, {}).get(self._key)
+        said = results.get(self._node, {})
+        found = said.get(self._key)
         if found is None:
-            raise MissingMetricError(f"{self._node}: metric {self._key} is missing")
+            meant = checks.meant(self._key, map(str, said))
+            missing = f"{self._node}: metric {self._key} is missing"
+            raise MissingMetricError(f"{missing}; {meant}" if meant else missing)
         return found
 
 

@@ -64,13 +64,19 @@ def quoted(value: str) -> str:
     return repr(value) if len(value) <= 60 else f"{value[:57]!r}..."
 
 
-def suggestion(value: str, allowed: Iterable[str]) -> str:
-    """Return "did you mean ..." for a likely typo, otherwise the allowed names."""
+def meant(value: str, allowed: Iterable[str]) -> str:
+    """Return "did you mean ..." for a likely typo, otherwise nothing."""
     names = list(allowed)
     near = [name for name in names if len(value) > 2 and value in name]
     near += difflib.get_close_matches(value[:80], names, n=1, cutoff=0.7)
-    if near:
-        return f"did you mean '{near[0]}'?"
+    return f"did you mean '{near[0]}'?" if near else ""
+
+
+def suggestion(value: str, allowed: Iterable[str]) -> str:
+    """Return "did you mean ..." for a likely typo, otherwise the allowed names."""
+    names = list(allowed)
+    if found := meant(value, names):
+        return found
     return f"expected one of {', '.join(names)}" if names else "there are none"
 
 
