@@ -94,6 +94,7 @@ def test_a_late_joiner_gets_all_trials_also_of_a_resumed_run(run, watch):
     assert last.startswith("interrupted by the service ~/abort; resume it with: tune --resume ")
     assert answer.message.partition("tune --resume ")[2] == last.partition("tune --resume ")[2]
     done = command.trials()
+    assert [trial.reason for trial in done if trial.reason] == []
 
     command.start("--resume", command.run_folder)
     command.wait_for_trial(len(done))
