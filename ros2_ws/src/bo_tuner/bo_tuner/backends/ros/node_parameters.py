@@ -81,8 +81,10 @@ class NodeParameters:
         changes = {name: v for name, v in values.items() if _differs(known, name, v)}
         if not changes:
             return []
+        self._watch.tell(key, changes)
         result = self.clients[key].set(changes, timeout)
         if not result.successful:
+            self._watch.take_back(key)
             # The refusal of rclpy does not name what is not declared.
             missing = [name for name in changes if name not in self._names[key]]
             also = f" (it has not declared {', '.join(missing)})" if missing else ""

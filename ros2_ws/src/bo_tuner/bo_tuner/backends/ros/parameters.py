@@ -1,5 +1,6 @@
 """Parameters of nodes: their messages as values, and what becomes of them during an evaluation."""
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,8 @@ from bo_tuner.study.checks import same_value
 from bo_tuner.text import brief
 
 PARAMETER_EVENTS = "/parameter_events"
+MOST_TOLD = 100
+"""Sets of values told to a node whose events are awaited: it need not publish any."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,9 @@ class ParameterWatch:
         self._expected: Mapping[str, Mapping[str, object]] = {}
         self._seen: list[Difference] = []
         self._declaring: set[str] = set()
+        self._told: dict[str, deque[Mapping[str, object]]] = {
+            key: deque(maxlen=MOST_TOLD) for key in nodes
+        }
         self.problem = ""
         """What came since `expect` and cannot be read: it may tell of any parameter."""
         self._subscription = node.create_subscription(
@@ -101,6 +107,20 @@ class ParameterWatch:
         self.problem = ""
         self._expected = expected
 
+    def tell(self, key: str, values: Mapping[str, object]) -> None:
+        """Take note of what the tuner is about to set: its event is no change by others.
+
+        As a rule a node publishes it ahead of its answer, but it may come long after that, when
+        other values are expected.
+        """
+        self._told[key].append(values)
+
+    def take_back(self, key: str) -> None:
+        """Take back what was told last: the node has refused it, and publishes no event."""
+        # Unless somebody else has set the same meanwhile.
+        if self._told[key]:
+            self._told[key].pop()
+
     def forget(self, key: str) -> None:
         """Forget what was seen of a node: it was started anew, and has declared its parameters.
 
@@ -110,6 +130,7 @@ class ParameterWatch:
         self._take_all()
         self._seen = [difference for difference in self._seen if difference.node != key]
         self._declaring.add(key)
+        self._told[key].clear()
 
     def take_seen(self) -> list[Difference]:
         """Return what was not as expected since this was last asked."""
@@ -118,7 +139,7 @@ class ParameterWatch:
         return seen
 
     def _take_all(self) -> None:
-        """Take the events that wait: a node publishes its own ahead of its answer to a call."""
+        """Take the events that wait."""
         with self._subscription.handle:
             while taken := self._subscription.handle.take_message(ParameterEvent, True):
                 self._on_event(taken[0])
@@ -137,8 +158,20 @@ class ParameterWatch:
                 self._declaring.discard(key)
             if key not in self._declaring:
                 now = _read(event.new_parameters) | now
-            watched = {name: value for name, value in expected.items() if name in now}
+            own = self._own(key, now)
+            watched = {n: value for n, value in expected.items() if n in now and n not in own}
             self._seen += differences(key, now, watched)
+
+    def _own(self, key: str, now: Mapping[str, object]) -> Mapping[str, object]:
+        """Return what the tuner has told, if this is the event of it; it is no longer awaited."""
+        told = self._told[key]
+        for place, values in enumerate(told):
+            if values.keys() <= now.keys() and not differences(key, now, values):
+                # A node's events come in their order: those of what it was told before are lost.
+                for _ in range(place + 1):
+                    told.popleft()
+                return values
+        return {}
 
 
 def read_values(names: Sequence[str], values: Sequence[ParameterValue]) -> dict[str, object]:
