@@ -25,6 +25,9 @@ importlib.import_module("reaper").guard()
 # are started before the first test.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+# Commands that fixtures of a module call in this process change them ahead of its first test.
+_HANDLERS = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
+
 # Studies that tests run are trusted by the tests alone.
 _STATE = tempfile.TemporaryDirectory(prefix="bo_tuner-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
@@ -60,15 +63,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def signals_of_a_terminal() -> Iterator[None]:
-    """Have each test start with the handlers that a shell leaves to a command, and leave its own.
+    """Have each test start with the handlers that a shell leaves to a command.
 
     A command called in this process ignores the signals that come after its end, and processes that
     are started then would inherit that.
     """
-    before = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    for signum, handler in (_HANDLERS | {signal.SIGHUP: signal.SIG_DFL}).items():
+        signal.signal(signum, handler)
     yield
-    for signum, handler in before.items():
+    for signum, handler in _HANDLERS.items():
         signal.signal(signum, handler)
 
 

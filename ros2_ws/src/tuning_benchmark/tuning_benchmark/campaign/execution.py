@@ -1,5 +1,6 @@
 """Execution of tasks, several at a time, and a record of each as it ends."""
 
+import itertools
 import os
 import queue
 import signal
@@ -106,6 +107,11 @@ def _results(
 ) -> Iterator[dict[str, Any]]:
     """Yield records as tasks end; the wait for the next one gives way to a signal."""
     found: queue.Queue[dict[str, Any] | Exception | None] = queue.Queue()
+    stopping = threading.Event()
+
+    def wanted() -> Iterator[Task]:
+        # Processes that end ask for the next task, too, and there is no one left to give it to.
+        return itertools.takewhile(lambda _: not stopping.is_set(), tasks)
 
     def work() -> None:
         try:
@@ -114,26 +120,29 @@ def _results(
                 parallel = joblib.Parallel(
                     return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
                 )
-                for record in parallel(joblib.delayed(carry_out)(task) for task in tasks):
+                for record in parallel(joblib.delayed(carry_out)(task) for task in wanted()):
                     found.put(record)
             found.put(None)
         except Exception as error:
             found.put(error)
 
     threading.Thread(target=work, name=THREAD, daemon=True).start()
-    while True:
-        interruption.check()
-        try:
-            item = found.get(timeout=POLL)
-        except queue.Empty:
-            continue
-        if item is None:
-            return
-        if isinstance(item, Exception):
-            name = "" if isinstance(item, RunError) else f"{type(item).__name__}: "
-            problem = " ".join(f"{name}{item}".split())[:300]
-            raise RunError(f"the campaign was aborted: {problem}") from item
-        yield item
+    try:
+        while True:
+            interruption.check()
+            try:
+                item = found.get(timeout=POLL)
+            except queue.Empty:
+                continue
+            if item is None:
+                return
+            if isinstance(item, Exception):
+                name = "" if isinstance(item, RunError) else f"{type(item).__name__}: "
+                problem = " ".join(f"{name}{item}".split())[:300]
+                raise RunError(f"the campaign was aborted: {problem}") from item
+            yield item
+    finally:
+        stopping.set()
 
 
 def _start_worker(parent: int) -> None:
