@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -41,24 +40,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("repeatable")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Spread the modules that wait for nodes or a browser evenly among those that compute.
-
-    Each process gets a part of the list: if all wait at the same time, the processors are idle.
-    """
-    groups: dict[bool, Counter[Path]] = {False: Counter(), True: Counter()}
-    for item in items:
-        waits = item.get_closest_marker("ros") or "chromium" in getattr(item, "fixturenames", ())
-        groups[bool(waits)][item.path] += 1
-    place = {}
-    for modules in groups.values():
-        before = 0
-        for path, tests in modules.items():
-            place[path] = before / modules.total()
-            before += tests
-    items.sort(key=lambda item: place[item.path])
 
 
 @pytest.fixture(autouse=True)

@@ -1,6 +1,6 @@
 """Execution of tasks, several at a time, and a record of each as it ends."""
 
-import itertools
+import logging
 import os
 import queue
 import signal
@@ -12,6 +12,9 @@ from typing import Any
 
 import joblib  # type: ignore[import-untyped]
 from joblib.externals.loky import get_reusable_executor  # type: ignore[import-untyped]
+from joblib.externals.loky.process_executor import (  # type: ignore[import-untyped]
+    ShutdownExecutorError,
+)
 
 from bo_tuner.errors import BackendError, RunError
 from bo_tuner.interruption import Interruption
@@ -85,10 +88,16 @@ def conduct(
                 tell(record)
         except BaseException:
             if client is None and jobs > 1:
+                logging.getLogger("concurrent.futures").addFilter(_is_no_late_task)
                 # They would go on with tasks whose results are not used any more. Reused: another
                 # one would wait for them, with a lock held that they need for their next task.
                 get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
             raise
+
+
+def _is_no_late_task(record: logging.LogRecord) -> bool:
+    """Whether it is not what a process that has ended its task says of the next one, too late."""
+    return not (record.exc_info and isinstance(record.exc_info[1], ShutdownExecutorError))
 
 
 def unfinished(tasks: Sequence[Task], records: Records) -> list[Task]:
@@ -107,11 +116,6 @@ def _results(
 ) -> Iterator[dict[str, Any]]:
     """Yield records as tasks end; the wait for the next one gives way to a signal."""
     found: queue.Queue[dict[str, Any] | Exception | None] = queue.Queue()
-    stopping = threading.Event()
-
-    def wanted() -> Iterator[Task]:
-        # Processes that end ask for the next task, too, and there is no one left to give it to.
-        return itertools.takewhile(lambda _: not stopping.is_set(), tasks)
 
     def work() -> None:
         try:
@@ -120,29 +124,26 @@ def _results(
                 parallel = joblib.Parallel(
                     return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs"
                 )
-                for record in parallel(joblib.delayed(carry_out)(task) for task in wanted()):
+                for record in parallel(joblib.delayed(carry_out)(task) for task in tasks):
                     found.put(record)
             found.put(None)
         except Exception as error:
             found.put(error)
 
     threading.Thread(target=work, name=THREAD, daemon=True).start()
-    try:
-        while True:
-            interruption.check()
-            try:
-                item = found.get(timeout=POLL)
-            except queue.Empty:
-                continue
-            if item is None:
-                return
-            if isinstance(item, Exception):
-                name = "" if isinstance(item, RunError) else f"{type(item).__name__}: "
-                problem = " ".join(f"{name}{item}".split())[:300]
-                raise RunError(f"the campaign was aborted: {problem}") from item
-            yield item
-    finally:
-        stopping.set()
+    while True:
+        interruption.check()
+        try:
+            item = found.get(timeout=POLL)
+        except queue.Empty:
+            continue
+        if item is None:
+            return
+        if isinstance(item, Exception):
+            name = "" if isinstance(item, RunError) else f"{type(item).__name__}: "
+            problem = " ".join(f"{name}{item}".split())[:300]
+            raise RunError(f"the campaign was aborted: {problem}") from item
+        yield item
 
 
 def _start_worker(parent: int) -> None:
