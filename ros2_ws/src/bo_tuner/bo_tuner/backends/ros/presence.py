@@ -71,10 +71,14 @@ class Presence:
                     f"{name}: no such node in ROS domain {self._tuner.domain} after {timeout:g} s"
                 )
             self._tuner.spin_once()
-        for client in self._parameters.clients.values():
+        for key, client in self._parameters.clients.items():
             client.expect_answers(deadline)
-            meet(self._tuner, client.node, deadline)
+            self.meet(key, deadline)
         self.restarted()
+
+    def meet(self, key: str, deadline: float) -> None:
+        """Wait until a node knows the tuner's subscriptions; see `meet` of `parameter_client`."""
+        meet(self._tuner, self._study.nodes[key].node, deadline)
 
     def wait_until_gone(self, timeout: float) -> None:
         """Wait until no node of the study is discovered any more, at most `timeout` seconds."""

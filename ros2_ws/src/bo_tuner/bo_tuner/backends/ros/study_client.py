@@ -1,12 +1,13 @@
 """What the backend does with a study's nodes: sets their parameters, evaluates, and parks them."""
 
+import time
 from collections.abc import Callable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.trigger import TriggeredRun
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.study import Study
 
@@ -81,6 +82,7 @@ class StudyClient:
         self.restarted()
         for key in self._renewed:
             self.parameters.read_anew(key)
+            self.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
         self._renewed.clear()
         self._refuse_twins()
         self._wanted = wanted
