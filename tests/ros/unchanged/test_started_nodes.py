@@ -13,6 +13,7 @@ import pytest
 from waiting import DEADLINE
 
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import StudyError
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
@@ -145,17 +146,29 @@ def test_a_node_that_is_slow_to_hear_of_the_tuner_loses_no_message(backend, runn
     assert outcome.state is EvaluationState.COMPLETE, outcome.reason
 
 
-def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(backend, in_run):
+def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
+    backend, in_run, monkeypatch
+):
+    renewed, read_anew = [], NodeParameters.read_anew
+
+    def noted(self, key):
+        renewed.append(key)
+        read_anew(self, key)
+
+    monkeypatch.setattr(NodeParameters, "read_anew", noted)
     nodes = {
         "pid": {"node": "pid", "command": command("pid")},
         "motor": {"node": "motor", "command": command("motor")},
     }
     made = backend(position(nodes=nodes))
     pid = made._started.processes["pid"].pid
+    renewed.clear()
     in_run(made, partial(os.kill, pid, signal.SIGKILL))
     found = run(made)
     assert found.state is EvaluationState.LOST
     assert found.reason == "pid was ended by SIGKILL"
+    # What they declare then is no change by others, also if it becomes known late.
+    assert sorted(renewed) == ["motor", "pid"]
     assert run(made).state is EvaluationState.COMPLETE
 
 

@@ -140,7 +140,8 @@ class RosBackend(SequentialBackend):
                 if given is not None:
                     self._refuse_running_nodes(tuner, client)
                 self._started.start()
-            client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+            timeout = ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT
+            client.renew(client.presence.wait_for_nodes(timeout))
             if self._attach:
                 # That the nodes are discovered does not mean that another tuner is, too.
                 tuner.spin_for(LOOK_AROUND)
@@ -451,11 +452,12 @@ class RosBackend(SequentialBackend):
             if not self._attach:
                 client.presence.wait_until_gone(LEASE)
                 self._started.start()
-            client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
+            anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
             if self._attach:
                 # Of a node that was killed and is back, the graph tells bit by bit.
                 tuner.spin_for(LOOK_AROUND)
-                client.restarted()
+                anew += client.restarted()
+            client.renew(anew)
             self._set_constants(client)
         except (LostError, BackendError, StudyError) as error:
             # The next evaluation will be lost in turn; three lost trials end the run.

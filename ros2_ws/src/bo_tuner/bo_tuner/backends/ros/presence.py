@@ -55,8 +55,13 @@ class Presence:
             or (key == triggered and self._trigger and not self._trigger.service_is_ready())
         ]
 
-    def wait_for_nodes(self, timeout: float) -> None:
+    def wait_for_nodes(self, timeout: float) -> list[str]:
         """Wait until every node is discovered and answers.
+
+        Returns
+        -------
+        list of str
+            The keys of those that were started anew since this was last asked, as `restarted`.
 
         Raises
         ------
@@ -74,7 +79,7 @@ class Presence:
         for key, client in self._parameters.clients.items():
             client.expect_answers(deadline)
             self.meet(key, deadline)
-        self.restarted()
+        return self.restarted()
 
     def meet(self, key: str, deadline: float) -> None:
         """Wait until a node knows the tuner's subscriptions; see `meet` of `parameter_client`."""

@@ -1,7 +1,7 @@
 """What the backend does with a study's nodes: sets their parameters, evaluates, and parks them."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
@@ -51,6 +51,18 @@ class StudyClient:
             self.parameters.forget(key)
         return found
 
+    def renew(self, keys: Iterable[str]) -> None:
+        """Read anew what nodes have that were started anew, ahead of all that they are told.
+
+        Raises
+        ------
+        LostError
+            If one does not answer.
+        """
+        for key in list(keys):
+            self.parameters.read_anew(key)
+            self._renewed.discard(key)
+
     def evaluate(
         self, wanted: Values, run: Callable[[], object] | None = None
     ) -> dict[str, dict[str, object]]:
@@ -81,9 +93,8 @@ class StudyClient:
         """
         self.restarted()
         for key in self._renewed:
-            self.parameters.read_anew(key)
             self.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
-        self._renewed.clear()
+        self.renew(self._renewed)
         self._refuse_twins()
         self._wanted = wanted
         self.parameters.expect(wanted)
@@ -119,8 +130,7 @@ class StudyClient:
             If it does not take it.
         """
         self.restarted()
-        self.parameters.read_anew(key)
-        self._renewed.discard(key)
+        self.renew([key])
         self.parameters.assign_and_read_back(key, self._wanted.get(key, {}))
 
     def park(self, values: Values, held: Mapping[str, Mapping[str, object]]) -> list[str]:
