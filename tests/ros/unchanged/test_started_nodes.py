@@ -153,7 +153,7 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
 
     def noted(self, key):
         renewed.append(key)
-        read_anew(self, key)
+        return read_anew(self, key)
 
     monkeypatch.setattr(NodeParameters, "read_anew", noted)
     nodes = {

@@ -140,15 +140,14 @@ class RosBackend(SequentialBackend):
                 if given is not None:
                     self._refuse_running_nodes(tuner, client)
                 self._started.start()
-            timeout = ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT
-            client.renew(client.presence.wait_for_nodes(timeout))
+            client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
             if self._attach:
                 # That the nodes are discovered does not mean that another tuner is, too.
                 tuner.spin_for(LOOK_AROUND)
             _refuse_second_tuner(tuner)
             if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
-            found = {key: client.parameters.read(key) for key in self._study.nodes}
+            found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
             own, others = divide(self._study, found)
             if self._attach:
                 self._found = own
@@ -162,7 +161,7 @@ class RosBackend(SequentialBackend):
                 note=self._run_log is None,
             )
             if is_first:
-                self._refuse_ranges(tuner)
+                self._refuse_ranges()
             self._safe = safe_parameters(self._study)
             self._set_undeclared(client, found)
             if self._study.run is not None:
@@ -423,24 +422,24 @@ class RosBackend(SequentialBackend):
                 problem = StudyError(f"as safe values: {refusal}", (section,))
                 raise self._named(key, problem) from refusal
 
-    def _refuse_ranges(self, tuner: TunerNode) -> None:
+    def _refuse_ranges(self) -> None:
         """Refuse a study with values that a node says it does not take: they would fail runs."""
-        for key, spec in self._study.nodes.items():
-            try:
-                known = describe(tuner, spec.node)
-            except BackendError:
-                continue  # It need not describe its parameters.
-            for problem in node_problems(self._study, key, known, declared=True):
+        for key in self._study.nodes:
+            for problem in self._problems(key, declared=True):
                 raise problem
 
     def _named(self, key: str, refusal: StudyError) -> StudyError:
         """Return what the study sets that the node cannot take, or the node's refusal itself."""
+        return next(iter(self._problems(key)), refusal)
+
+    def _problems(self, key: str, *, declared: bool = False) -> list[StudyError]:
+        """Return as `node_problems`; none of a node that does not describe its parameters."""
         tuner, _ = self._opened
         try:
             known = describe(tuner, self._study.nodes[key].node)
         except BackendError:
-            return refusal
-        return next(iter(node_problems(self._study, key, known)), refusal)
+            return []
+        return node_problems(self._study, key, known, declared=declared)
 
     def _get_back(self, tuner: TunerNode, client: StudyClient) -> str:
         """Get the nodes back; returns in a line why that failed."""

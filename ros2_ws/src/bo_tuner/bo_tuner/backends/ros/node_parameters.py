@@ -45,10 +45,12 @@ class NodeParameters:
         """Forget what all nodes have."""
         self._known.clear()
 
-    def read_anew(self, key: str) -> None:
+    def read_anew(self, key: str) -> dict[str, object]:
         """Read what a node has that was started anew, and forget what it said of it meanwhile."""
-        self._known[key] = self.read(key)
+        found = self.read(key)
+        self._known[key] = dict(found)
         self._watch.forget(key)
+        return found
 
     def expect(self, values: Values) -> None:
         """Expect these values of the nodes from now on: another one that they tell of is noted."""
