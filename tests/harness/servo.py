@@ -31,8 +31,9 @@ class System(Node):
         limits = FloatingPointRange(from_value=0.0, to_value=2.0)
         limited = ParameterDescriptor(floating_point_range=[limits])
         self.declare_parameter("limited", 1.0, limited)
-        self.add_on_set_parameters_callback(self.judge)
         self.received = []
+        self.asked_to_set = 0
+        self.add_on_set_parameters_callback(self.judge)
         self.begin()
         self.states = self.create_publisher(JointState, "joint_states", BEST_EFFORT)
         self.plain = self.create_publisher(Float64MultiArray, "plain", 10)
@@ -53,6 +54,7 @@ class System(Node):
         self.hang = 0.0
         self.refusal = ""
         self.refuses_beyond = math.inf
+        self.accepts = lambda: True
         self.gains_at_reset = []
         self.received.clear()
         self.set_gain(0.5)
@@ -68,7 +70,9 @@ class System(Node):
         self.refusal = ""
 
     def judge(self, parameters):
+        self.asked_to_set += 1
         reason = "the key is out" if abs(self.angle) > self.refuses_beyond else self.refusal
+        reason = reason if self.accepts() else "it is at work"
         return SetParametersResult(successful=not reason, reason=reason)
 
     def follow(self, message):

@@ -6,11 +6,13 @@ import pytest
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from rclpy.task import Future
-from servo import failure, run
+from servo import failure, run, study
 from test_msgs.action import Fibonacci
 from waiting import wait_until
 
 from bo_tuner.backends.ros import goals
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -27,6 +29,7 @@ class Counter(Node):
         super().__init__("counter", context=context)
         self.orders, self.ends = [], []
         self.accepts = self.succeeds = True
+        self.asked = False
         self.delay = 0.0
         self._ticks = []
         self.create_timer(0.02, self._tick)
@@ -46,7 +49,7 @@ class Counter(Node):
             server.destroy()
 
     def _answer(self, goal):
-        accepts = self.accepts
+        self.asked, accepts = True, self.accepts
         time.sleep(self.delay)
         return GoalResponse.ACCEPT if accepts else GoalResponse.REJECT
 
@@ -168,3 +171,46 @@ def test_a_goal_that_is_accepted_too_late_is_cancelled(backend, counter, monkeyp
     counter.delay, counter.accepts = 0.0, False
     wait_until(lambda: run(made) and counter.ends, "the goal has ended")
     assert (counter.orders, counter.ends) == ([10_000], ["cancelled"])
+
+
+def test_a_goal_whose_answer_an_interruption_does_not_wait_for_is_cancelled(
+    counter, tmp_path, system
+):
+    """The server may accept it all the same, and would execute it with nobody looking."""
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+
+    def interrupted():
+        if counter.asked:
+            raise Interrupted(2)
+
+    made = RosBackend(
+        study(run=TO_ITS_RESULT | {"start": [long]}, signals=FEW),
+        tmp_path,
+        attach=True,
+        interrupted=interrupted,
+    )
+    counter.delay = 0.5
+    try:
+        made.open()
+        with pytest.raises(Interrupted):
+            run(made)
+        assert (counter.orders, counter.ends) == ([10_000], ["cancelled"])
+    finally:
+        made.close()
+
+
+def test_a_node_that_takes_no_parameters_while_it_executes_a_goal(backend, counter, system):
+    """It is parked once its goal is cancelled, and then the machine drives home."""
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    home = {"publish": {"topic": "setpoint", "message": {"data": 0.0}}}
+    made = backend(
+        run={**TO_ITS_RESULT, "start": [long, move], "abort_when": "angle > 0.5", "recover": [home]},
+        park={"parameters": {"gain": 0.25}},
+    )
+    system.accepts = lambda: len(counter.orders) == len(counter.ends)
+    reason = failure(run(made))
+    assert reason.startswith("aborted at ")
+    assert "not parked" not in reason
+    assert system.get_parameter("gain").value == 0.25
+    wait_until(lambda: system.setpoint == 0.0, "the way home")

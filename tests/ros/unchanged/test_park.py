@@ -138,16 +138,32 @@ def test_safe_values_that_the_study_names_stay(backend, system):
     assert gain(system) == SAFE
 
 
+@pytest.fixture
+def interruptible(system, tmp_path):
+    """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
+    opened = []
+
+    def make(when, **changes):
+        asked = []
+
+        def interrupted():
+            if asked or when():
+                asked.append(True)
+                raise Interrupted(2)
+
+        made = RosBackend(study(**changes), tmp_path, attach=True, interrupted=interrupted)
+        opened.append(made)
+        made.open()
+        return made
+
+    yield make
+    for made in opened:
+        made.close()
+
+
 @pytest.mark.parametrize("phase", ["before", "start"])
-def test_an_interrupted_run_stops_the_machine(system, tmp_path, phase):
-    """As Ctrl-C does, when it moves: the wait ends, and the backend is closed."""
-    asked = []
-
-    def interrupted():
-        if asked or system.setpoint == 1.0:
-            asked.append(True)
-            raise Interrupted(2)
-
+def test_an_interrupted_run_stops_the_machine_ahead_of_all_else(interruptible, system, phase):
+    """As Ctrl-C does, when it moves: not only when the backend is closed, after the records."""
     moving = [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}, {"wait": DEADLINE}]
     steps = {
         "before": [],
@@ -159,16 +175,76 @@ def test_an_interrupted_run_stops_the_machine(system, tmp_path, phase):
             {"publish": {"topic": "setpoint", "message": {"data": -0.5}}},
         ],
     }
-    made = RosBackend(
-        study(run=steps | {phase: moving}), tmp_path, attach=True, interrupted=interrupted
-    )
-    try:
-        made.open()
-        with pytest.raises(Interrupted):
-            run(made, 0.75)
-        assert gain(system) == 0.75
-    finally:
-        made.close()
+    made = interruptible(lambda: system.setpoint == 1.0, run=steps | {phase: moving})
+    with pytest.raises(Interrupted):
+        run(made, 0.75)
     # The first of the steps is refused, which does not keep the next one from being done.
     wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
     assert gain(system) == 0.5
+
+
+def test_an_interruption_ahead_of_an_evaluation_sets_nothing(interruptible, system):
+    """The parameters of a trial that is not to be run reach no node."""
+    interrupting = []
+    made = interruptible(lambda: interrupting, run={"before": []})
+    interrupting.append(True)
+    asked = system.asked_to_set
+    with pytest.raises(Interrupted):
+        run(made, 0.75)
+    assert system.asked_to_set == asked
+
+
+def test_what_a_run_has_shown_is_kept_when_the_way_home_is_interrupted(interruptible, system):
+    """The parameters are not run again, and the machine does not go on driving."""
+    leaving = {"publish": {"topic": "setpoint", "message": {"data": 0.25}}}
+    made = interruptible(
+        lambda: system.setpoint == 0.25,
+        run={
+            "before": [],
+            **ROOM,
+            "after": [{"publish": {"topic": "setpoint", "message": {"data": -0.5}}}],
+            "recover": [leaving, {"wait": DEADLINE}],
+        },
+    )
+    assert failure(run(made, UNSTABLE)).startswith("aborted at ")
+    wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+
+
+def test_a_machine_that_does_not_come_home_is_brought_to_rest(backend, system):
+    leaving = {"publish": {"topic": "setpoint", "message": {"data": 0.25}}}
+    never = {"wait_until": {"condition": "angle > 9", "timeout": 0.3}}
+    made = backend(
+        run={
+            "before": [],
+            **ROOM,
+            "after": [{"publish": {"topic": "setpoint", "message": {"data": -0.5}}}],
+            "recover": [leaving, never],
+        }
+    )
+    assert "; not recovered: run.recover[1]: " in failure(run(made, UNSTABLE))
+    wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+
+
+def test_the_machine_is_stopped_before_the_reason_is_looked_for(backend, system, monkeypatch):
+    """A node that hangs is waited for, and one that was started anew; the machine does not wait."""
+    stop = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    made = backend(run={"before": [], **ROOM, "after": [stop]}, park={"parameters": {"gain": SAFE}})
+    found = []
+
+    def note(*_):
+        wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+        found.append(gain(system))
+
+    monkeypatch.setattr(made._client.parameters, "expect_answer", note)
+    monkeypatch.setattr(made._client, "_refuse_other_nodes", note)
+    assert failure(run(made, UNSTABLE)).startswith("aborted at ")
+    assert found == [SAFE, SAFE]
+
+
+def test_a_machine_that_is_not_parked_does_not_drive_home(backend, system):
+    """With the parameters of the trial it would."""
+    made = backend(run={"before": [], **ROOM, "recover": [HOME]})
+    system.refuses_beyond = 2.0
+    reason = failure(run(made, UNSTABLE))
+    assert "; servo is not parked: servo refused its parameters: the key is out" in reason
+    assert system.setpoint == 1.0

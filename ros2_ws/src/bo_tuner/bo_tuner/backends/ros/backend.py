@@ -27,6 +27,7 @@ from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
@@ -103,6 +104,7 @@ class RosBackend(SequentialBackend):
         self._found: dict[str, dict[str, object]] = {}
         self._held: dict[str, dict[str, object]] = {}
         self._suspension = Suspension()
+        self._unfinished: list[str] = []
         self._safe: dict[str, dict[str, object]] = {}
         self._started = StartedNodes(study, self._namespace, log_directory)
 
@@ -197,6 +199,8 @@ class RosBackend(SequentialBackend):
         or, attached, waited for. One during which this process was suspended says nothing of the
         parameters, and is repeated.
         """
+        # A request to end that came during the proposal: no node is to get its parameters.
+        self._look()
         for _ in range(ATTEMPTS):
             self._suspension.begin()
             outcome = self._attempt(planned)
@@ -207,13 +211,19 @@ class RosBackend(SequentialBackend):
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
 
     def _attempt(self, planned: Evaluation) -> Outcome:
-        outcome = self._evaluated(planned)
-        if outcome.state is EvaluationState.COMPLETE:
-            problems = self.park() if self._study.park.between_runs else []
-        elif outcome.state is EvaluationState.LOST:
-            problems = self._recover()
-        else:
-            problems = self._make_safe()
+        self._unfinished.clear()
+        try:
+            outcome = self._evaluated(planned)
+        except BaseException:
+            # Such as a signal. Records are closed before this backend is, and may take their time.
+            self._stop()
+            raise
+        try:
+            problems = self._leave_safe(outcome.state)
+        except Interrupted:
+            # The run ends, but not without what is known of these parameters.
+            problems = self._stop()
+        problems = [*self._unfinished, *problems]
         if not problems:
             return outcome
         text = brief("; ".join(problems))
@@ -266,31 +276,47 @@ class RosBackend(SequentialBackend):
                 procedure.prepare()
             procedure.perform()
         except FailedRunError:
+            # First the machine, then the reason: a node that does not answer is waited for.
+            self._stop()
             # A run may have failed for want of a node.
             for key in self._study.nodes:
                 client.parameters.expect_answer(key)
             raise
 
+    def _stop(self) -> list[str]:
+        """Bring a run to its end at once, whoever asks for what; returns what is not parked.
+
+        Of a study without a run nothing is to be stopped: its nodes end an evaluation themselves.
+        """
+        if self._procedure is None:
+            return []
+        with self._opened[0].watched_by(self._suspension.look):
+            self._procedure.request_cancel()
+            problems = self.park()
+            self._unfinished += self._procedure.leave()
+            # A node may refuse parameters while it executes a goal.
+            return problems and self.park()
+
+    def _leave_safe(self, state: EvaluationState) -> list[str]:
+        """Leave the nodes as they are to be after an evaluation; returns what went wrong."""
+        if state is EvaluationState.COMPLETE:
+            return self.park() if self._study.park.between_runs else []
+        return self._recover() if state is EvaluationState.LOST else self._make_safe()
+
     def _make_safe(self) -> list[str]:
         """Leave a run that failed with the machine safe, and home; returns what went wrong."""
-        problems = self.park()
-        if self._procedure is not None:
-            problems += self._procedure.leave()
-            problems += self._procedure.recover()
-        return problems
+        if self._procedure is None:
+            return self.park()
+        # With the parameters of the trial the machine does not drive home.
+        return self._stop() or self._procedure.recover()
 
     def _recover(self) -> list[str]:
         """Make safe what is left, and get lost nodes back; returns what went wrong."""
-        tuner, client = self._opened
-        problems = []
-        if self._procedure is not None:
-            with tuner.watched_by(self._look):
-                # Of the node that was lost nothing else is to be expected.
-                self.park()
-                problems = self._procedure.leave()
-        if problem := self._get_back(tuner, client):
-            return [*problems, problem]
-        return problems + self._make_safe()
+        # Of the node that was lost nothing else is to be expected than that it is not parked.
+        self._stop()
+        if problem := self._get_back(*self._opened):
+            return [problem]
+        return self._make_safe()
 
     @property
     def _opened(self) -> tuple[TunerNode, StudyClient]:

@@ -52,6 +52,7 @@ class Goal:
         self._client = ActionClient(tuner.node, cls, self.name)
         if not tuner.wait_until(self._client.server_is_ready, timeout):
             raise StudyError(f"{self.name} has no server that is complete", ("action",))
+        self._asked: Future | None = None
         self._handle: Any = None
         self._result: Future | None = None
 
@@ -71,14 +72,25 @@ class Goal:
             If the server does not answer.
         """
         self._handle = self._result = None
-        future = self._client.send_goal_async(self._message)
-        if not self._tuner.wait_until(future.done, CALL_TIMEOUT):
-            future.add_done_callback(_cancel_late)
+        asked = self._asked = self._client.send_goal_async(self._message)
+        asked.add_done_callback(self._take)
+        if not self._tuner.wait_until(lambda: self._asked is None, CALL_TIMEOUT):
+            self._asked = None
             raise LostError(f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s")
-        handle = future.result()
-        if not handle.accepted:
+        if self._result is None:
             raise FailedRunError(f"{self.name} refused the goal")
-        self._handle, self._result = handle, handle.get_result_async()
+
+    def _take(self, asked: Future) -> None:
+        """Take the server's answer to a goal, and cancel one that nobody waits for any more."""
+        handle, is_late = asked.result(), asked is not self._asked
+        if not is_late:
+            self._asked = None
+        if handle is None or not handle.accepted:
+            return
+        if is_late:
+            handle.cancel_goal_async()
+        else:
+            self._handle, self._result = handle, handle.get_result_async()
 
     def check(self) -> None:
         """Look how it is.
@@ -110,8 +122,16 @@ class Goal:
         if not self._tuner.wait_until(ended, self._spec.timeout):
             raise FailedRunError(f"{self.name} has no result within {self._spec.timeout:g} s")
 
+    def request_cancel(self) -> None:
+        """Ask for the end of the goal if it is active, and do not wait for it."""
+        if self.is_active:
+            self._handle.cancel_goal_async()
+
     def cancel(self, timeout: float = CALL_TIMEOUT) -> str:
         """Cancel the goal if it is active; returns what went wrong, in a line."""
+        # A signal may have ended the wait for the answer: an accepted goal would be executed.
+        self._tuner.wait_until(lambda: self._asked is None, timeout)
+        self._asked = None
         if not self.is_active:
             return ""
         self._handle.cancel_goal_async()
@@ -139,13 +159,6 @@ class Goal:
             return interface_class(known()[self.name][0])
         except StudyError as error:
             raise error.under("action") from None
-
-
-def _cancel_late(future: Future) -> None:
-    """Cancel a goal that was accepted when nobody waited for it any more."""
-    handle = future.result()
-    if handle is not None and handle.accepted:
-        handle.cancel_goal_async()
 
 
 def _reason(result: Any) -> str:

@@ -122,6 +122,11 @@ class Procedure:
         self._next_after = None
         self.recording.check(self._study.signals)
 
+    def request_cancel(self) -> None:
+        """Ask for the end of the goals that are active, and do not wait for it."""
+        for goal in self._started:
+            goal.request_cancel()
+
     def leave(self) -> list[str]:
         """Bring a run that did not end well to its end as far as possible: goals, steps after it.
 
@@ -145,11 +150,16 @@ class Procedure:
         return problems
 
     def recover(self) -> list[str]:
-        """Perform the steps that bring the machine home; returns what went wrong, in lines."""
+        """Perform the steps that bring the machine home; returns what went wrong, in lines.
+
+        If one is not possible, the machine is brought to rest, as after a run: see `leave`.
+        """
+        self._next_after = 0
         try:
             self._perform("recover")
         except FAULTS as fault:
-            return [f"not recovered: {fault}", *self._cancel()]
+            return [f"not recovered: {fault}", *self.leave()]
+        self._next_after = None
         return []
 
     def close(self) -> None:
