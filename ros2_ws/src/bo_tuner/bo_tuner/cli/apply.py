@@ -57,7 +57,8 @@ environment (ROS_DOMAIN_ID), and in the namespace of --ros-args.
 
 exit codes:
   0    the nodes have the values, as read back from them
-  1    a node refused or did not answer; the previous values were restored
+  1    a node refused, did not answer or read back another value; the previous
+       values were restored, or the message names the node where that failed
   2    bad input: run, option or nodes, or no terminal to confirm in
   3    nothing was set: no certificate allows it, you did not confirm, or the
        nodes' values changed before you did

@@ -19,11 +19,14 @@ Bayesian optimization, and validate them on fresh draws.
 
 EPILOG = """\
 exit codes:
-  0    a feasible parameter set was found, and kept all limits in the validation
+  0    a feasible parameter set was found, and kept all limits in the
+       validation; with --check, both runs were completed; with --init, the
+       study is written
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
        full); its record is kept
   2    bad input: study, option, folder or nodes
-  3    the run is complete, but no feasible parameter set was found
+  3    the run is complete, but no feasible parameter set was found; with
+       --check, a run of the default failed
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: nobody reads the output any
        more); the nodes are stopped, the record is kept, and --resume continues
@@ -162,9 +165,9 @@ def _add_running_nodes(parser: Parser) -> None:
     parser.add_argument(
         "--check",
         metavar="NAME|FILE",
-        help="hold a study against the nodes that are running, name every mistake in parameters "
-        "and signals, try two runs of the default, and say how long the study would take; nothing "
-        "is recorded, and the nodes get back their values",
+        help="check a study against the nodes that are running, name every mistake in parameters, "
+        "contexts, signals and steps of the run, try two runs of the default, and say how long the "
+        "study would take; nothing is recorded, and the nodes get back their values",
     )
     parser.add_argument(
         "--init",
