@@ -20,7 +20,9 @@ INTEGER_LIMIT = 2**63
 
 SIMPLE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 PARAMETER_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z0-9_]+)*")
-PARAMETER_OR_ITEM = re.compile(PARAMETER_NAME.pattern + r"(\[(0|[1-9][0-9]{0,5})\])?")
+PARAMETER_OR_ITEM = re.compile(
+    rf"(?P<array>{PARAMETER_NAME.pattern})(\[(?P<item>0|[1-9][0-9]{{0,5}})\])?"
+)
 NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 TOPIC_NAME = re.compile(r"(~?/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_-]*")

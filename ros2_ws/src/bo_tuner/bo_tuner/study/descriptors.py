@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter import Parameter, array_and_item
 from bo_tuner.study.study import Study
 
 
@@ -68,7 +68,7 @@ def incomplete(mapping: object) -> dict[str, list[str]]:
         is_number = item.get("type") in (None, "double", "integer")
         needed = {"type", *(() if is_constant else ("default",))}
         needed |= {"bounds"} if is_number and not is_constant else set()
-        array = _array_of(name, item)
+        array, _ = array_and_item(str(item.get("parameter", name)))
         has_array = not array or array in _constants(mapping, item["node"])
         if needed - item.keys() or not has_array:
             found.setdefault(str(item["node"]), []).append(name)
@@ -90,14 +90,15 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
     Raises
     ------
     StudyError
-        If a node does not have the parameter, or gives no range.
+        If the name of a parameter is none, its node does not have it, or gives no range.
     """
     for key, names in incomplete(mapping).items():
         for name in names:
             item = _parameters(mapping)[name]
             path = ("parameters", name)
-            array = _array_of(name, item)
-            wanted = array or str(item.get("parameter", name))
+            in_node = checks.parameter_or_item(item.get("parameter", name), *path)
+            array, index = array_and_item(in_node)
+            wanted = array or in_node
             described = nodes[key].get(wanted)
             if described is None:
                 hint = checks.suggestion(wanted, nodes[key])
@@ -108,7 +109,6 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                     raise StudyError(f"node {key}: {array} is no array", path)
                 if array not in _constants(mapping, key):
                     _add_constant(mapping, key, array, list(value))
-                index = int(str(item.get("parameter", name)).rpartition("[")[2].rstrip("]"))
                 value = value[index] if index < len(value) else None
             item.setdefault("type", described.type.removesuffix("_array"))
             if "fixed" in item or "tied_to" in item:
@@ -217,11 +217,6 @@ def _undeclared(name: str, known: Mapping[str, Described]) -> str:
 def _parameters(mapping: object) -> dict[str, dict[str, object]]:
     found = mapping.get("parameters") if isinstance(mapping, dict) else None
     return found if isinstance(found, dict) else {}
-
-
-def _array_of(name: str, item: Mapping[str, object]) -> str:
-    wanted = str(item.get("parameter", name))
-    return wanted.partition("[")[0] if wanted.endswith("]") else ""
 
 
 def _node(mapping: object, node: object) -> dict[str, object]:

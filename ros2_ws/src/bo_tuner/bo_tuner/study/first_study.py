@@ -21,6 +21,7 @@ from bo_tuner.study.offers import (
     parameter_offers,
     signal_offers,
 )
+from bo_tuner.study.parameter import array_and_item
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.strict_yaml import dump_line
 from bo_tuner.text import one_line
@@ -95,8 +96,7 @@ def first_study(
 
 def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[str, Any]:
     """Return a node's entry; it has the arrays of whose items some are tuned."""
-    taken = [offer.name for offer in parameters if offer.node == node.name]
-    arrays = {name.partition("[")[0] for name in taken if name.endswith("]")}
+    arrays = {array_and_item(offer.name)[0] for offer in parameters if offer.node == node.name}
     values = {
         name: list(seen.value)
         for name, seen in node.parameters.items()

@@ -109,12 +109,12 @@ class Parameter:
     @property
     def array(self) -> str:
         """Name of the array that has the parameter as an item; empty if it is no item."""
-        return self.parameter.partition("[")[0] if self.parameter.endswith("]") else ""
+        return array_and_item(self.parameter)[0]
 
     @property
     def item(self) -> int:
         """Position of the parameter in its array."""
-        return int(self.parameter.partition("[")[2].rstrip("]"))
+        return array_and_item(self.parameter)[1]
 
     def checked(self, value: object, *path: str | int) -> Value:
         """Return a value that has the parameter's type; bounds do not matter.
@@ -233,6 +233,14 @@ class Parameter:
 
     def _number(self, value: object, *path: str | int) -> Number:
         return checks.integer(value, *path) if self.is_integer else checks.number(value, *path)
+
+
+def array_and_item(name: str) -> tuple[str, int]:
+    """Return the array and the position in it that ``covariance[7]`` names; ("", 0) if no item."""
+    named = checks.PARAMETER_OR_ITEM.fullmatch(name)
+    if named is None or named["item"] is None:
+        return "", 0
+    return named["array"], int(named["item"])
 
 
 def _instead_of_log(lower: Number, upper: Number, default: object) -> str:
