@@ -1,6 +1,6 @@
 """Bayesian optimization, Algorithm 1 of the paper."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,9 @@ STARTS = 8
 """Number of particles of the swarm that start near the most promising points."""
 
 SPACE_FILLING_CANDIDATES = 512
+
+PointRule = Callable[[Surrogates, np.random.Generator], Iterator[tuple[Array, str]]]
+"""Yields points (d,) to try, the most promising one first, each with the origin of its proposal."""
 
 
 class AcquisitionSearch:
@@ -126,7 +129,6 @@ class BayesianOptimization(DesignedOptimizer):
         Which surrogate models to fit.
     acquisition
         Makes the acquisition function.
-
     """
 
     def __init__(
@@ -140,20 +142,19 @@ class BayesianOptimization(DesignedOptimizer):
         self._acquisition = acquisition
 
     def ask(self) -> Proposal:
-        """Propose the parameter set of the next trial.
+        """Propose the parameter set of the next trial."""
+        return self.initial() or self.propose(self._most_promising)
 
-        The proposal is a point far from all tried ones (origin ``space-filling``) if the maximum of
-        the acquisition function was tried before, or if the computation fails numerically; a
-        failure is also reported in the warnings.
+    def propose(self, points: PointRule, protocol: tuple[int, int] | None = None) -> Proposal:
+        """Propose the first of `points` that was not tried before; `protocol` as in `Proposal`.
+
+        The proposal is a point far from all tried ones (origin ``space-filling``) if there is none,
+        or if the computation fails numerically; a failure is also reported in the warnings.
         """
-        proposal = self.initial()
-        if proposal is not None:
-            return proposal
         rng = self.rng()
         warnings: tuple[str, ...] = ()
         outliers: frozenset[int] = frozenset()
         warm = latest_hyperparameters(self.trials)
-        cube = None
         try:
             surrogates = Surrogates.fit(
                 self.study,
@@ -165,16 +166,15 @@ class BayesianOptimization(DesignedOptimizer):
             )
             warnings, outliers = surrogates.warnings, surrogates.outliers
             warm |= surrogates.warm_starts
-            cube, origin = self._search(surrogates, rng)
+            for point, origin in points(surrogates, rng):
+                parameters = self.space.to_parameters(point)
+                if not self.has_tried(parameters):
+                    return Proposal(parameters, origin, warnings, warm, protocol, outliers)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             warnings += (f"no acquisition: {type(error).__name__}: {error}",)
-        if cube is not None:
-            parameters = self.space.to_parameters(cube)
-            if not self.has_tried(parameters):
-                return Proposal(parameters, origin, warnings, warm, outliers=outliers)
-        cube = space_filling(self.space, self._tried(), rng)
-        parameters = self.space.to_parameters(cube)
-        return Proposal(parameters, SPACE_FILLING, warnings, warm, outliers=outliers)
+        tried = self.space.cube_of(t.parameters for t in self.trials)
+        parameters = self.space.to_parameters(space_filling(self.space, tried, rng))
+        return Proposal(parameters, SPACE_FILLING, warnings, warm, protocol, outliers)
 
     def _weights(self) -> Array | None:
         """Draw the weights (k,) of k objectives, uniformly; None for a single one."""
@@ -184,7 +184,10 @@ class BayesianOptimization(DesignedOptimizer):
         rng = generator(self.study.seed, Stream.WEIGHTS, len(self.trials))
         return rng.dirichlet(np.ones(count))
 
-    def _search(self, surrogates: Surrogates, rng: np.random.Generator) -> tuple[Array | None, str]:
+    def _most_promising(
+        self, surrogates: Surrogates, rng: np.random.Generator
+    ) -> Iterator[tuple[Array, str]]:
+        """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
         avoid = self.avoid
         found = search.maximise(avoid=avoid)
@@ -199,15 +202,13 @@ class BayesianOptimization(DesignedOptimizer):
             if found.value < negligible:
                 found = search.maximise(avoid=avoid, reinterpolate=False)
                 origin = REFINEMENT
-        return (found.position if np.isfinite(found.value) else None), origin
+        if np.isfinite(found.value):
+            yield found.position, origin
 
     @property
     def avoid(self) -> float:
         """Largest probability of a failure or an outlier of a proposal, as long as others exist."""
         return 0.5
-
-    def _tried(self) -> Array:
-        return self.space.cube_of(t.parameters for t in self.trials)
 
 
 def latest_hyperparameters(trials: Sequence[Trial]) -> dict[str, tuple[float, ...]]:

@@ -27,13 +27,9 @@ import numpy as np
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.models.joint_responses import FutureBound, PooledResponse
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.base import ACQUISITION, SPACE_FILLING, Proposal
-from bo_tuner.optimizers.bayesian import (
-    AcquisitionSearch,
-    BayesianOptimization,
-    latest_hyperparameters,
-    space_filling,
-)
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.optimizers.base import ACQUISITION, Proposal
+from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization
 from bo_tuner.optimizers.ranking import lowest_cost
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TrialState, count_evaluations
@@ -72,12 +68,9 @@ class BoundaryOptimization(BayesianOptimization):
 
     def ask(self) -> Proposal:
         """Propose the next trial and its evaluations."""
-        proposal = self.initial()
-        if proposal is not None:
-            return proposal
         if searches(self.study, len(self.trials), count_evaluations(self.trials)):
             return super().ask()
-        return self._at_boundary()
+        return self.initial() or self.propose(self._at_boundary, new_point(self.study))
 
     @property
     def avoid(self) -> float:
@@ -96,32 +89,16 @@ class BoundaryOptimization(BayesianOptimization):
             level = min(level, highest)
         return float(FAILING * 2.0**level)
 
-    def _at_boundary(self) -> Proposal:
-        rng = self.rng()
-        warm = latest_hyperparameters(self.trials)
-        warnings: tuple[str, ...] = ()
-        outliers: frozenset[int] = frozenset()
-        try:
-            surrogates = Surrogates.fit(
-                self.study, self.trials, rng=rng, start=warm, options=self._options
-            )
-            warnings, outliers = surrogates.warnings, surrogates.outliers
-            warm |= surrogates.warm_starts
-            search = AcquisitionSearch(provable(surrogates), self.space, self._acquisition, rng)
-            search.incumbent = lowest_cost(surrogates, self.study, self.trials, self._options)
-            for avoid in (self.avoid, 1.0):
-                result = search.maximise(avoid=avoid)
-                if np.isfinite(result.value):
-                    parameters = self.space.to_parameters(result.position)
-                    if not self.has_tried(parameters):
-                        return Proposal(
-                            parameters, ACQUISITION, warnings, warm, new_point(self.study), outliers
-                        )
-        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            warnings += (f"no acquisition: {type(error).__name__}: {error}",)
-        cube = space_filling(self.space, self._tried(), rng)
-        parameters = self.space.to_parameters(cube)
-        return Proposal(parameters, SPACE_FILLING, warnings, warm, new_point(self.study), outliers)
+    def _at_boundary(
+        self, surrogates: Surrogates, rng: np.random.Generator
+    ) -> Iterator[tuple[Array, str]]:
+        """Yield the most promising points that a few runs are likely to show feasible."""
+        search = AcquisitionSearch(provable(surrogates), self.space, self._acquisition, rng)
+        search.incumbent = lowest_cost(surrogates, self.study, self.trials, self._options)
+        for avoid in (self.avoid, 1.0):
+            result = search.maximise(avoid=avoid)
+            if np.isfinite(result.value):
+                yield result.position, ACQUISITION
 
 
 def provable(surrogates: Surrogates) -> Surrogates:
