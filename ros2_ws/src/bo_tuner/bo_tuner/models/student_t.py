@@ -42,7 +42,6 @@ from scipy.linalg import lapack
 from scipy.special import stdtr
 
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.hyperpriors import Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
 from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
 from bo_tuner.numerics.arrays import Array
@@ -77,10 +76,8 @@ class StudentTProcess:
         s_i, in standardized responses.
     mode : ndarray, shape (n,)
         Mode of the latent values, in standardized responses.
-    iterations : int
-        Steps of the mode finding.
     converged : bool
-        Whether it ended by tolerance.
+        Whether the mode finding ended by tolerance.
     degrees_of_freedom : float
         ν.
     """
@@ -89,7 +86,6 @@ class StudentTProcess:
     data: Replicates
     scale: Array
     mode: Array
-    iterations: int
     converged: bool
     degrees_of_freedom: float = DEGREES_OF_FREEDOM
 
@@ -128,8 +124,8 @@ class StudentTProcess:
         scale = sd * np.sqrt((nu - 2.0) / nu)
         start = reference.standardisation.apply(reference.predict(data.x)[0])
         kernel = latent_covariance(reference.hyperparameters, data.x, data.x)
-        mode, iterations, converged = _find_mode(kernel, data.mean, scale, nu, start)
-        return cls(reference, data, scale, mode, iterations, converged, nu)
+        mode, converged = _find_mode(kernel, data.mean, scale, nu, start)
+        return cls(reference, data, scale, mode, converged, nu)
 
     @cached_property
     def _laplace(self) -> tuple[Array, Array, float]:
@@ -210,10 +206,11 @@ class StudentTProcess:
 
 def _find_mode(
     kernel: Array, y: Array, scale: Array, nu: float, start: Array
-) -> tuple[Array, int, bool]:
+) -> tuple[Array, bool]:
     """Maximize Ψ(f) over f = K a, shape (n,), by guarded over-relaxed reweighted least squares.
 
-    The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K.
+    The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K. Returned are f and
+    whether it converged.
     """
 
     def psi(a: Array, f: Array) -> float:
@@ -231,7 +228,7 @@ def _find_mode(
     a = reweighted(start)
     f = kernel @ a
     value = psi(a, f)
-    for iteration in range(1, MAXIMUM_ITERATIONS + 1):
+    for _ in range(MAXIMUM_ITERATIONS):
         step = reweighted(f) - a
         candidates = [a + step, a + 2.0 * step]
         latents = [kernel @ candidate for candidate in candidates]
@@ -239,9 +236,9 @@ def _find_mode(
         best = int(np.argmax(values))
         gain = values[best] - value
         if not gain > TOLERANCE:
-            return f, iteration, bool(np.isfinite(gain))
+            return f, bool(np.isfinite(gain))
         a, f, value = candidates[best], latents[best], values[best]
-    return f, MAXIMUM_ITERATIONS, False
+    return f, False
 
 
 def find_outliers(
@@ -249,7 +246,6 @@ def find_outliers(
     y: ArrayLike,
     *,
     rng: np.random.Generator,
-    priors: Hyperpriors | None = None,
     minimum_length_scales: ArrayLike | None = None,
     start: Sequence[float] | None = None,
     keep: bool = False,
@@ -263,7 +259,7 @@ def find_outliers(
 
     Parameters
     ----------
-    x, y, rng, priors, minimum_length_scales, start, keep
+    x, y, rng, minimum_length_scales, start, keep
         As `GaussianProcess.fit`.
 
     Returns
@@ -284,7 +280,6 @@ def find_outliers(
         points[bulk],
         responses[bulk],
         rng=rng,
-        priors=priors,
         minimum_length_scales=minimum_length_scales,
         start=start,
         keep=keep,
