@@ -34,7 +34,7 @@ def queries(count=50):
 def test_expectation_constraint_is_the_probability_of_the_latent_response():
     surrogate = model()
     mean, variance = surrogate.predict(queries())
-    constraint = SurrogateConstraint.on_expectation(surrogate, 0.8)
+    constraint = SurrogateConstraint(surrogate, 0.8)
     expected = norm.logcdf(0.8, mean, np.sqrt(variance))
     np.testing.assert_allclose(constraint.log_probability(queries()), expected, rtol=1e-9)
 
@@ -82,7 +82,7 @@ def test_sum_of_logarithms_equals_the_product_of_equation_five():
         objective,
         best,
         (
-            SurrogateConstraint.on_expectation(overshoot, 1.0),
+            SurrogateConstraint(overshoot, 1.0),
             SurrogateConstraint.on_observation(times, 1.8, 0.96),
         ),
         failures=crashes,
@@ -170,7 +170,7 @@ def test_an_outlier_closes_where_it_is_more_likely_than_not(avoid):
 
 def test_without_a_feasible_point_feasibility_is_sought():
     overshoot = model(1)
-    constraint = SurrogateConstraint.on_expectation(overshoot, -3.0)
+    constraint = SurrogateConstraint(overshoot, -3.0)
     acquisition = make_acquisition(model(0), None, (constraint,))
     np.testing.assert_array_equal(acquisition(queries()), constraint.log_probability(queries()))
 

@@ -78,7 +78,11 @@ def log_feasibility(constraints: Iterable[LimitedResponse], x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SurrogateConstraint(LimitedResponse):
-    """Limit on a response and the surrogate of the response; build it by a class method.
+    """Limit on the latent response itself, f(x) ≤ limit, or ≥ for a lower one.
+
+    As it is, for a response whose noise is the error of an estimate and must not count, such as a
+    worst case over contexts that is estimated from noisy evaluations; `on_observation` makes one
+    for a limit on single observations.
 
     Attributes
     ----------
@@ -93,23 +97,6 @@ class SurrogateConstraint(LimitedResponse):
     model: Model
     limit: float
     sign: float = 1.0
-
-    @classmethod
-    def on_expectation(cls, model: Model, limit: float, sign: float = 1.0) -> Self:
-        """Constrain the latent response itself: f(x) ≤ limit, or ≥ for a lower one.
-
-        For a response whose noise is the error of an estimate and must not count, such as a worst
-        case over contexts that is estimated from noisy evaluations.
-
-        Parameters
-        ----------
-        model : Model
-        limit : float
-            In the unit of the response.
-        sign : float
-            1 for an upper limit, -1 for a lower one.
-        """
-        return cls(model, limit, sign)
 
     @classmethod
     def on_observation(

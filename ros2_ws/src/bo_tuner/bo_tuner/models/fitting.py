@@ -221,7 +221,7 @@ class Fitting:
     def _worst_case(self, trials: Sequence[Trial], worst: Constraint) -> SurrogateConstraint:
         y = single_evaluation_worst_cases(trials, worst)
         model = self._fit(worst.name, self._points(trials), y, self._minimum)
-        return SurrogateConstraint.on_expectation(model, worst.limit, worst.sign)
+        return SurrogateConstraint(model, worst.limit, worst.sign)
 
     def _joint_worst_case(self, trials: Sequence[Trial], worst: Constraint) -> JointConstraint:
         contexts = self._study.context_space()
