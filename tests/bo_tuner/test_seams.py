@@ -72,10 +72,6 @@ class NearestMean:
     def predict_reinterpolated(self, x):
         return self.predict(x)
 
-    def sample(self, x, count, rng):
-        mean, variance = self.predict(x)
-        return mean + np.sqrt(variance) * rng.standard_normal((count, len(mean)))
-
 
 class TestSurrogate:
     @pytest.mark.parametrize("joint", [False, True])

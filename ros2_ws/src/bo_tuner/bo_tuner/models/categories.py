@@ -152,10 +152,6 @@ class CodedModel:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
         return self.inner.predict_reinterpolated(self.coding.encode(x))
 
-    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-        """Draw the latent response jointly at x (m, d), shape (count, m)."""
-        return self.inner.sample(self.coding.encode(x), count, rng)
-
 
 def coded(model: Model, coding: Coding) -> Model:
     """Return a model of encoded points as one over the unit cube."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from bo_tuner.models.hyperpriors import Hyperparameters
-from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
+from bo_tuner.models.kernel import MEAN_SD, cholesky_factor, latent_covariance
 from bo_tuner.numerics.arrays import Array
 
 BASIS = 1000
@@ -122,7 +122,7 @@ class Prior:
         self._exact = basis is None
         self._covariance = latent_covariance(hyperparameters, self._basis, self._basis)
         if not self._exact:
-            factor, self._warnings = _factor(self._covariance)
+            factor, self._warnings = cholesky_factor(self._covariance)
             self._whitening = lapack.dtrtri(factor, lower=1)[0]
             cross = latent_covariance(hyperparameters, x, self._basis)
             self._v = cross @ self._whitening.T  # K ≈ V Vᵀ
@@ -144,7 +144,7 @@ class Prior:
     def _exactly(self, mean: Array, variances: Array) -> Posterior:
         covariance = self._covariance.copy()
         covariance[np.diag_indices(len(mean))] += variances
-        factor, warnings = _factor(covariance)
+        factor, warnings = cholesky_factor(covariance)
         weights, _ = lapack.dpotrs(factor, mean, lower=1)
         whitening = lapack.dtrtri(factor, lower=1)[0]
         own = np.einsum("ij,ij->j", whitening, whitening)
@@ -156,12 +156,12 @@ class Prior:
         precise = v / variances[:, None]
         inner = v.T @ precise
         inner[np.diag_indices(len(inner))] += 1.0
-        factor, warnings = _factor(inner)
+        factor, warnings = cholesky_factor(inner)
         latent, _ = lapack.dpotrs(factor, precise.T @ mean, lower=1)
         explained = -lapack.dpotri(factor, lower=1)[0]
         explained[np.diag_indices(len(explained))] += 1.0
         # Its factor Fᵀ F with F lower triangular is a Cholesky factor in reversed order.
-        reverse, further = _factor(explained[::-1, ::-1].T)
+        reverse, further = cholesky_factor(explained[::-1, ::-1].T)
         own = lapack.dtrtrs(factor, v.T, lower=1)[0]
         return Posterior(
             self._basis,
@@ -172,11 +172,3 @@ class Prior:
             variances,
             self._warnings + warnings + further,
         )
-
-
-def _factor(covariance: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the Cholesky factor, and a warning if the matrix needed help."""
-    factor, jitter = jittered_cholesky(covariance)
-    if jitter == 0.0:
-        return factor, ()
-    return factor, (f"covariance matrix: needed {jitter:.0e} on its diagonal",)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from bo_tuner.models.conditioning import Posterior
-from bo_tuner.models.kernel import MEAN_SD
+from bo_tuner.models.kernel import MEAN_SD, squared_norms
 from bo_tuner.models.parameter_sets import ParameterSets
 from bo_tuner.numerics.arrays import Array
 
@@ -80,7 +80,8 @@ class ContextReduction:
         for column in np.unique(which[factored]):
             here = which == column
             extended = np.vstack([kernel[here].T, np.ones(here.sum())])
-            reduction[here] = _squares(blas.dtrmm(1.0, self._factor(column), extended))
+            reduced = blas.dtrmm(1.0, self._factor(column), extended)
+            reduction[here] = np.einsum("ij,ij->j", reduced, reduced)
         direct = ~factored
         reduction[direct] = self._reduced(kernel[direct], self._columns.T[which[direct]])
         return reduction
@@ -96,7 +97,7 @@ class ContextReduction:
     def _reduced(self, kernel: Array, across: Array) -> Array:
         """Return ‖W k‖² (m,), for sums over contexts of their k(c_i, c), across (m, b)."""
         cross = self._sets.spread(kernel) * across + MEAN_SD**2
-        return _squares(blas.dtrmm(1.0, self._whitening, cross.T, lower=1))
+        return squared_norms(self._whitening, cross)
 
     def _factor(self, column: int) -> Array:
         """Return R (q + 1, q + 1), upper triangular, of a context or of the mean over all."""
@@ -106,8 +107,3 @@ class ContextReduction:
             factored, _, _, _ = lapack.dgeqrf(np.column_stack([matrix, constant]))
             self._factors[column] = np.triu(factored[: factored.shape[1]])
         return self._factors[column]
-
-
-def _squares(columns: Array) -> Array:
-    found: Array = np.einsum("ij,ij->j", columns, columns)
-    return found

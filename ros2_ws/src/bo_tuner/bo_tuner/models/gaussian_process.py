@@ -20,17 +20,19 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import blas, lapack, solve_triangular
+from scipy.linalg import lapack
 
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import (
     MEAN_SD,
+    cholesky_factor,
     covariance_of_distances,
     jittered_cholesky,
     latent_covariance,
     scaled_squared_distances,
+    squared_norms,
 )
-from bo_tuner.models.log_posterior import LogPosterior, log_likelihood, maximise_posterior
+from bo_tuner.models.log_posterior import LogPosterior, maximise_posterior
 from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
 from bo_tuner.numerics.arrays import Array
 
@@ -170,11 +172,9 @@ class GaussianProcess:
     ) -> Self:
         covariance = latent_covariance(hyperparameters, data.x, data.x)
         covariance[np.diag_indices(len(data.x))] += hyperparameters.noise**2 / data.count
-        factor, jitter = jittered_cholesky(covariance)
-        if jitter > 0.0:
-            warnings += (f"covariance matrix: needed {jitter:.0e} on its diagonal",)
+        factor, further = cholesky_factor(covariance)
         alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
-        return cls(hyperparameters, standardisation, data, factor, alpha, warnings)
+        return cls(hyperparameters, standardisation, data, factor, alpha, warnings + further)
 
     @property
     def points(self) -> Array:
@@ -207,11 +207,6 @@ class GaussianProcess:
         return (self.standardisation.scale * self.hyperparameters.noise) ** 2
 
     @property
-    def log_marginal_likelihood(self) -> float:
-        """Log density of the N standardized observations."""
-        return log_likelihood(self.factor, self.alpha, self.data, self.hyperparameters.noise)
-
-    @property
     def _prior_variance(self) -> float:
         return self.hyperparameters.signal**2 + MEAN_SD**2
 
@@ -236,7 +231,7 @@ class GaussianProcess:
             If x does not have the d columns of the data.
         """
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
-        variance = self._prior_variance - _squared_norms(self._inverse_factor, cross)
+        variance = self._prior_variance - squared_norms(self._inverse_factor, cross)
         return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
 
     def predict_mean(self, x: ArrayLike) -> Array:
@@ -273,43 +268,10 @@ class GaussianProcess:
         squared = scaled_squared_distances(points, self.data.x, scales)
         at_data = squared.min(axis=1) == 0.0
         cross = covariance_of_distances(self.hyperparameters, squared)
-        variance = self._prior_variance - _squared_norms(self._inverse_interpolator, cross)
+        variance = self._prior_variance - squared_norms(self._inverse_interpolator, cross)
         at_data |= variance <= INTERPOLATION_RESOLUTION * self._prior_variance
         variance[at_data] = 0.0
         return self.standardisation.restore(cross @ self.alpha, variance)
-
-    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-        """Draw the latent response at several points jointly from the posterior.
-
-        With V = L⁻¹ k(X, x), the posterior covariance is k(x, x) - Vᵀ V (Rasmussen and Williams
-        2006, Eq. 2.24).
-
-        Parameters
-        ----------
-        x : array_like, shape (m, d)
-        count : int
-            Number of samples, S.
-        rng : numpy.random.Generator
-            Source of the samples.
-
-        Returns
-        -------
-        ndarray, shape (S, m)
-            In the unit of the response.
-
-        Raises
-        ------
-        ValueError
-            As `predict`.
-        """
-        points = self._checked(x)
-        cross = latent_covariance(self.hyperparameters, self.data.x, points)
-        whitened = solve_triangular(self.factor, cross, lower=True)
-        covariance = latent_covariance(self.hyperparameters, points, points)
-        factor, _ = jittered_cholesky(covariance - whitened.T @ whitened)
-        standardised = cross.T @ self.alpha + rng.standard_normal((count, len(points))) @ factor.T
-        samples: Array = self.standardisation.shift + self.standardisation.scale * standardised
-        return samples
 
     def _checked(self, x: ArrayLike) -> Array:
         points = np.asarray(x, dtype=np.float64)
@@ -335,10 +297,3 @@ class GaussianProcess:
         factor, _ = jittered_cholesky(kernel)
         inverse: Array = lapack.dtrtri(factor, lower=1)[0]
         return inverse
-
-
-def _squared_norms(inverse_factor: Array, cross: Array) -> Array:
-    """Return ‖L⁻¹ c_i‖² of each row c_i of `cross`, shape (m,)."""
-    whitened = blas.dtrmm(1.0, inverse_factor, cross.T, lower=1)
-    norms: Array = np.einsum("ij,ij->j", whitened, whitened)
-    return norms

@@ -98,11 +98,6 @@ class ExpectedObjective:
     def _evaluated(self) -> set[bytes]:
         return {point.tobytes() for point in self.points}
 
-    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-        """Draw the cost independently at each of x (m, d), shape (count, m)."""
-        mean, variance = self.predict(x)
-        return mean + np.sqrt(variance) * rng.standard_normal((count, len(mean)))
-
 
 class PooledResponse(LimitedResponse):
     """Limit on a response by the process of all runs, to which a further run can be added.

@@ -10,7 +10,7 @@ The constant mean β is integrated out analytically, which adds the constant MEA
 """
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 from scipy.spatial.distance import cdist
 
 from bo_tuner.models.hyperpriors import Hyperparameters
@@ -100,3 +100,18 @@ def jittered_cholesky(covariance: Array) -> tuple[Array, float]:
         if info == 0:
             return factor, rung * scale
     raise ValueError("covariance: expected finite entries, found NaN or infinity")
+
+
+def cholesky_factor(covariance: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return the factor of `jittered_cholesky`, and a warning if the matrix needed jitter."""
+    factor, jitter = jittered_cholesky(covariance)
+    if jitter == 0.0:
+        return factor, ()
+    return factor, (f"covariance matrix: needed {jitter:.0e} on its diagonal",)
+
+
+def squared_norms(whitening: Array, cross: Array) -> Array:
+    """Return ‖W c_i‖² (m,) of the rows c_i of `cross` (m, n), for W (n, n) lower triangular."""
+    whitened = blas.dtrmm(1.0, whitening, cross.T, lower=1)
+    norms: Array = np.einsum("ij,ij->j", whitened, whitened)
+    return norms

@@ -71,9 +71,6 @@ class Model(Fitted, Protocol):
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
         """Return mean and variance (m,) of the noise-free model; the variance is 0 at `points`."""
 
-    def sample(self, x: ArrayLike, count: int, rng: np.random.Generator) -> Array:
-        """Draw the latent response jointly at x (m, d), shape (count, m)."""
-
 
 class FitModel(Protocol):
     """Fits a model to observations."""
