@@ -23,7 +23,7 @@ TUNABLE = re.compile(
 )
 """In the name of a parameter: controllers and estimators are tuned by it."""
 MOST_ITEMS = 12
-"""Of an array whose items are offered."""
+"""Of an array whose items are offered; longer ones are images, scans, covariances."""
 DECADES = 100.0
 """Ratio of positive bounds from which the logarithm is searched."""
 CHECK = "CHECK"

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.building import under
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import (
@@ -81,10 +82,8 @@ def check_run(
                 raise StudyError("signals are recorded in a run; add run", here)
             if isinstance(metric, PythonMetric):
                 continue
-            try:
+            with under(*here):
                 metric.check_signals(signals)
-            except StudyError as error:
-                raise error.under(*here) from None
         elif run is not None:
             raise StudyError(
                 "is reported by a node that is triggered; with run, write of and measure",
@@ -145,7 +144,5 @@ def _check_item(name: str, item: Parameter, nodes: Mapping[str, NodeSpec]) -> No
         raise StudyError(f"expected an array, found {checks.show(array)}", path)
     if item.item >= len(array):
         raise StudyError(f"has {len(array)} items, so that there is no '{item.parameter}'", path)
-    try:
+    with under(*path, item.item):
         item.checked(array[item.item])
-    except StudyError as error:
-        raise error.under(*path, item.item) from None

@@ -13,6 +13,7 @@ from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study import checks
+from bo_tuner.study.building import under
 from bo_tuner.study.steps import SendGoal
 from bo_tuner.text import brief
 
@@ -45,10 +46,8 @@ class Goal:
         self._spec = spec
         self.name = tuner.node.resolve_service_name(spec.action)
         cls = self._find(timeout)
-        try:
+        with under("goal"):
             self._message = make_message(cls.Goal, spec.goal)
-        except StudyError as error:
-            raise error.under("goal") from None
         self._client = ActionClient(tuner.node, cls, self.name)
         if not tuner.wait_until(self._client.server_is_ready, timeout):
             raise StudyError(f"{self.name} has no server that is complete", ("action",))
@@ -155,10 +154,8 @@ class Goal:
                 f"there is no action {self.name}; {checks.suggestion(self.name, sorted(known()))}",
                 ("action",),
             )
-        try:
+        with under("action"):
             return interface_class(known()[self.name][0])
-        except StudyError as error:
-            raise error.under("action") from None
 
 
 def _reason(result: Any) -> str:

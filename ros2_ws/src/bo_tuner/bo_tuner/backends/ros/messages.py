@@ -16,6 +16,8 @@ from rosidl_parser.definition import (
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
+from bo_tuner.study.building import under
+from bo_tuner.study.offers import MOST_ITEMS
 from bo_tuner.study.signals import FieldPart
 
 FLOATS = ("float", "double", "long double")
@@ -28,8 +30,6 @@ NO_SIGNALS = (
     "std_msgs/msg/MultiArrayLayout",
 )
 """Messages within messages whose numbers say when, or in which order, not what."""
-MOST_ITEMS = 12
-"""Of an array whose items are offered as signals; longer ones are images, scans, covariances."""
 
 
 class ItemMissingError(Exception):
@@ -151,10 +151,8 @@ def make_message(cls: Any, values: Mapping[str, object], stamp: Any = None) -> A
             raise StudyError(
                 f"{type_name(cls)} has no field '{name}'; {checks.suggestion(name, types)}", (name,)
             )
-        try:
+        with under(name):
             arguments[name] = _value(types[name], value)
-        except StudyError as error:
-            raise error.under(name) from None
     # As keywords, arrays are taken as lists.
     message = cls(**arguments)
     given = values.get("header")
@@ -217,7 +215,10 @@ def _value(kind: AbstractType, value: object) -> Any:
     """Turn a value of YAML into what a field takes; rclpy itself checks nothing by default."""
     if isinstance(kind, AbstractNestedType):
         items = checks.sequence(value, "a list")
-        found = [_item(kind.value_type, item, index) for index, item in enumerate(items)]
+        found = []
+        for index, item in enumerate(items):
+            with under(index):
+                found.append(_value(kind.value_type, item))
         if isinstance(kind, Array) and len(found) != kind.size:
             raise StudyError(f"expected {kind.size} items, found {len(found)}")
         return found
@@ -232,17 +233,8 @@ def _value(kind: AbstractType, value: object) -> Any:
     if kind.typename in FLOATS:
         return checks.number(value)
     if kind.typename == "boolean":
-        if not isinstance(value, bool):
-            raise StudyError(f"expected true or false, found {checks.show(value)}")
-        return value
+        return checks.boolean(value)
     return _integer(kind.typename, value)
-
-
-def _item(kind: AbstractType, value: object, index: int) -> Any:
-    try:
-        return _value(kind, value)
-    except StudyError as error:
-        raise error.under(index) from None
 
 
 def _integer(typename: str, value: object) -> int:

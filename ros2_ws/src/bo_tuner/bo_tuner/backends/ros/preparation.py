@@ -17,6 +17,7 @@ from bo_tuner.backends.ros.steps import (
 )
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.study.building import under
 from bo_tuner.study.run import SIM
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
@@ -64,7 +65,7 @@ class Preparation:
             If a topic, service, action or node is not there, or not as the study says; from the
             root of the study.
         """
-        try:
+        with under(*path):
             if step.call is not None:
                 return ServiceCall.prepare(self._tuner, step.call, path)
             if step.publish is not None:
@@ -72,20 +73,11 @@ class Preparation:
             if step.lifecycle is not None:
                 return LifecycleChange.prepare(self._tuner, step.lifecycle)
             if step.send_goal is not None:
-                return self._goal(step)
+                with under("send_goal"):
+                    return Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
             if step.restart:
                 self._check_restart(step.restart)
-        except StudyError as error:
-            raise error.under(*path) from None
         return None
-
-    def _goal(self, step: Step) -> Goal | None:
-        if step.send_goal is None:
-            return None
-        try:
-            return Goal(self._tuner, step.send_goal, CONNECT_TIMEOUT)
-        except StudyError as error:
-            raise error.under("send_goal") from None
 
     def _check_restart(self, key: str) -> None:
         spec = self._study.nodes[key]

@@ -21,6 +21,7 @@ from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
+from bo_tuner.study.building import under
 from bo_tuner.study.run import SIM, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.steps import Step, WaitUntil
@@ -340,10 +341,8 @@ class Procedure:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)
         if self._run.clock == SIM:
             clock = SimClock(self._recorder.node)
-            try:
+            with under("run", "clock"):
                 clock.connect(wait)
-            except StudyError as error:
-                raise error.under("run", "clock") from None
             self._clock = clock
         preparation = Preparation(self._study, self._tuner, self._clock, self._restart)
         self._publishers = preparation.publishers

@@ -24,6 +24,7 @@ from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.study.building import under
 from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 
 NODE_NAME = f"{TUNER}_signals"
@@ -76,10 +77,8 @@ class SignalRecorder:
         """
         self._clock = clock
         for name, spec in self._signals.items():
-            try:
+            with under("signals", name):
                 self._connect(name, spec, wait)
-            except StudyError as error:
-                raise error.under("signals", name) from None
         # What is published before a subscription is known to the publisher is lost.
         wait(lambda: all(heard.is_connected for heard in self._heard.values()))
         # So that also what is published only now and then has a value when a run starts.
@@ -177,10 +176,8 @@ class SignalRecorder:
             raise StudyError(
                 f"{topic} carries {publisher.topic_type}, expected {spec.type}", ("type",)
             )
-        try:
+        with under("topic"):
             cls = interface_class(publisher.topic_type)
-        except StudyError as error:
-            raise error.under("topic") from None
         if spec.time == HEADER and not has_header(cls):
             raise StudyError(
                 f"{publisher.topic_type} has no header; expected {RECEPTION}", ("time",)

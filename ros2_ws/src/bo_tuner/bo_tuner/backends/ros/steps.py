@@ -15,6 +15,7 @@ from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.study.building import under
 from bo_tuner.study.steps import Call, Lifecycle, Publish
 from bo_tuner.text import brief
 
@@ -65,10 +66,8 @@ class ServiceCall:
             If there is no such service, or its requests do not have the fields.
         """
         kind, client = _service(tuner, call.service)
-        try:
+        with under("call", "request"):
             request = make_message(kind.Request, call.request)
-        except StudyError as error:
-            raise error.under("call", "request") from None
         return cls(tuner, client, request, path, call.timeout)
 
     def perform(self) -> None:
@@ -124,14 +123,10 @@ class Publication:
                 f"{topic} carries {found[0].topic_type}, expected {publish.type}",
                 ("publish", "type"),
             )
-        try:
+        with under("publish", "topic"):
             kind = interface_class(found[0].topic_type)
-        except StudyError as error:
-            raise error.under("publish", "topic") from None
-        try:
+        with under("publish", "message"):
             make_message(kind, publish.message)
-        except StudyError as error:
-            raise error.under("publish", "message") from None
         if topic not in publishers:
             durability = QoSDurabilityPolicy.VOLATILE
             if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
@@ -237,10 +232,8 @@ def _service(tuner: TunerNode, service: str) -> tuple[Any, Client]:
     if not tuner.wait_until(lambda: name in _services(tuner), CONNECT_TIMEOUT):
         near = others.instead(name, others.services(node), node)
         raise StudyError(f"there is no service {name}; {near}", ("call", "service"))
-    try:
+    with under("call", "service"):
         cls = interface_class(_services(tuner)[name][0])
-    except StudyError as error:
-        raise error.under("call", "service") from None
     return cls, node.create_client(cls, name)
 
 
