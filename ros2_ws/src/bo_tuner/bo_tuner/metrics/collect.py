@@ -6,7 +6,8 @@ from math import isfinite
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from bo_tuner.study import checks
-from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.study import Study
 
 Results = Mapping[str, Mapping[str, object]]
 """What the nodes reported of an evaluation, by node key of the study, then by key."""

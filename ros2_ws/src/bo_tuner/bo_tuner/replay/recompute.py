@@ -9,7 +9,8 @@ from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import FailedRunError, signal_sources
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.study import ReportedMetric, Study
+from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
 
 

@@ -14,7 +14,9 @@ from functools import cache
 from pathlib import Path
 
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.study.study import NodeSpec, PythonMetric, Study
+from bo_tuner.study.nodes import NodeSpec
+from bo_tuner.study.signals import PythonMetric
+from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import shipped_nodes, study_to_mapping
 
 OF_A_RUN = ("name", "description", "seed", "budget", "start")

@@ -20,10 +20,10 @@ from typing import Any
 from bo_tuner.study.distributions import DISTRIBUTIONS
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
-from bo_tuner.study.parts import ContextVariable, ReportedMetric
+from bo_tuner.study.parts import Constraint, ContextVariable, ReportedMetric
 from bo_tuner.study.run import End
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
-from bo_tuner.study.study import Constraint, Study
+from bo_tuner.study.study import Study
 
 Schema = dict[str, Any]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import Findings
+from bo_tuner.study.building import Findings, under
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
@@ -34,26 +34,6 @@ from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.trials import Value
-
-__all__ = [
-    "DEFAULT_SET",
-    "Budget",
-    "CertificateRequirement",
-    "Constraint",
-    "ContextVariable",
-    "NodeSpec",
-    "Objective",
-    "Parameter",
-    "Park",
-    "PythonMetric",
-    "ReportedMetric",
-    "Run",
-    "SeedParameter",
-    "Signal",
-    "SignalMetric",
-    "Study",
-    "Trigger",
-]
 
 DEFAULT_SET = "default"
 """Stands for the study's default in the list of parameter sets that are tried first."""
@@ -358,10 +338,8 @@ class Study:
             changes["trials"] = max(evaluations, self.budget.initial_trials)
         if trials is not None and initial_trials is None:
             changes["initial_trials"] = max(1, min(self.budget.initial_trials, trials))
-        try:
+        with under("budget"):
             budget = dataclasses.replace(self.budget, **changes)
-        except StudyError as error:
-            raise error.under("budget") from None
         return dataclasses.replace(
             self,
             budget=budget,
