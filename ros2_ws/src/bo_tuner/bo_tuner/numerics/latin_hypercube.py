@@ -5,22 +5,10 @@ from numpy.typing import NDArray
 
 
 def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw points such that, in each dimension, one lies in each of `count` equal strata.
+    """Draw n = `count` ≥ 0 points (n, d), in each dimension one in each of n equal strata.
 
-    Not SciPy's: the keyword for its generator has different names in the supported releases.
-
-    Parameters
-    ----------
-    count : int
-        Number of points, n ≥ 0.
-    dimension : int
-        Dimension d of the cube.
-    rng : numpy.random.Generator
-        Draws the order of the strata and the position within each.
-
-    Returns
-    -------
-    ndarray, shape (n, d)
+    The generator draws the order of the strata, then the position within each. Not SciPy's: the
+    keyword for its generator has different names in the supported releases.
     """
     strata = rng.permuted(np.tile(np.arange(count), (dimension, 1)), axis=1).T
     return (strata + rng.random((count, dimension))) / max(count, 1)

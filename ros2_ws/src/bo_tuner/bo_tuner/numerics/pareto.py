@@ -7,17 +7,10 @@ from bo_tuner.numerics.arrays import Array
 
 
 def nondominated(costs: Array) -> NDArray[np.bool_]:
-    """Return which points no other one dominates; of equal points only the first counts.
+    """Return which points (n,) no other one dominates; of equal points only the first counts.
 
-    Parameters
-    ----------
-    costs : ndarray, shape (n, k)
-        Of n points; smaller is better. One point dominates another if it is at least as good in
-        all k costs and better in one.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    Of their costs (n, k), smaller is better. One point dominates another if it is at least as good
+    in all k costs and better in one.
     """
     at_least_as_good = (costs[:, None, :] <= costs[None, :, :]).all(axis=2)
     equal = (costs[:, None, :] == costs[None, :, :]).all(axis=2)
@@ -32,12 +25,8 @@ def hypervolume(costs: Array, reference: Array) -> float:
     It is cut into slices along the last cost, each as thick as the distance to the next point and
     as large as the hypervolume of the points up to there in the other costs.
 
-    Parameters
-    ----------
-    costs : ndarray, shape (n, k)
-        Of n points; smaller is better. Those beyond the reference in any cost add nothing.
-    reference : ndarray, shape (k,)
-        The reference point.
+    Of the costs (n, k), smaller is better. Points beyond the reference (k,) in any cost add
+    nothing.
     """
     inside = costs[(costs < reference).all(axis=1)]
     if len(inside) == 0:

@@ -35,20 +35,10 @@ def log_normal_cdf(z: Array) -> Array:
 
 
 def log_student_t_pdf(residual: Array, scale: Array, degrees_of_freedom: float) -> Array:
-    """Return the log density of Student's t distribution at residuals.
+    """Return the log density (n,) of Student's t distribution at residuals (n,).
 
-    Parameters
-    ----------
-    residual : ndarray, shape (n,)
-        Observation minus location.
-    scale : ndarray, shape (n,)
-        Scale > 0, in the unit of the residual.
-    degrees_of_freedom : float
-        ν > 0.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    A residual is an observation minus the location. The scale (n,) > 0 is in its unit, and the
+    number of degrees of freedom is ν > 0.
     """
     nu = degrees_of_freedom
     constant = gammaln(0.5 * (nu + 1.0)) - gammaln(0.5 * nu) - 0.5 * np.log(nu * np.pi)
@@ -59,20 +49,11 @@ def log_student_t_pdf(residual: Array, scale: Array, degrees_of_freedom: float) 
 
 
 def log_h(z: Array) -> Array:
-    """Return log h(z), h(z) = φ(z) + z Φ(z): expected improvement in standard deviations.
+    """Return log h(z) (m,), h(z) = φ(z) + z Φ(z): expected improvement in standard deviations.
 
     With the Mills ratio m(a) = Φ(-a) / φ(a), h(-a) = φ(a) (1 - a m(a)), which is computed from the
     scaled complementary error function for moderate a, and from the asymptotic series
-    1 - a m(a) = a⁻² - 3 a⁻⁴ + 15 a⁻⁶ - … for large a.
-
-    Parameters
-    ----------
-    z : ndarray, shape (m,)
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Finite for all finite z.
+    1 - a m(a) = a⁻² - 3 a⁻⁴ + 15 a⁻⁶ - … for large a. It is finite for all finite z (m,).
     """
     z = np.clip(z, -LARGEST_Z, LARGEST_Z)
     a = np.maximum(-z, 1.0)
@@ -87,21 +68,11 @@ def log_h(z: Array) -> Array:
 
 
 def log_expected_improvement(mean: Array, variance: Array, best: float) -> Array:
-    """Return log E[max(best - f, 0)] for f ~ N(mean, variance): improvement is a lower value.
+    """Return log E[max(best - f, 0)] (m,) for f ~ N(mean, variance): improvement is a lower value.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (m,)
-    variance : ndarray, shape (m,)
-        In the squared unit of the mean.
-    best : float
-        Value to improve on.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Logarithm of the expected improvement in the unit of the mean; -inf where the variance is
-        zero, since a known value is not worth an evaluation.
+    The variance (m,) is in the squared unit of the mean (m,), and the improvement, whose logarithm
+    this is, in that unit. -inf where the variance is zero, since a known value is not worth an
+    evaluation.
     """
     known = variance <= 0.0
     sd = np.sqrt(np.where(known, 1.0, variance))

@@ -24,7 +24,9 @@ class ContextSpace:
     """Independent context variables in a fixed order.
 
     In the shapes below, d is the number of variables (0 is allowed: no context varies) and n any
-    number of contexts.
+    number of contexts, whose values are in own units.
+
+    Methods raise `ParameterError` if an array has a wrong shape or a value that is not finite.
 
     Parameters
     ----------
@@ -44,114 +46,55 @@ class ContextSpace:
         return len(self.names)
 
     def nominal(self) -> Array:
-        """Return the context of all nominal values, shape (d,), in their own units."""
+        """Return the context (d,) of all nominal values."""
         return np.array([item.nominal for item in self.distributions])
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw contexts from their distribution.
+        """Draw n = `count` contexts (n, d) from their distribution.
 
-        The same generator state gives the same first contexts whatever the `count`.
-
-        Parameters
-        ----------
-        count : int
-            Number of contexts, n.
-        rng : numpy.random.Generator
-            Source of d uniform numbers for each context.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-            Contexts in their own units.
+        Each takes d uniform numbers, so that the same generator state gives the same first contexts
+        whatever the `count`.
         """
         return self._at_quantiles(rng.random((count, self.dimension)))
 
     def draw_stratified(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw a Latin hypercube sample of contexts (McKay, Beckman and Conover 1979).
+        """Draw a Latin hypercube sample of n = `count` contexts (n, d), see `latin_hypercube`.
 
         Each context follows the distribution, and of the n values of a variable exactly one lies in
         each of its n equally probable ranges. A mean over them has a smaller variance than one over
         independent draws.
-
-        Parameters
-        ----------
-        count : int
-            Number of contexts, n.
-        rng : numpy.random.Generator
-            Draws the order of the ranges and the position within each.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-            Contexts in their own units.
         """
         return self._at_quantiles(latin_hypercube(count, self.dimension, rng))
 
     def to_contexts(self, cube: ArrayLike) -> Array:
-        """Map points of the unit cube to contexts, linearly between the bounds.
+        """Map points (n, d) of the unit cube to contexts (n, d), linearly between the bounds.
 
-        Parameters
-        ----------
-        cube : array_like, shape (n, d)
-            Points; coordinates outside [0, 1] are clipped.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-            Contexts in their own units; a discrete variable takes its nearest possible value.
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or a point is not finite.
+        Coordinates outside [0, 1] are clipped; a discrete variable takes its nearest possible
+        value.
         """
         points = np.clip(self._rows(cube, "cube"), 0.0, 1.0)
         return self.clip(self.lower + points * (self.upper - self.lower))
 
     def to_cube(self, contexts: ArrayLike) -> Array:
-        """Map contexts, shape (n, d), to points of the unit cube, shape (n, d).
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or a context is not finite.
-        """
+        """Map contexts (n, d) to points (n, d) of the unit cube."""
         rows = self._rows(contexts, "contexts")
         cube: Array = (rows - self.lower) / (self.upper - self.lower)
         return np.clip(cube, 0.0, 1.0)
 
     def cube_of(self, contexts: Sequence[Mapping[str, float]]) -> Array:
-        """Map n contexts, by the names of their variables, to points (n, d) of the unit cube.
-
-        Raises
-        ------
-        ParameterError
-            If a value is not finite.
-        """
+        """Map n contexts, by the names of their variables, to points (n, d) of the unit cube."""
         rows = [[context[name] for name in self.names] for context in contexts]
         return self.to_cube(np.array(rows).reshape(len(rows), self.dimension))
 
     def clip(self, contexts: ArrayLike) -> Array:
-        """Return the nearest possible contexts, shape (n, d), for `contexts`, shape (n, d).
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or a context is not finite.
-        """
+        """Return the nearest possible contexts (n, d) for `contexts` (n, d)."""
         rows = self._rows(contexts, "contexts").copy()
         for column, item in enumerate(self.distributions):
             rows[:, column] = item.clip(rows[:, column])
         return rows
 
     def to_dict(self, context: ArrayLike) -> dict[str, float]:
-        """Return one context, shape (d,), as values by name.
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or a value is not finite.
-        """
+        """Return one context (d,) as values by name."""
         row = self._rows(np.asarray(context, dtype=np.float64)[None], "context")[0]
         return dict(zip(self.names, row.tolist(), strict=True))
 

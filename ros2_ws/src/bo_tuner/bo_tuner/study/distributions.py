@@ -47,22 +47,14 @@ class Distribution(ABC):
     def _quantile(self, probability: Array) -> Array: ...
 
     def ppf(self, probability: ArrayLike) -> Array:
-        """Return quantiles, the inverse of the cumulative distribution function.
+        """Return quantiles, the inverse of the cumulative distribution function, shape (...).
 
-        Parameters
-        ----------
-        probability : array_like, shape (...)
-            Probabilities in [0, 1].
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Quantiles, in the variable's unit, never outside the support.
+        They are in the variable's unit, and never outside the support.
 
         Raises
         ------
         ParameterError
-            If a probability lies outside [0, 1].
+            If a probability, shape (...), lies outside [0, 1].
         """
         q = np.asarray(probability, dtype=np.float64)
         if not np.all((q >= 0.0) & (q <= 1.0)):

@@ -33,7 +33,12 @@ Fixed, so that the sensitivity to a step can be compared between runs.
 class SearchSpace:
     """The unit cube over the tuned parameters.
 
-    In the shapes below, d is the number of tuned parameters and n any number of parameter sets.
+    In the shapes below, d is the number of tuned parameters and n any number of parameter sets,
+    whose values are in own units. One that is passed needs the tuned parameters only; one that is
+    returned has all, tied and fixed ones included, in the study's order.
+
+    Methods raise `ParameterError` if a tuned parameter is missing, of a wrong type or out of
+    bounds, a name is unknown, or positions have a wrong shape or are not finite.
 
     Parameters
     ----------
@@ -112,56 +117,23 @@ class SearchSpace:
         return dict(self._space.defaults)
 
     def to_parameters(self, cube: ArrayLike) -> dict[str, Value]:
-        """Return the repaired parameter set at a point of the unit cube.
-
-        Parameters
-        ----------
-        cube : array_like, shape (d,)
-            The point.
-
-        Returns
-        -------
-        dict from str to int or float
-            All parameters, including tied and fixed ones, in own units and in the study's order.
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or the point is not finite.
-        """
+        """Return the repaired parameter set at a point (d,) of the unit cube."""
         point = np.asarray(cube, dtype=np.float64)
         if point.shape != (self.dimension,):
             raise ParameterError(f"cube: expected shape ({self.dimension},), found {point.shape}")
         return self._space.complete(self._values(point[None])[0])
 
     def to_cube(self, parameters: Mapping[str, Value]) -> Array:
-        """Return the point of the unit cube, shape (d,), for a parameter set.
-
-        Parameters
-        ----------
-        parameters : mapping from str to int or float
-            The tuned parameters at least, in own units.
-
-        Raises
-        ------
-        ParameterError
-            If a tuned parameter is missing, of a wrong type or out of bounds, or a name is unknown.
-        """
+        """Return the point (d,) of the unit cube for a parameter set."""
         return self._to_unit(self._space.row(parameters))
 
     def cube_of(self, parameter_sets: Iterable[Mapping[str, Value]]) -> Array:
-        """Return the points of the unit cube, shape (n, d), for n parameter sets, as `to_cube`."""
+        """Return the points (n, d) of the unit cube for n parameter sets."""
         rows = [self.to_cube(parameters) for parameters in parameter_sets]
         return np.array(rows).reshape(-1, self.dimension)
 
     def completed(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
-        """Return all parameters, tied and fixed ones included, for the tuned ones.
-
-        Raises
-        ------
-        ParameterError
-            As `to_cube`.
-        """
+        """Return all parameters for the tuned ones."""
         return self._space.complete(self._space.row(parameters))
 
     def permitted(self, parameters: Mapping[str, Value]) -> dict[str, Value]:
@@ -170,32 +142,17 @@ class SearchSpace:
         Raises
         ------
         ParameterError
-            As `to_cube`, or if the order is violated.
+            Also if the order is violated.
         """
         row = self._space.row(parameters)
         self._space.check_order(row)
         return self._space.complete(row)
 
     def repair(self, positions: ArrayLike) -> Array:
-        """Move positions to points that represent a permitted parameter set.
+        """Move positions (n, d) to points (n, d) that represent permitted parameter sets.
 
         Clips to the cube, moves parameters in the wrong order to their mean, and rounds integers.
         A second repair changes nothing (to rounding).
-
-        Parameters
-        ----------
-        positions : array_like, shape (n, d)
-            Any finite positions.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-            Points of the unit cube.
-
-        Raises
-        ------
-        ParameterError
-            If the shape is wrong or a position is not finite.
         """
         rows = np.asarray(positions, dtype=np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.dimension:
@@ -209,11 +166,6 @@ class SearchSpace:
 
         The tuned values in own units: integers unchanged, doubles rounded to the decimal place at
         or below `RESOLUTION` times their range.
-
-        Raises
-        ------
-        ParameterError
-            As `to_cube`.
         """
         row = self._space.row(parameters).tolist()
         return tuple(
@@ -280,22 +232,8 @@ class SearchSpace:
     def integer_neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one integer step away.
 
-        Parameters
-        ----------
-        parameters : mapping from str to int or float
-            The tuned parameters at least, in own units.
-
-        Returns
-        -------
-        list of dict from str to int or float
-            For each tuned integer, one step below and one above where bounds and order permit it;
-            for each boolean or choice, every other value; doubles as in `parameters`, tied
-            parameters follow.
-
-        Raises
-        ------
-        ParameterError
-            As `to_cube`.
+        For each tuned integer, one step below and one above where bounds and order permit it; for
+        each boolean or choice, every other value; doubles as in `parameters`, tied ones follow.
         """
         row = self._space.row(parameters)
         steps = self._steps(row, self.discrete)
@@ -329,21 +267,8 @@ class SearchSpace:
     def neighbours(self, parameters: Mapping[str, Value]) -> list[dict[str, Value]]:
         """Return the permitted parameter sets one step away, see `STEP`.
 
-        Parameters
-        ----------
-        parameters : mapping from str to int or float
-            The tuned parameters at least, in own units.
-
-        Returns
-        -------
-        list of dict from str to int or float
-            The integer neighbours, then for each tuned double one below and one above, repaired to
-            bounds and order; all parameters of each.
-
-        Raises
-        ------
-        ParameterError
-            As `to_cube`.
+        The integer neighbours, then for each tuned double one below and one above, repaired to
+        bounds and order.
         """
         found = self.integer_neighbours(parameters)
         row = self._space.row(parameters)

@@ -277,15 +277,7 @@ class Study:
     ) -> dict[str, dict[str, checks.ParameterValue]]:
         """Return a parameter set as the nodes take it: an item of an array as the whole array.
 
-        Parameters
-        ----------
-        parameters : mapping from str to value
-            Values of the study's parameters.
-
-        Returns
-        -------
-        dict from str to dict
-            Values by the node's name in the study, then by the node's own parameter name.
+        The values are by the node's name in the study, then by the node's own parameter name.
         """
         values: dict[str, dict[str, checks.ParameterValue]] = {}
         for name, value in parameters.items():
