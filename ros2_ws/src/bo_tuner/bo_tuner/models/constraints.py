@@ -40,16 +40,7 @@ class LimitedResponse(ABC):
         return mean, mean - half, mean + half
 
     def log_probability(self, x: Array) -> Array:
-        """Return the log probability that the constraint holds.
-
-        Parameters
-        ----------
-        x : ndarray, shape (m, d)
-
-        Returns
-        -------
-        ndarray, shape (m,)
-        """
+        """Return the log probability (m,) that the constraint holds at x (m, d)."""
         return self.log_kept(*self.predict(x))
 
     def log_kept(self, mean: Array, variance: Array) -> Array:
@@ -107,16 +98,6 @@ class SurrogateConstraint(LimitedResponse):
         With y = f(x) + ε and ε ~ N(0, σ²) the constraint holds if and only if
         f(x) + z σ ≤ limit, z = Φ⁻¹(probability). So the noise lowers the limit by z σ, and only
         f(x) remains uncertain. It raises a lower limit as much.
-
-        Parameters
-        ----------
-        model : Model
-        limit : float
-            In the unit of the response.
-        probability : float
-            In (0, 1).
-        sign : float
-            1 for an upper limit, -1 for a lower one.
 
         Raises
         ------

@@ -44,6 +44,8 @@ INTERPOLATION_RESOLUTION = 1e-9
 class GaussianProcess:
     """Gaussian process conditioned on data; build it by `fit` or `condition`.
 
+    Methods raise `ValueError` for points that do not have the d columns of the data.
+
     Attributes
     ----------
     hyperparameters : Hyperparameters
@@ -135,16 +137,9 @@ class GaussianProcess:
         y: ArrayLike,
         standardisation: Standardisation | None = None,
     ) -> Self:
-        """Condition on data with given hyperparameters.
+        """Condition on data, x (N, d) and y (N,), with given hyperparameters.
 
-        Parameters
-        ----------
-        hyperparameters : Hyperparameters
-            In scaled units.
-        x : array_like, shape (N, d)
-        y : array_like, shape (N,)
-        standardisation : Standardisation, optional
-            Map that the hyperparameters refer to; by default the one of `y`.
+        They refer to the `standardisation`, by default that of `y`.
 
         Raises
         ------
@@ -211,57 +206,28 @@ class GaussianProcess:
         return self.hyperparameters.signal**2 + MEAN_SD**2
 
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Predict the latent response f, without the noise of an observation.
+        """Return mean and variance ≥ 0 (m,) of the latent response f at x (m, d).
 
-        Parameters
-        ----------
-        x : array_like, shape (m, d)
-            Points in the unit cube.
-
-        Returns
-        -------
-        mean : ndarray, shape (m,)
-            Posterior mean, in the unit of the response.
-        variance : ndarray, shape (m,)
-            Posterior variance ≥ 0, in its square.
-
-        Raises
-        ------
-        ValueError
-            If x does not have the d columns of the data.
+        They are in the unit of the response and in its square, without the noise of an observation.
         """
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         variance = self._prior_variance - squared_norms(self._inverse_factor, cross)
         return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
 
     def predict_mean(self, x: ArrayLike) -> Array:
-        """Predict the posterior mean (m,) alone at x (m, d); cheaper than `predict`."""
+        """Return the mean (m,) alone at x (m, d); cheaper than `predict`."""
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         mean: Array = self.standardisation.shift + self.standardisation.scale * (cross @ self.alpha)
         return mean
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Predict by the noise-free model through the posterior means at the data.
+        """Return as `predict`, by the noise-free model through the posterior means at the data.
 
         Interpolating the vector K C⁻¹ ȳ with the same kernel gives k(x)ᵀ K⁻¹ K C⁻¹ ȳ, the
         posterior mean of this model again; only the variance changes, to that of an interpolator
         (Forrester et al. 2006). It is exactly zero at the data. Forrester re-estimates the process
         variance from the interpolated values; here it stays the fitted one, so that both models
         share a prior.
-
-        Parameters
-        ----------
-        x : array_like, shape (m, d)
-
-        Returns
-        -------
-        mean, variance : ndarray, shape (m,)
-            As `predict`.
-
-        Raises
-        ------
-        ValueError
-            As `predict`.
         """
         points = self._checked(x)
         scales = self.hyperparameters.length_scales

@@ -95,7 +95,7 @@ class Hyperpriors:
 
     @classmethod
     def default(cls, dimension: int) -> Self:
-        """Return the default priors.
+        """Return the default priors for inputs of dimension d.
 
         - Length scale: median 0.5 √d, because the typical distance of two points in the unit cube
           grows with √d (Hvarfner, Hellsten and Nardi 2024); a factor of e either way is one
@@ -104,11 +104,6 @@ class Hyperpriors:
         - Signal: median 1 (the responses are standardized); long length scales need more.
         - Noise: median 0.1 with a wide spread, because replicates determine it well. Its lower
           bound of 1e-4 keeps covariance matrices of exact responses well conditioned.
-
-        Parameters
-        ----------
-        dimension : int
-            Dimension d of the input.
         """
         return cls(
             length_scale=LogNormal(0.5 * dimension**0.5, 1.0, 0.01, 20.0),
@@ -128,15 +123,10 @@ class Hyperpriors:
         return np.array([prior.spread for prior in self._each(dimension)])
 
     def bounds(self, dimension: int, minimum_length_scales: ArrayLike | None = None) -> Array:
-        """Return the box of φ, shape (d + 2, 2).
+        """Return the box (d + 2, 2) of φ.
 
-        Parameters
-        ----------
-        dimension : int
-            Dimension d of the input.
-        minimum_length_scales : array_like, shape (d,), optional
-            Lower bounds of the length scales that take the place of lower ones of the prior,
-            in edges of the unit cube.
+        The `minimum_length_scales` (d,), in edges of the unit cube, take the place of lower bounds
+        of the prior.
 
         Raises
         ------
@@ -160,17 +150,7 @@ class Hyperpriors:
         return box
 
     def log_density(self, phi: Array) -> tuple[float, Array]:
-        """Return the log density of φ and its gradient; the box is ignored.
-
-        Parameters
-        ----------
-        phi : ndarray, shape (d + 2,)
-
-        Returns
-        -------
-        value : float
-        gradient : ndarray, shape (d + 2,)
-        """
+        """Return the log density of φ and its gradient (d + 2,); the box is ignored."""
         dimension = len(phi) - 2
         spreads = self.spreads(dimension)
         z = (phi - self.medians(dimension)) / spreads

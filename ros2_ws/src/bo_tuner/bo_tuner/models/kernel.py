@@ -20,35 +20,15 @@ MEAN_SD = 1.0
 
 
 def latent_covariance(hyperparameters: Hyperparameters, a: Array, b: Array) -> Array:
-    """Return the prior covariance of f, the constant mean included.
-
-    Parameters
-    ----------
-    hyperparameters : Hyperparameters
-    a : ndarray, shape (m, d)
-    b : ndarray, shape (n, d)
-
-    Returns
-    -------
-    ndarray, shape (m, n)
-    """
+    """Return the prior covariance (m, n) of f at a (m, d) and b (n, d), constant mean included."""
     squared = scaled_squared_distances(a, b, hyperparameters.length_scales)
     return covariance_of_distances(hyperparameters, squared)
 
 
 def scaled_squared_distances(a: Array, b: Array, scales: Array) -> Array:
-    """Return Σ_j (a_j - b_j)² / ℓ_j² of all pairs, exactly zero for equal points.
+    """Return Σ_j (a_j - b_j)² / ℓ_j² (m, n) of all pairs of a (m, d) and b (n, d).
 
-    Parameters
-    ----------
-    a : ndarray, shape (m, d)
-    b : ndarray, shape (n, d)
-    scales : ndarray, shape (d,)
-        The length scales ℓ.
-
-    Returns
-    -------
-    ndarray, shape (m, n)
+    It is exactly zero for equal points. The `scales` are the length scales ℓ (d,).
     """
     if not len(scales):
         return np.zeros((len(a), len(b)))
@@ -57,7 +37,7 @@ def scaled_squared_distances(a: Array, b: Array, scales: Array) -> Array:
 
 
 def correlation(a: Array, b: Array, scales: Array) -> Array:
-    """Return k(a, b) / s² of all pairs; parameters as in `scaled_squared_distances`."""
+    """Return k(a, b) / s² (m, n) of all pairs, see `scaled_squared_distances`."""
     return np.exp(-0.5 * scaled_squared_distances(a, b, scales))
 
 

@@ -52,18 +52,9 @@ class LogPosterior:
         self._diagonal = np.arange(n) * (n + 1)
 
     def covariance(self, parameters: Hyperparameters) -> tuple[Array, Array]:
-        """Return C and the packed lower triangle of k.
+        """Return C (n, n), and k (n (n - 1) / 2,) between all pairs of distinct points.
 
-        Parameters
-        ----------
-        parameters : Hyperparameters
-
-        Returns
-        -------
-        covariance : ndarray, shape (n, n)
-            C, column-major, lower triangle only (zeros above).
-        kernel : ndarray, shape (n (n - 1) / 2,)
-            k between all pairs of distinct points.
+        C is column-major, with zeros above the diagonal; k is packed by rows.
         """
         n = len(self.data.x)
         variance = parameters.signal**2
@@ -76,19 +67,10 @@ class LogPosterior:
         return flat.reshape((n, n), order="F"), kernel
 
     def log_marginal_likelihood(self, phi: Array) -> tuple[float, Array]:
-        """Return the log density of all N standardized observations and its gradient in φ.
+        """Return the log density of all N standardized observations and its gradient (d + 2,) in φ.
 
         The gradient is ½ tr((α αᵀ - C⁻¹) ∂C/∂φ) (Rasmussen and Williams 2006, Eq. 5.9), plus
         the direct dependence of the replicate terms on σ².
-
-        Parameters
-        ----------
-        phi : ndarray, shape (d + 2,)
-
-        Returns
-        -------
-        value : float
-        gradient : ndarray, shape (d + 2,)
         """
         data, parameters = self.data, Hyperparameters.from_log(phi)
         covariance, kernel = self.covariance(parameters)
@@ -121,7 +103,7 @@ class LogPosterior:
         return likelihood + self.priors.log_density(phi)[0]
 
     def value_and_gradient(self, phi: Array) -> tuple[float, Array]:
-        """Return the value of `value` and its gradient in φ, shape (d + 2,)."""
+        """Return the value of `value` and its gradient (d + 2,) in φ."""
         likelihood, likelihood_gradient = self.log_marginal_likelihood(phi)
         prior, prior_gradient = self.priors.log_density(phi)
         return likelihood + prior, likelihood_gradient + prior_gradient
@@ -131,18 +113,8 @@ def log_likelihood(factor: Array, alpha: Array, data: Replicates, noise: float) 
     """Return the log density of all N observations from their sufficient statistics.
 
     The N × N determinant and quadratic form reduce to the n × n ones of C and to terms of the
-    within-group sum of squares (Binois et al. 2018, Section 2).
-
-    Parameters
-    ----------
-    factor : ndarray, shape (n, n)
-        L.
-    alpha : ndarray, shape (n,)
-        α.
-    data : Replicates
-        Standardized observations.
-    noise : float
-        σ, standard deviation of one observation's noise.
+    within-group sum of squares (Binois et al. 2018, Section 2). `factor` is L, `alpha` α and
+    `noise` σ, the standard deviation of one observation's noise.
     """
     surplus = data.observations - len(data.x)
     return float(

@@ -98,22 +98,15 @@ class NeighbourClassifier:
             raise ValueError(f"prior_distance: expected > 0, found {self.prior_distance}")
 
     def probability(self, x: Array) -> Array:
-        """Return p(x).
+        """Return p(x) (m,) at x (m, d).
 
-        Parameters
-        ----------
-        x : ndarray, shape (m, d)
-
-        Returns
-        -------
-        ndarray, shape (m,)
-            At a labelled point itself, its label (the mean label of equal points).
+        At a labelled point itself, it is its label (the mean label of equal points).
         """
         inside, outside = self._votes(x)
         return inside / (inside + outside)
 
     def log_complement(self, x: Array) -> Array:
-        """Return log(1 - p(x)) without cancellation, shape (m,); -inf at positive points."""
+        """Return log(1 - p(x)) (m,) without cancellation; -inf at positive points."""
         inside, outside = self._votes(x)
         with np.errstate(divide="ignore"):
             result: Array = np.log(outside / (inside + outside))
@@ -145,7 +138,7 @@ class NeighbourClassifier:
         return KDTree(self._scaled)
 
     def _votes(self, x: Array) -> tuple[Array, Array]:
-        """Return the summed weights for and against the positive class, each of shape (m,)."""
+        """Return the summed weights (m,) for and against the positive class."""
         x = self.encode(x)
         n, m = len(self.x), len(x)
         prior = self.prior_distance**-2

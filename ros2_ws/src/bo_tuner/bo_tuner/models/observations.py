@@ -13,27 +13,10 @@ from bo_tuner.trials import SEEKING_WORST, EvaluationState, Trial
 def joint_observations(
     points: Array, contexts: ContextSpace, trials: Sequence[Trial], metric: str
 ) -> tuple[Array, Array, Array]:
-    """Return parameter sets, contexts and values of all complete evaluations.
+    """Return parameter sets (N, d), contexts (N, e) and values (N,) of all complete evaluations.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, d)
-        Parameter sets of the trials, in the unit cube.
-    contexts
-        The study's, of dimension e.
-    trials
-        n trials.
-    metric
-        Name of the observed metric.
-
-    Returns
-    -------
-    x : ndarray, shape (N, d)
-        Parameter sets in the unit cube.
-    c : ndarray, shape (N, e)
-        Contexts in the unit cube.
-    y : ndarray, shape (N,)
-        Values in the metric's unit.
+    The first two are in the unit cube, as are the `points` (n, d), the parameter sets of the n
+    trials; the values are in the metric's unit.
     """
     complete = [
         (point, evaluation)
@@ -59,7 +42,7 @@ def searched_contexts(trials: Sequence[Trial]) -> list[Mapping[str, float]]:
 
 
 def single_evaluation_worst_cases(trials: Sequence[Trial], constraint: Constraint) -> Array:
-    """Return a quantile of single evaluations in the worst context of each trial, shape (n,).
+    """Return a quantile (n,) of single evaluations in the worst context of each trial.
 
     A single evaluation stays below it, or above for a lower limit, with the constraint's
     probability. Trials without a worst case are left out.

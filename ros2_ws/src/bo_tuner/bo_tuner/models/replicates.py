@@ -27,19 +27,7 @@ CUBE_TOLERANCE = 1e-9
 
 
 def checked_data(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-    """Check observations and return them as arrays of floats.
-
-    Parameters
-    ----------
-    x : array_like, shape (N, d)
-        Points in the unit cube, N ≥ 1 and d ≥ 1.
-    y : array_like, shape (N,)
-        Responses, finite.
-
-    Returns
-    -------
-    x : ndarray, shape (N, d)
-    y : ndarray, shape (N,)
+    """Return points x (N, d) in the unit cube and responses y (N,), N and d ≥ 1, as floats.
 
     Raises
     ------
@@ -86,15 +74,10 @@ class Standardisation:
 
     @classmethod
     def of(cls, y: Array) -> Self:
-        """Build the map from all observations, each with weight one.
+        """Build the map from all observations y (N,), which are finite, each with weight one.
 
         Constant responses are divided by their magnitude instead of their standard deviation, so
         that the model's uncertainty is of the order of the response itself.
-
-        Parameters
-        ----------
-        y : ndarray, shape (N,)
-            Finite responses.
         """
         # Sorted, so that the rounding does not depend on the order of the observations.
         ordered = np.sort(y)
@@ -146,17 +129,10 @@ class Replicates:
 
     @classmethod
     def group(cls, x: ArrayLike, y: ArrayLike) -> Self:
-        """Group observations whose points are equal to the last bit.
+        """Group observations, x (N, d) and y (N,), whose points are equal to the last bit.
 
         The result, rounding included, does not depend on the order of the observations
         (`index` apart).
-
-        Parameters
-        ----------
-        x : array_like, shape (N, d)
-            Points in the unit cube.
-        y : array_like, shape (N,)
-            Responses.
 
         Raises
         ------

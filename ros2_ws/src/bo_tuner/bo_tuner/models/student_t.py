@@ -97,23 +97,14 @@ class StudentTProcess:
         reference: GaussianProcess,
         degrees_of_freedom: float = DEGREES_OF_FREEDOM,
     ) -> Self:
-        """Find the mode of the latent values.
+        """Find the mode of the latent values of responses y (N,) at x (N, d) in the unit cube.
 
-        Parameters
-        ----------
-        x : array_like, shape (N, d)
-            Points in the unit cube; equal rows are replicates.
-        y : array_like, shape (N,)
-            Responses.
-        reference : GaussianProcess
-            Fitted to the bulk of the data.
-        degrees_of_freedom : float
-            ν > 2, so that the variance exists.
+        Equal rows are replicates. The `reference` is fitted to the bulk of the data.
 
         Raises
         ------
         ValueError
-            If the data are invalid, or ν ≤ 2.
+            If the data are invalid, or ν ≤ 2, for which there is no variance.
         """
         if not degrees_of_freedom > 2.0:
             raise ValueError(f"degrees_of_freedom: expected > 2, found {degrees_of_freedom}")
@@ -157,18 +148,9 @@ class StudentTProcess:
         return self._laplace[2]
 
     def predict(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Predict the latent response.
+        """Return mean and variance (m,) of the latent response at x (m, d).
 
-        Parameters
-        ----------
-        x : array_like, shape (m, d)
-
-        Returns
-        -------
-        mean : ndarray, shape (m,)
-            In the unit of the response.
-        variance : ndarray, shape (m,)
-            In its square.
+        They are in the unit of the response and in its square.
         """
         hyperparameters = self.reference.hyperparameters
         factor, inner_factor, _ = self._laplace
@@ -183,21 +165,11 @@ class StudentTProcess:
         return self.reference.standardisation.restore(mean, np.maximum(variance, 0.0))
 
     def outliers(self, tail_probability: float = TAIL_PROBABILITY) -> NDArray[np.bool_]:
-        """Mark the observations of outlying parameter sets.
+        """Mark the observations (N,) of outlying parameter sets; replicates of one share the mark.
 
         A parameter set is an outlier if its mean response lies so far above the model that its
-        Student-t tail probability is at most `tail_probability`. Values below the model are never
-        outliers, since the response is minimized.
-
-        Parameters
-        ----------
-        tail_probability : float
-            One-sided, in (0, 1).
-
-        Returns
-        -------
-        ndarray of bool, shape (N,)
-            One value for each observation; replicates of one point share it.
+        one-sided Student-t tail probability is at most `tail_probability`. Values below the model
+        are never outliers, since the response is minimized.
         """
         z = (self.data.mean - self.mode) / self.scale
         mask: NDArray[np.bool_] = stdtr(self.degrees_of_freedom, -z) <= tail_probability
