@@ -7,20 +7,19 @@ RI is the expected improvement under the reinterpolation model of the objective 
 p_out and p_fail come from the nearest-neighbour classifiers. The logarithm preserves the order of
 points where α underflows.
 
-Each factor is a class, and `LogProduct` adds their logarithms: another acquisition function has
+Each factor is a function, and `LogProduct` adds their logarithms: another acquisition function has
 another improvement, or other probabilities.
 
 Notation: d tuned parameters, m query points in the unit cube.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.models.protocol import Model
 from bo_tuner.models.surrogates import Classifier, Surrogates
 from bo_tuner.numerics.arrays import Array
@@ -30,11 +29,11 @@ OUTLYING = 0.5
 """Probability of an outlier up to which no point is excluded."""
 
 
-class Acquisition(Protocol):
-    """Logarithm of an acquisition function, to be maximized."""
+Acquisition = Callable[[Array], Array]
+"""Logarithm (m,) of an acquisition function at points (m, d) of the unit cube, to be maximized.
 
-    def __call__(self, x: Array) -> Array:
-        """Return the values (m,) at points x (m, d) of the unit cube; -inf excludes a point."""
+-inf excludes a point.
+"""
 
 
 class AcquisitionRule(Protocol):
@@ -98,28 +97,19 @@ class LogProduct:
 
 
 @dataclass(frozen=True, eq=False)
-class LogReinterpolationImprovement:
-    """Log RI: expected improvement on `best` under the reinterpolation model; -inf at its data."""
+class LogImprovement:
+    """Log expected improvement on `best` by the means and variances that a model predicts.
 
-    model: Model
-    best: float
+    Under the reinterpolation model, as in Eq. 5, it is -inf at the data; under the noisy one it is
+    also finite there.
+    """
 
-    def __call__(self, x: Array) -> Array:
-        """Return log RI (m,) at x (m, d)."""
-        mean, variance = self.model.predict_reinterpolated(x)
-        return log_expected_improvement(mean, variance, self.best)
-
-
-@dataclass(frozen=True, eq=False)
-class LogNoisyImprovement:
-    """Log expected improvement on `best` under the noisy model, also finite at its data."""
-
-    model: Model
+    predict: Callable[[Array], tuple[Array, Array]]
     best: float
 
     def __call__(self, x: Array) -> Array:
         """Return the log improvement (m,) at x (m, d)."""
-        mean, variance = self.model.predict(x)
+        mean, variance = self.predict(x)
         return log_expected_improvement(mean, variance, self.best)
 
 
@@ -133,17 +123,6 @@ class Unevaluated:
         """Return 0 or -inf (m,) at x (m, d)."""
         _, variance = self.model.predict_reinterpolated(x)
         return np.where(variance <= 0.0, -np.inf, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class LogFeasibility:
-    """Log probability that a constraint holds."""
-
-    constraint: LimitedResponse
-
-    def __call__(self, x: Array) -> Array:
-        """Return the log probability (m,) at x (m, d)."""
-        return self.constraint.log_probability(x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +170,10 @@ def constrained_improvement(
     probabilities: list[Acquisition] = []
     model = surrogates.objective
     if model is not None and incumbent is not None and reinterpolate:
-        improvement = LogReinterpolationImprovement(model, incumbent)
+        improvement = LogImprovement(model.predict_reinterpolated, incumbent)
     elif model is not None:
         if incumbent is not None:
-            improvement = LogNoisyImprovement(model, incumbent)
+            improvement = LogImprovement(model.predict, incumbent)
         probabilities.append(Unevaluated(model))
     # Without a single outlier or failure there is nothing to avoid. An outlier costs no more than
     # its evaluations, so how many failures are allowed says nothing of it.
@@ -204,13 +183,9 @@ def constrained_improvement(
         LogAvoidance(c, level) for c, level in levels if c is not None and c.labels.any()
     ]
     # Chance limits are the first of a study, and need many contexts for each point.
-    probabilities += feasibility_terms(reversed(tuple(surrogates.constraints.values())))
+    constraints = reversed(tuple(surrogates.constraints.values()))
+    probabilities += [constraint.log_probability for constraint in constraints]
     return LogProduct(improvement, tuple(probabilities))
-
-
-def feasibility_terms(constraints: Iterable[LimitedResponse]) -> list[Acquisition]:
-    """Return a term for each constraint, all taken as independent."""
-    return [LogFeasibility(constraint) for constraint in constraints]
 
 
 def best_at_data(model: Model, feasible: NDArray[np.bool_]) -> float | None:
