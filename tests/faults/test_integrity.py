@@ -181,7 +181,7 @@ class TestTwins:
 
     @pytest.mark.parametrize("package", PACKAGES)
     def test_one_that_joins(self, attach, start_node, monkeypatch, package):
-        """No evaluation has another result, nor is it the parameters' failure; then each is named."""
+        """No evaluation has another result or is their parameters' failure; then each is named."""
         monkeypatch.setattr("bo_tuner.backends.ros.study_client.LONGEST_LEASE", 4.0)
         attached = attach()
         before = attached.run(lambda_mpc=-1.0)

@@ -5,6 +5,7 @@ import math
 import time
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -40,6 +41,7 @@ class System(Node):
         self.text = self.create_publisher(String, "text", 10)
         self.limit = self.create_publisher(Float64, "limit", LATCHED)
         self.limit.publish(Float64(data=2.5))
+        self.fault = self.create_publisher(Float64, "fault", 10)
         self.create_subscription(Float64, "setpoint", self.follow, 10)
         self.create_subscription(JointState, "wanted", self.received.append, 10)
         self.create_service(Trigger, "~/reset", self.reset)
@@ -51,6 +53,7 @@ class System(Node):
         self.angle = self.setpoint = 0.0
         self.names = ["other", "motor"]
         self.silent = False
+        self.ahead = 0.0
         self.hang = 0.0
         self.refusal = ""
         self.refuses_beyond = math.inf
@@ -96,7 +99,7 @@ class System(Node):
         if self.silent:
             return
         message = JointState(name=self.names, position=[7.0, self.angle])
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = (self.get_clock().now() + Duration(seconds=self.ahead)).to_msg()
         self.states.publish(message)
         self.plain.publish(Float64MultiArray(data=[1.0, self.angle]))
 

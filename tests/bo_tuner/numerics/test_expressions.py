@@ -39,6 +39,29 @@ def test_what_is_not_defined_is_not_finite():
     assert np.isnan(Expression("sqrt(x)", ("x",))({"x": -1.0}))
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("u > 0", np.nan),
+        ("not u > 0", np.nan),
+        ("u != u", np.nan),
+        ("0 < u < 1", np.nan),
+        ("u > 0 or y > 0", 1),
+        ("u > 0 or y < 0", np.nan),
+        ("u > 0 and y < 0", 0),
+        ("y > 0 and u > 0", np.nan),
+        ("not (u > 0 and y < 0)", 1),
+        ("2 < 1 < u", 0),
+        ("u or 3", 1),
+        ("not u", np.nan),
+    ],
+)
+def test_what_is_not_known_decides_nothing(text, expected):
+    """Kleene's strong logic, with u unknown."""
+    found = Expression(text, ("u", "y"))({"u": np.full(4, np.nan), "y": Y})
+    np.testing.assert_array_equal(np.broadcast_to(found, 4), np.full(4, expected))
+
+
 def test_the_names_that_it_has():
     assert Expression("abs(x) + min(z, x)", ("x", "y", "z")).names == {"x", "z"}
 

@@ -181,6 +181,53 @@ def test_a_run_is_aborted_and_the_steps_after_it_are_done(backend, system):
     wait_until(lambda: system.setpoint == -0.25, "the steps after the run")
 
 
+SILENT = {"fault": {"topic": "fault", "field": "data", "minimum_messages": 0}}
+"""Of what is published on a fault alone."""
+FOR_LONG = {"end": {"when": "angle > 99"}, "timeout": DEADLINE}
+
+
+def test_a_signal_without_a_message_does_not_keep_a_run_from_being_aborted(backend):
+    limits = {"abort_when": "abs(angle) > 0.8 or fault > 0"}
+    made = backend(signals=SILENT, run=FOR_LONG | limits)
+    assert failure(run(made)).startswith("aborted at ")
+
+
+@pytest.mark.parametrize("condition", ["fault > 0", "not fault < 1", "fault != 0"])
+def test_a_signal_without_a_message_aborts_nothing(backend, condition):
+    made = backend(signals=SILENT, run={"abort_when": condition})
+    assert run(made).state is EvaluationState.COMPLETE
+
+
+def test_a_run_is_aborted_while_a_service_is_called(backend):
+    call = {"call": {"service": "hang", "timeout": DEADLINE}}
+    move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    made = backend(run={"start": [move, call], "abort_when": "abs(angle) > 0.8"})
+    assert failure(run(made)).startswith("aborted at ")
+
+
+def test_a_run_is_aborted_also_by_a_message_with_a_stamp_ahead(backend, system):
+    """As from a machine whose clock is."""
+    system.ahead = 2 * DEADLINE
+    made = backend(run=FOR_LONG | {"abort_when": "abs(angle) > 0.8"})
+    assert failure(run(made)).startswith("aborted at 600.")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (lambda system: setattr(system, "angle", float("nan")), "is nan at "),
+        (lambda system: setattr(system, "silent", True), "has no message for "),
+    ],
+    ids=["not a number", "silent"],
+)
+def test_a_run_that_can_no_longer_count_ends_at_once(backend, system, in_run, spoil, complaint):
+    """With a dead sensor nothing would abort it."""
+    angle = {"topic": "joint_states", "field": "position[motor]", "largest_gap": 3.0}
+    made = backend(run=FOR_LONG, signals={"angle": angle})
+    in_run(made, lambda: spoil(system))
+    assert failure(run(made)).startswith(f"signal angle (joint_states) {complaint}")
+
+
 def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monkeypatch):
     """The signals alone would not tell: another node publishes them."""
     made = backend(

@@ -47,6 +47,13 @@ class RecordedSignal:
         """Number of messages in the run."""
         return int(np.count_nonzero(self.time >= 0.0))
 
+    def check_finite(self, where: str) -> None:
+        """Raise `FailedRunError`, with the name of the signal, if a value is not finite."""
+        wrong = np.flatnonzero(~np.isfinite(self.value))
+        if len(wrong):
+            when = self.time[wrong[0]]
+            raise FailedRunError(f"{where} is {self.value[wrong[0]]:g} at {when:.3f} s")
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -78,11 +85,8 @@ class Recording:
         """
         for name, spec in specs.items():
             seen = self.signals[name]
-            where = f"signal {name} ({spec.topic})"
-            wrong = np.flatnonzero(~np.isfinite(seen.value))
-            if len(wrong):
-                when = seen.time[wrong[0]]
-                raise FailedRunError(f"{where} is {seen.value[wrong[0]]:g} at {when:.3f} s")
+            where = _named(name, spec)
+            seen.check_finite(where)
             if seen.messages < spec.minimum_messages:
                 before = "; the latest has a stamp before the start" if len(seen.time) else ""
                 raise FailedRunError(
@@ -99,10 +103,29 @@ class Recording:
                 gaps = np.diff(times)
                 k = int(gaps.argmax())
                 if gaps[k] > spec.largest_gap:
-                    raise FailedRunError(
-                        f"{where} has no message for {gaps[k]:.3g} s from {times[k]:.3f} s on, "
-                        f"expected one at least every {spec.largest_gap:g} s"
-                    )
+                    raise _gap(where, gaps[k], times[k], spec.largest_gap)
+
+    def check_latest(self, specs: Mapping[str, Signal], late: float) -> None:
+        """Fail a run that goes on, but of which it is certain that `check` will fail it.
+
+        Parameters
+        ----------
+        specs
+            The signals.
+        late
+            Time [s] that a message may take.
+
+        Raises
+        ------
+        FailedRunError
+            If a value is not finite, or a signal has no message any more; as by `check`.
+        """
+        for name, spec in specs.items():
+            seen = self.signals[name]
+            seen.check_finite(_named(name, spec))
+            since = max(0.0, seen.time[-1]) if len(seen.time) else 0.0
+            if spec.largest_gap is not None and self.end - since > spec.largest_gap + late:
+                raise _gap(_named(name, spec), self.end - since, since, spec.largest_gap)
 
     def sample(self, expression: Expression, held: bool = True) -> tuple[Array, Array]:
         """Evaluate an expression at the time of each message of its signals.
@@ -155,6 +178,17 @@ class Recording:
 
 
 NOTHING_RECORDED = Recording({}, 0.0)
+
+
+def _named(name: str, spec: Signal) -> str:
+    return f"signal {name} ({spec.topic})"
+
+
+def _gap(where: str, length: float, since: float, largest: float) -> FailedRunError:
+    return FailedRunError(
+        f"{where} has no message for {length:.3g} s from {since:.3f} s on, "
+        f"expected one at least every {largest:g} s"
+    )
 
 
 class SignalSource:

@@ -4,6 +4,9 @@ simpleeval walks Python's syntax tree and knows numbers, names, calls of named f
 operators, and nothing else: no attributes, no items, no statements. Its own operators are for
 single numbers; ours work item by item on arrays, ``and``, ``or``, ``not`` and chains such as
 ``0 < x < 1`` included.
+
+What a comparison says of NaN is not known, and stays so through ``not``; ``and`` and ``or`` are
+known where the other side decides (Kleene 1952, §64, the strong three-valued logic).
 """
 
 import ast
@@ -21,6 +24,30 @@ from bo_tuner.text import one_line
 LONGEST = 500
 """Characters of an expression."""
 
+
+def _known(compare: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a comparison that is NaN where one of its sides is."""
+
+    def compared(left: ArrayLike, right: ArrayLike) -> Array:
+        unknown = np.isnan(left) | np.isnan(right)
+        return np.where(unknown, np.nan, compare(left, right))
+
+    return compared
+
+
+def _not(value: ArrayLike) -> Array:
+    return np.where(np.isnan(value), np.nan, np.equal(value, 0.0))
+
+
+def _and(left: ArrayLike, right: ArrayLike) -> Array:
+    decided = np.equal(left, 0.0) | np.equal(right, 0.0)
+    return np.where(decided, 0.0, np.where(np.isnan(left) | np.isnan(right), np.nan, 1.0))
+
+
+def _or(left: ArrayLike, right: ArrayLike) -> Array:
+    return _not(_and(_not(left), _not(right)))
+
+
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
@@ -30,13 +57,13 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Mod: np.mod,
     ast.USub: np.negative,
     ast.UAdd: np.positive,
-    ast.Not: np.logical_not,
-    ast.Eq: np.equal,
-    ast.NotEq: np.not_equal,
-    ast.Lt: np.less,
-    ast.LtE: np.less_equal,
-    ast.Gt: np.greater,
-    ast.GtE: np.greater_equal,
+    ast.Not: _not,
+    ast.Eq: _known(np.equal),
+    ast.NotEq: _known(np.not_equal),
+    ast.Lt: _known(np.less),
+    ast.LtE: _known(np.less_equal),
+    ast.Gt: _known(np.greater),
+    ast.GtE: _known(np.greater_equal),
 }
 _NODES = (
     ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Constant,
@@ -124,7 +151,7 @@ class Expression:
         -------
         Array
             The values (n,); NaN or infinite where they are not defined, such as 1/0. Of a
-            condition, 1 where it holds and 0 elsewhere.
+            condition, 1 where it holds, 0 where it does not, and NaN where that is not known.
 
         Raises
         ------
@@ -157,7 +184,7 @@ def _number(node: ast.Constant) -> float:
 
 
 def _all_or_any(evaluator: Any, node: ast.BoolOp) -> Any:
-    combine = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
+    combine = _and if isinstance(node.op, ast.And) else _or
     return reduce(combine, [evaluator._eval(value) for value in node.values])
 
 
@@ -168,4 +195,4 @@ def _compare(evaluator: Any, node: ast.Compare) -> Any:
         if type(operation) not in _OPERATORS:
             raise ExpressionError("compare numbers by <, <=, >, >=, == or !=")
         results.append(_OPERATORS[type(operation)](left, right))
-    return reduce(np.logical_and, results)
+    return reduce(_and, results)

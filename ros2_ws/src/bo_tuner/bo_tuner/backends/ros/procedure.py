@@ -18,7 +18,12 @@ from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
-from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
+from bo_tuner.metrics.recording import (
+    NOTHING_RECORDED,
+    FailedRunError,
+    RecordedSignal,
+    Recording,
+)
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
@@ -31,6 +36,8 @@ OVERLAP = 0.5
 """Time [s] of a run that a condition is judged on again, for messages that come in late."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
+UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
+"""A signal without a message."""
 FAULTS = (FailedRunError, LostError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise; others end the whole run."""
 
@@ -204,24 +211,40 @@ class Procedure:
         """
         begin = self._now
         while True:
-            now = self._now
-            self._recorder.poll()
-            seen = min(now, end)
             since = max(self._judged - OVERLAP, 0.0)
-            aborted = self._holds(self._abort, since, seen)
-            if aborted is not None:
-                raise FailedRunError(
-                    f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
-                )
-            for goal in self._started:
-                goal.check()
+            now = self._judge(end)
             ended = None
             if ends:
-                ended = self._ended(max(since, begin), seen)
+                ended = self._ended(max(since, begin), min(now, end))
             if ended is not None or now >= end or (held is not None and held()):
                 return ended
-            self._judged = seen
             self._tuner.spin_once(min(POLL_PERIOD, end - now))
+
+    def _judge(self, end: float = np.inf) -> float:
+        """See whether the run may go on, which ends at `end` [s] at the latest; returns the time.
+
+        Raises
+        ------
+        FailedRunError
+            If it is to be aborted, a goal has failed, or the signals will not be whole.
+        LostError
+            If the server of a goal is gone.
+        """
+        now = self._now
+        self._recorder.poll()
+        seen = min(now, end)
+        since = max(self._judged - OVERLAP, 0.0)
+        # Whatever its stamp, a message that is here tells how the machine was.
+        aborted = self._holds(self._abort, since, max(seen, self._recorder.latest))
+        if aborted is not None:
+            raise FailedRunError(
+                f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
+            )
+        self._recorder.recording(seen, since).check_latest(self._study.signals, OVERLAP)
+        for goal in self._started:
+            goal.check()
+        self._judged = seen
+        return now
 
     def _ended(self, since: float, now: float) -> float | None:
         """Return when [s] the run came to its end, if it did."""
@@ -246,11 +269,12 @@ class Procedure:
     def _sampled(
         self, condition: Expression, since: float, now: float
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
         recording = self._recorder.recording(now, since)
-        names = condition.names & self._study.signals.keys()
-        if any(len(recording.signals[name].time) == 0 for name in names):
-            return np.array([]), np.array([])
-        return recording.sample(condition)
+        signals = {
+            name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
+        }
+        return Recording(signals, recording.end).sample(condition)
 
     def _perform(self, phase: str) -> None:
         for index, step in enumerate(getattr(self._run, phase)):
@@ -264,12 +288,18 @@ class Procedure:
             self._wait(step.wait)
         elif step.wait_until is not None:
             self._wait_until(path, step.wait_until)
-        elif path in self._goals:
-            self._send(self._goals[path])
         elif step.restart and self._restart is not None:
             self._restart(step.restart)
         else:
-            self._steps[path].perform()
+            judged = self._tuner.also_watched_by(self._judge_run)
+            with judged if self._is_recording else contextlib.nullcontext():
+                if path in self._goals:
+                    self._send(self._goals[path])
+                else:
+                    self._steps[path].perform()
+
+    def _judge_run(self) -> None:
+        self._judge()
 
     def _send(self, goal: Goal) -> None:
         self._started.append(goal)

@@ -118,6 +118,20 @@ class SignalRecorder:
         """Time since the start of the run [s]."""
         return (self._clock.now - self._began) * 1e-9
 
+    @property
+    def latest(self) -> float:
+        """Latest time [s] since the start of the run that a message is stamped with.
+
+        It may lie ahead, by as much as the clock of another machine is ahead of this one's.
+        """
+        stamps = [
+            track.stamps[-1]
+            for heard in self._heard.values()
+            for track in heard.tracks.values()
+            if track.stamps
+        ]
+        return (max(stamps, default=self._began) - self._began) * 1e-9
+
     def poll(self) -> None:
         """Take what came in.
 

@@ -60,6 +60,7 @@ class TunerNode:
         name: str = NODE_NAME,
     ) -> None:
         self._watch = watch
+        self._period = SPIN_PERIOD
         self.node = _make_node(name, ros_arguments, domain)
         self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -99,10 +100,26 @@ class TunerNode:
         finally:
             self._watch = watch
 
+    @contextlib.contextmanager
+    def also_watched_by(self, watch: Callable[[], None]) -> Iterator[None]:
+        """Ask another function besides `watch` within, at least every `POLL_PERIOD` seconds."""
+        before, period = self._watch, self._period
+
+        def both() -> None:
+            before()
+            watch()
+
+        self._period = POLL_PERIOD
+        try:
+            with self.watched_by(both):
+                yield
+        finally:
+            self._period = period
+
     def spin_once(self, period: float = SPIN_PERIOD) -> None:
         """Take one message or answer, if one comes within `period` seconds."""
         self._watch()
-        self._executor.spin_once(timeout_sec=period)
+        self._executor.spin_once(timeout_sec=min(period, self._period))
 
     def spin_for(self, period: float) -> None:
         """Take what comes within `period` seconds."""
@@ -135,12 +152,17 @@ class TunerNode:
         """Wait for the answer to a call that was made; as `call`."""
         timeout = CALL_TIMEOUT if timeout is None else timeout
         deadline = time.monotonic() + timeout
-        while not future.done():
-            # A dead server looks ready until its lease ends, and the call would never return.
-            if time.monotonic() > deadline:
-                client.remove_pending_request(future)
-                raise SilentError(f"{name} does not answer {client.srv_name} within {timeout:g} s")
-            self.spin_once()
+        try:
+            while not future.done():
+                # A dead server looks ready until its lease ends, and the call would never return.
+                if time.monotonic() > deadline:
+                    raise SilentError(
+                        f"{name} does not answer {client.srv_name} within {timeout:g} s"
+                    )
+                self.spin_once()
+        except BaseException:
+            client.remove_pending_request(future)
+            raise
         return future.result()
 
 
