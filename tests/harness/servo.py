@@ -21,6 +21,16 @@ BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
+class Sensor(Node):
+    """Publishes `value` on /sensed at 100 Hz; it has no parameters that anybody sets."""
+
+    def __init__(self, context, name="sensor", topic="sensed"):
+        super().__init__(name, context=context)
+        self.value = 0.0
+        publisher = self.create_publisher(Float64, topic, 10)
+        self.create_timer(0.01, lambda: publisher.publish(Float64(data=self.value)))
+
+
 class System(Node):
     """Follows /setpoint by `gain` at 100 Hz, from its start on."""
 

@@ -53,6 +53,17 @@ def join(machine):
 
 
 @pytest.fixture
+def leave(machine):
+    """Function that ends a node that has joined."""
+
+    def end(node):
+        machine.executor.remove_node(node)
+        node.destroy_node()
+
+    return end
+
+
+@pytest.fixture
 def patience(monkeypatch):
     """Function that sets how long [s] a backend waits for what it does not find."""
 

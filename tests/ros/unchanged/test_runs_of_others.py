@@ -1,12 +1,14 @@
 """Runs on a system that knows nothing of the tuner: its topics, services and mistakes."""
 
 import re
+from functools import partial
 
 import pytest
-from servo import failure, run, study
+from rclpy.parameter import Parameter
+from servo import Sensor, failure, run, study
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros import tuner_node
+from bo_tuner.backends.ros import procedure, suspension, tuner_node
 from bo_tuner.errors import StudyError
 from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
@@ -226,6 +228,70 @@ def test_a_run_that_can_no_longer_count_ends_at_once(backend, system, in_run, sp
     made = backend(run=FOR_LONG, signals={"angle": angle})
     in_run(made, lambda: spoil(system))
     assert failure(run(made)).startswith(f"signal angle (joint_states) {complaint}")
+
+
+SENSED = {"sensed": {"topic": "sensed", "field": "data"}}
+
+
+def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(backend, system, join, leave):
+    """It tells nothing of the parameters, though the node that has these is there."""
+    sensor = join(Sensor)
+    made = backend(signals=SENSED)
+    assert run(made).state is EvaluationState.COMPLETE
+    leave(sensor)
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.reason == "nothing publishes /sensed any more"
+    join(Sensor)
+    assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
+
+
+def test_a_second_publisher_of_a_signal_spoils_a_run(backend, system, join, leave, monkeypatch):
+    """The one that was there at first, and another one that joins in a run or before it."""
+    monkeypatch.setattr(procedure, "LONGEST_LEASE", 0.5)
+    sensor = join(Sensor)
+    made = backend(signals=SENSED, run={"end": {"after": 1.0}})
+    joining = [{"name": "second"}]
+
+    def joins():
+        if joining and made._procedure._is_recording:
+            join(partial(Sensor, **joining.pop()))
+
+    with made._tuner.also_watched_by(joins):
+        outcomes = [run(made), run(made)]
+    for outcome in outcomes:
+        assert outcome.state is EvaluationState.FAILED
+        assert outcome.spoilt
+        assert outcome.reason == "/sensed has 2 publishers, whose messages mix"
+    leave(sensor)
+    assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
+
+
+def test_a_parameter_that_a_node_does_not_take_back_is_no_fault_of_the_trial(backend, system):
+    """Somebody has changed it, and it is not the study's to set."""
+    made = backend(run={"before": []})
+    system.set_parameters([Parameter("count", value=5)])
+    with system.refusing("it is at work"):
+        for _ in range(3):
+            outcome = run(made, 0.75)
+            assert outcome.spoilt
+            assert outcome.reason.startswith("servo: parameter count is 5, expected 3 (changed by")
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+
+
+def test_a_metric_that_takes_its_time_is_no_suspension(backend, monkeypatch):
+    made = backend()
+    passed = [0.0]
+    now, outcome = suspension._now, made._collector.outcome
+    monkeypatch.setattr(suspension, "_now", lambda: now() + passed[0])
+
+    def slow(*arguments):
+        passed[0] += 2 * suspension.LONGEST
+        return outcome(*arguments)
+
+    monkeypatch.setattr(made._collector, "outcome", slow)
+    assert run(made).state is EvaluationState.COMPLETE
+    assert passed[0] == 2 * suspension.LONGEST
 
 
 def test_a_node_that_does_not_answer_after_a_run_is_named(backend, system, monkeypatch):

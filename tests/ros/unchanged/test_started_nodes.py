@@ -85,6 +85,28 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
     assert "ready" in (tmp_path / "motor.log").read_text()
 
 
+def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
+    """All of them have forgotten what they were told, not only the one that is named."""
+    both = tmp_path / "both.py"
+    both.write_text(
+        "import signal, subprocess, sys\n"
+        f"nodes = [subprocess.Popen([sys.executable, '{FOLDER}/' + name])\n"
+        "         for name in ('pid_node.py', 'motor_node.py')]\n"
+        "signal.signal(signal.SIGTERM, lambda *_: [node.terminate() for node in nodes])\n"
+        "signal.signal(signal.SIGINT, lambda *_: [node.terminate() for node in nodes])\n"
+        "sys.exit(max(node.wait() for node in nodes))\n"
+    )
+    nodes = {
+        "motor": {"node": "motor", "command": f"{sys.executable} {both}"},
+        "pid": {"node": "pid"},
+    }
+    before = [{"restart": "motor"}, {"publish": {"topic": "/setpoint", "message": {"data": 0.0}}}]
+    made = backend(position(nodes=nodes, run={"before": [*before, {"wait": 0.1}]}))
+    for _ in range(2):
+        outcome = run(made)
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+
+
 @pytest.fixture
 def running(ros_environment, tmp_path, monkeypatch):
     """Function that starts a node of the example, which a backend may wait for."""

@@ -236,6 +236,7 @@ class RosBackend(SequentialBackend):
         _, client = self._opened
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
+        kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
             run = None
             if self._procedure is not None:
@@ -244,7 +245,11 @@ class RosBackend(SequentialBackend):
                 if prepared:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure, client, prepared)
-            result = self._collector.outcome(client.evaluate(wanted, run), wanted)
+            said = client.evaluate(wanted, kept, run)
+            self._suspension.look()
+            result = self._collector.outcome(said, wanted)
+            # A metric may be a function of the user's that takes its time.
+            self._suspension.skip()
         except (RefusedError, FailedRunError) as refusal:
             counts = self.recording.counts()
             return Outcome(EvaluationState.FAILED, {}, brief(str(refusal)), counts)
@@ -281,6 +286,7 @@ class RosBackend(SequentialBackend):
             # A run may have failed for want of a node.
             for key in self._study.nodes:
                 client.parameters.expect_answer(key)
+            procedure.expect_publishers()
             raise
 
     def _stop(self) -> list[str]:
@@ -405,8 +411,9 @@ class RosBackend(SequentialBackend):
             self._started.start_one(key)
         except (BackendError, StudyError) as error:
             raise LostError(f"{key} is not started anew: {error}") from error
-        client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
-        client.tell_again(key)
+        # Others may run in the same process.
+        for anew in dict.fromkeys((key, *client.presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
+            client.tell_again(anew)
 
     def _refuse_running_nodes(self, tuner: TunerNode, client: StudyClient) -> None:
         tuner.spin_for(LOOK_AROUND)

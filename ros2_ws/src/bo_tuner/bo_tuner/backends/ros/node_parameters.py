@@ -1,6 +1,6 @@
 """Sets and reads the parameters of a study's nodes."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 
@@ -129,8 +129,16 @@ class NodeParameters:
         self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
         return self._read([key], timeout)[key]
 
-    def tell(self, wanted: Values) -> dict[str, list[str]]:
+    def tell(self, wanted: Values, kept: Mapping[str, Collection[str]]) -> dict[str, list[str]]:
         """Set parameters of nodes; returns the names of those that were set, by node key.
+
+        Parameters
+        ----------
+        wanted
+            By node key the values.
+        kept
+            By node key the names of those that have the same value always, unless somebody else
+            changes them.
 
         Raises
         ------
@@ -141,7 +149,7 @@ class NodeParameters:
         LostError
             If it does not answer.
         """
-        return {key: self._tell(key, values) for key, values in wanted.items()}
+        return {key: self._tell(key, values, kept[key]) for key, values in wanted.items()}
 
     def check(self, wanted: Values, told: Mapping[str, Sequence[str]]) -> None:
         """Compare what the nodes have, and had since the last check, with what they should.
@@ -178,7 +186,9 @@ class NodeParameters:
         """
         self.clients[key].set({})
 
-    def _tell(self, key: str, values: Mapping[str, object]) -> list[str]:
+    def _tell(
+        self, key: str, values: Mapping[str, object], kept: Collection[str]
+    ) -> list[str]:
         before = dict(self._known.get(key, {}))
         try:
             return self.assign(key, values)
@@ -186,6 +196,9 @@ class NodeParameters:
             # What was changed by somebody else may be what the values do not go with.
             self._known[key] = self._read([key])[key]
             changed = differences(key, self._known[key], before) + self._watch.take_seen()
+            # It may have been changed long ago, and the node not take it back.
+            own = {name: value for name, value in values.items() if name in kept}
+            changed += differences(key, self._known[key], own)
             if changed:
                 raise _disturbed(changed[0]) from None
             raise

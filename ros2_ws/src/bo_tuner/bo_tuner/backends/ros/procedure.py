@@ -16,6 +16,7 @@ from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
+from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import (
@@ -103,6 +104,9 @@ class Procedure:
     def prepare(self) -> None:
         """Perform the steps before a run; raises as `perform`."""
         self.forget()
+        # A publisher that was killed and is back counts twice until its lease ends.
+        if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
+            raise DisturbedError(self._recorder.mixed)
         self._started.clear()
         self._next_after = 0
         self._perform("before")
@@ -119,7 +123,7 @@ class Procedure:
         LostError
             If a service or an action does not answer, or the clock stands still.
         DisturbedError
-            If the clock is set in the run.
+            If the clock is set in the run, or another node publishes a signal, too.
         """
         self.recording = self._record()
         if problems := self._cancel():
@@ -128,7 +132,14 @@ class Procedure:
             self._next_after = index + 1
             self._perform_step(("run", "after", index), step)
         self._next_after = None
+        if mixed := self._recorder.mixed:
+            raise DisturbedError(mixed)
         self.recording.check(self._study.signals)
+
+    def expect_publishers(self) -> None:
+        """Raise `LostError` if nothing publishes a signal any more."""
+        if unpublished := self._recorder.unpublished:
+            raise LostError(unpublished)
 
     def request_cancel(self) -> None:
         """Ask for the end of the goals that are active, and do not wait for it."""

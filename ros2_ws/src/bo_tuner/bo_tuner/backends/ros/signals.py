@@ -80,7 +80,7 @@ class SignalRecorder:
             with under("signals", name):
                 self._connect(name, spec, wait)
         # What is published before a subscription is known to the publisher is lost.
-        wait(lambda: all(heard.is_connected for heard in self._heard.values()))
+        wait(lambda: all(heard.publishers for heard in self._heard.values()))
         # So that also what is published only now and then has a value when a run starts.
         latched = [heard for heard in self._heard.values() if heard.is_latched]
         wait(lambda: all(heard.has_message() for heard in latched))
@@ -94,6 +94,22 @@ class SignalRecorder:
             for info in self.node.get_publishers_info_by_topic(topic)
             if info.node_name != UNKNOWN_NODE
         }
+
+    @property
+    def mixed(self) -> str:
+        """Tell in a line of a topic that more than one node publishes; empty if none."""
+        for heard in self._heard.values():
+            if heard.publishers > 1:
+                return f"{heard.name} has {heard.publishers} publishers, whose messages mix"
+        return ""
+
+    @property
+    def unpublished(self) -> str:
+        """Tell in a line of a topic that nobody publishes any more; empty if none."""
+        for heard in self._heard.values():
+            if heard.publishers == 0:
+                return f"nothing publishes {heard.name} any more"
+        return ""
 
     def begin(self, in_run: bool = True) -> None:
         """Count time from now on, and of what came before only the latest.
@@ -277,9 +293,10 @@ class _Topic:
             track.begin(now, in_run)
 
     @property
-    def is_connected(self) -> bool:
-        """Whether the publisher is known here."""
-        return self.subscription.handle.get_publisher_count() > 0
+    def publishers(self) -> int:
+        """How many publishers are known here."""
+        found: int = self.subscription.handle.get_publisher_count()
+        return found
 
     def has_message(self) -> bool:
         """Whether anything ever came."""

@@ -1,7 +1,7 @@
 """What the backend does with a study's nodes: sets their parameters, evaluates, and parks them."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
@@ -64,7 +64,10 @@ class StudyClient:
             self._renewed.discard(key)
 
     def evaluate(
-        self, wanted: Values, run: Callable[[], object] | None = None
+        self,
+        wanted: Values,
+        kept: Mapping[str, Collection[str]],
+        run: Callable[[], object] | None = None,
     ) -> dict[str, dict[str, object]]:
         """Set parameters, run an evaluation, and see that it ran with them.
 
@@ -73,6 +76,8 @@ class StudyClient:
         wanted
             By node key the values that its parameters must have, whether the study sets them or
             not.
+        kept
+            By node key the names of those that the study does not set.
         run
             Runs once, in place of the trigger; then no node says anything.
 
@@ -98,15 +103,15 @@ class StudyClient:
         self._refuse_twins()
         self._wanted = wanted
         self.parameters.expect(wanted)
-        self.parameters.check(wanted, self.parameters.tell(wanted))
+        self.parameters.check(wanted, self.parameters.tell(wanted, kept))
         self.results.begin()
         try:
             try:
                 said = self._triggered.run() if run is None else {}
                 if run is not None:
                     run()
-            except FailedRunError:
-                # That a node was started anew explains the rest, such as a gap in a signal.
+            except (FailedRunError, DisturbedError):
+                # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise
             self._refuse_other_nodes()
