@@ -88,6 +88,8 @@ def backend(system, tmp_path, monkeypatch, patience):
         return made
 
     yield make
+    # One that refuses or is silent could not be set back.
+    system.begin()
     for made in opened:
         made.close()
 

@@ -5,6 +5,7 @@ from servo import failure, run, study
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import EvaluationState
 
@@ -136,6 +137,55 @@ def test_safe_values_that_the_study_names_stay(backend, system):
     run(made, 0.75)
     made.close()
     assert gain(system) == SAFE
+
+
+@pytest.fixture
+def killed():
+    """Function that lets a backend go as `kill -9` does: it says nothing to the nodes any more."""
+
+    def kill(backend):
+        backend._procedure.close()
+        backend._tuner.close()
+        backend._claim.release()
+        backend._procedure = backend._tuner = backend._claim = None
+
+    return kill
+
+
+@pytest.mark.parametrize("park", [{}, {"parameters": {"gain": SAFE}, "between_runs": True}])
+def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, killed, park):
+    system.set_gain(0.375)
+    made = backend(run={"before": []}, park=park)
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    killed(made)
+    assert gain(system) == (SAFE if park else 0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+    # That is forgotten then.
+    system.set_gain(0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.75
+
+
+def test_what_somebody_has_set_since_a_tuner_was_killed_stays(backend, system, killed):
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    system.set_gain(0.625)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.625
+
+
+def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(backend, system):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    with system.refusing("the key is out"):
+        complaint = "^servo is not set back: servo refused its parameters: the key is out; the next"
+        with pytest.raises(BackendError, match=complaint):
+            made.close()
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
 
 
 @pytest.fixture

@@ -162,16 +162,21 @@ def opened(backend: Backend, interruption: Interruption, *, again: bool = False)
     again
         Whether more evaluations follow, so that signals are still taken if all goes well.
     """
-    keep = False
     try:
         interruption.check()
         backend.open()
         yield
-        keep = again
-    finally:
-        if not keep:
-            interruption.ignore()
-        backend.close()
+    except BaseException:
+        interruption.ignore()
+        # What ended the run is what the command tells last, and by its exit code.
+        try:
+            backend.close()
+        except BackendError as error:
+            say_error(f"error: {error}")
+        raise
+    if not again:
+        interruption.ignore()
+    backend.close()
 
 
 def whole_number(text: str) -> int:

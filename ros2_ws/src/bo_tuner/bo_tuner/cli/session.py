@@ -175,6 +175,7 @@ class Session:
                 earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
+            code: int | None = None
             try:
                 try:
                     with (
@@ -189,6 +190,9 @@ class Session:
                     with contextlib.suppress(JournalError, OutputError):
                         folder.check()
                         export_csv(folder.journal, folder.path)
+                    if code is not None:
+                        # The run is whole; only its nodes are not as they were before it.
+                        write_deliverables(folder.path, self._display.tell, self._display.warn)
                     raise
                 export_csv(folder.journal, folder.path)
                 write_deliverables(folder.path, self._display.tell, self._display.warn)

@@ -9,11 +9,11 @@ in the run folder itself counts, since whoever made the folder made that, too.
 
 import hashlib
 import json
-import os
 from functools import cache
 from pathlib import Path
 
 from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.storage.state import state_folder
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.signals import PythonMetric
 from bo_tuner.study.study import Study
@@ -94,7 +94,4 @@ def _digest(study: Study) -> str:
 
 
 def _trusted() -> Path:
-    given = os.environ.get("XDG_STATE_HOME", "")
-    # As the specification has it, a relative path counts as none.
-    state = Path(given) if given.startswith("/") else Path("~/.local/state").expanduser()
-    return state / "bo_tuner" / "trusted"
+    return state_folder() / "trusted"

@@ -21,6 +21,7 @@ from bo_tuner.backends.ros.isolation import (
     isolated_environment,
     namespace_of,
 )
+from bo_tuner.backends.ros.previous_parameters import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
@@ -106,6 +107,7 @@ class RosBackend(SequentialBackend):
         self._suspension = Suspension()
         self._unfinished: list[str] = []
         self._safe: dict[str, dict[str, object]] = {}
+        self._previous: PreviousParameters | None = None
         self._started = StartedNodes(study, self._namespace, log_directory)
 
     def open(self) -> None:
@@ -150,9 +152,15 @@ class RosBackend(SequentialBackend):
             if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
             found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
+            previous = PreviousParameters(tuner.domain, tuner.node.get_namespace())
+            if self._attach:
+                self._undo_killed(client, previous, found)
             own, others = divide(self._study, found)
+            self._safe = safe_parameters(self._study)
             if self._attach:
                 self._found = own
+                previous.begin(self._by_name(own), self._by_name(self._safe))
+                self._previous = previous
             self._set_constants(client)
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
@@ -164,7 +172,6 @@ class RosBackend(SequentialBackend):
             )
             if is_first:
                 self._refuse_ranges()
-            self._safe = safe_parameters(self._study)
             self._set_undeclared(client, found)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
@@ -238,6 +245,8 @@ class RosBackend(SequentialBackend):
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
+            if self._previous is not None:
+                self._previous.tell(self._by_name(wanted))
             run = None
             if self._procedure is not None:
                 self._procedure.forget()
@@ -352,7 +361,13 @@ class RosBackend(SequentialBackend):
 
         An attached node has its previous parameters in the end, but for safe ones that the study
         names.
+
+        Raises
+        ------
+        BackendError
+            If an attached node does not have them; all else is closed then.
         """
+        problems = []
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
         if self._tuner is not None and self._client is not None:
@@ -360,7 +375,7 @@ class RosBackend(SequentialBackend):
                 if self._procedure is not None:
                     for problem in self.park() + self._procedure.leave():
                         self._tuner.warn(problem)
-                self._restore(self._tuner, self._client)
+                problems = self._restore(self._client)
         self._started.stop()
         if self._procedure is not None:
             self._procedure.close()
@@ -371,19 +386,55 @@ class RosBackend(SequentialBackend):
         if self._claim is not None:
             self._claim.release()
             self._claim = None
+        if problems:
+            raise BackendError(f"{'; '.join(problems)}; the next command with --attach does that")
 
-    def _restore(self, tuner: TunerNode, client: StudyClient) -> None:
-        """Restore attached nodes: a live one must not keep what an evaluation was run with."""
+    def _restore(self, client: StudyClient) -> list[str]:
+        """Restore attached nodes: a live one must not keep what an evaluation was run with.
+
+        Returns what went wrong, each in a line.
+        """
         found, self._found = self._found, {}
         client.parameters.forget_all()
         chosen = [self._study.parameters[name] for name in self._study.park.parameters]
+        # A node may be busy with the evaluation that was interrupted, and answer only then.
+        trigger = self._study.trigger
+        timeout = PARK_TIMEOUT if trigger is None else max(PARK_TIMEOUT, trigger.timeout)
+        problems = []
         for key, values in found.items():
+            node = self._study.nodes[key].node
             names = {item.array or item.parameter for item in chosen if item.node == key}
             kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
             try:
-                client.parameters.assign_and_read_back(key, {**values, **kept}, PARK_TIMEOUT)
+                client.parameters.assign_and_read_back(key, {**values, **kept}, timeout)
             except (RefusedError, LostError) as error:
-                tuner.warn(f"{self._study.nodes[key].node} is not set back: {error}")
+                problems.append(f"{node} is not set back: {error}")
+                continue
+            if self._previous is not None:
+                self._previous.end([node])
+        return problems
+
+    def _undo_killed(
+        self,
+        client: StudyClient,
+        previous: PreviousParameters,
+        found: dict[str, dict[str, object]],
+    ) -> None:
+        """Set back what a killed tuner has left on the nodes; `found` is what they have."""
+        left = previous.left_behind(self._by_name(found))
+        for key, spec in self._study.nodes.items():
+            if values := left.get(spec.node):
+                changes = ", ".join(
+                    f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
+                    for name, value in values.items()
+                )
+                self._opened[0].warn(f"{spec.node} is set back after a killed run: {changes}")
+                client.parameters.assign_and_read_back(key, values)
+                found[key] = client.parameters.read_anew(key)
+
+    def _by_name(self, values: Mapping[str, Mapping[str, object]]) -> dict[str, dict[str, object]]:
+        """Return by the nodes' names what is given by their keys."""
+        return {self._study.nodes[key].node: dict(item) for key, item in values.items()}
 
     def _watch(self) -> None:
         self._look()
