@@ -1,5 +1,8 @@
 """The filter against the Riccati equation, a batch least-squares estimate and statistics."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +16,7 @@ from feed_axis_common.model import (
     zero_order_hold,
 )
 from mpc_controller.kalman_filter import kalman_filter
+from mpc_controller.settings import default_settings
 
 SAMPLE_TIME = 0.02
 
@@ -81,7 +85,10 @@ def test_a_disturbance_is_followed_within_the_samples_that_the_documents_name():
         time_constant = -1.0 / np.log(abs(poles).max())
         expected = np.sqrt((H @ H.T).item() / 10.0**lambda_disturbance)
         assert time_constant == pytest.approx(expected, rel=0.02)
-    assert round(expected) == 14
+    page = (Path(__file__).parents[2] / "docs" / "method.md").read_text()
+    told = re.search(r"([\d.]+) · 10\^\(-λ_d / 2\), (\d+) samples with the default λ_d = -1", page)
+    assert default_settings().lambda_disturbance == lambda_disturbance == -1.0
+    assert told.groups() == (f"{np.sqrt((H @ H.T).item()):.1f}", f"{expected:.0f}")
 
 
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.5])

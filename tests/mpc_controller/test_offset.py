@@ -6,9 +6,13 @@ estimate x that belongs to an input u. The input is the one that the law of the 
 u = k_x x + k_u u + k_r r, gives again.
 """
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from dense_mpc import DenseMpc
+from markdown_tables import rows_of
 from scipy.linalg import solve_discrete_are
 from second_order import DelayLine, matrices
 
@@ -98,16 +102,14 @@ def test_a_wrong_gain_leaves_the_offset_of_the_closed_form(
     assert estimate / v - 1.0 == pytest.approx(of_estimate, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("lambda_kf", "of_estimate", "of_velocity"),
-    [(-5.0, "10.00", "-9.6"), (-3.0, "1.54", "-5.9"), (-1.0, "0.02", "-5.1")],
-)
-def test_offsets_in_percent_that_the_documents_name(
-    controller_settings, lambda_kf, of_estimate, of_velocity
-):
-    found = offsets(controller_settings(lambda_kf=lambda_kf), 0.9)
-    assert f"{100 * found[0]:.2f}" == of_estimate
-    assert f"{100 * found[1]:.1f}" == of_velocity
+def test_offsets_in_percent_that_the_documents_name(controller_settings):
+    page = (Path(__file__).parents[2] / "docs" / "method.md").read_text()
+    table = re.search(r"^\| λ_KF \| estimate above .*(?:\n\|.*)+", page, re.MULTILINE).group()
+    told = [(float(row[0].partition(" ")[0]), *row[1:]) for row in rows_of(table)]
+    assert [row[0] for row in told] == [-5.0, -3.0, -1.0]
+    for lambda_kf, *in_percent in told:
+        of_estimate, of_velocity = offsets(controller_settings(lambda_kf=lambda_kf), 0.9)
+        assert in_percent == [f"{100 * of_estimate:.2f} %", f"{-100 * of_velocity:.1f} %"]
 
 
 @pytest.mark.parametrize(("share", "load"), [(0.9, 0.0), (1.15, 0.0), (1.0, -0.1), (0.9, 0.08)])

@@ -1,9 +1,13 @@
 """Bounds at every time at once: against quadrature, exact enumeration, and simulation."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+from draws_needed import draws_needed_without_event, evidence_by_quadrature
+from markdown_tables import columns_of
 from scipy import integrate, stats
 
 from bo_tuner.certificate.sequential import (
@@ -20,15 +24,7 @@ from bo_tuner.certificate.sequential import (
     spent,
 )
 
-
-def evidence_by_quadrature(k, n, p):
-    """With q' = p u²: the mean over u in (0, 1) of the likelihood ratio."""
-
-    def ratio(u):
-        q = p * u**2
-        return math.exp(k * math.log(u**2) + (n - k) * (math.log1p(-q) - math.log1p(-p)))
-
-    return integrate.quad(ratio, 0.0, 1.0, epsabs=0.0, epsrel=1e-10)[0]
+PAGE = (Path(__file__).parents[3] / "docs" / "certificate.md").read_text()
 
 
 def counts(n, k):
@@ -89,13 +85,34 @@ class TestProbability:
         assert 0.01 < ever_crossed(where_shown(p, 0.95, most), p, most) <= 0.05
         assert ever_crossed(fixed, p, most) > 0.12
 
-    @pytest.mark.parametrize(
-        ("most", "truth", "power"),
-        [(300, 0.01, 0.73), (300, 0.02, 0.24), (1000, 0.01, 1.0), (1000, 0.02, 0.77)],
-    )
-    def test_what_the_document_says_of_who_keeps_a_limit_by_little(self, most, truth, power):
+    @pytest.mark.parametrize("most", [300, 1000])
+    def test_what_the_document_says_of_who_keeps_a_limit_by_little(self, most):
+        told = re.search(
+            r"probability\sof 0\.02 where 0\.04 is allowed, (\d+) % pass the first certificate "
+            r"within 1000 draws, (\d+) % within 300; with 0\.01, (all) and\s(\d+) %",
+            PAGE,
+        )
+        of_1000, of_300, all_of_1000, rest_of_300 = told.groups()
+        assert all_of_1000 == "all"
+        page = {1000: (int(of_1000), 100), 300: (int(of_300), int(rest_of_300))}[most]
         shown = where_shown(0.04, spent(0.95, 1), most)
-        assert ever_crossed(shown, truth, most) == pytest.approx(power, abs=0.006)
+        found = [ever_crossed(shown, truth, most) for truth in (0.02, 0.01)]
+        assert tuple(round(100 * power) for power in found) == page
+
+    @pytest.mark.parametrize(
+        ("row", "p"), [(0, 0.04), (1, 0.15)], ids=["chance", "runs in a context"]
+    )
+    def test_what_the_document_says_that_further_certificates_cost(self, row, p):
+        table = re.search(r"^\| certificate \|.*(?:\n\|.*)+", PAGE, re.MULTILINE).group()
+        told = columns_of(table, row)
+        assert told.pop("certificate").endswith(f"for p = {1.0 - p:.2f}")
+        needed = {
+            f"{attempt}{suffix}": str(
+                draws_needed_without_event(p, 0.05 / (attempt * (attempt + 1)))
+            )
+            for attempt, suffix in ((1, "st"), (2, "nd"), (5, "th"), (20, "th"))
+        }
+        assert told == needed
 
     def test_the_bound_is_where_the_evidence_suffices(self):
         rng = np.random.default_rng(2)

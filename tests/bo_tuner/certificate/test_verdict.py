@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from draws_needed import draws_needed_without_event
 from scipy import stats
 
 from bo_tuner.certificate.certification import (
@@ -31,6 +32,7 @@ CHANCE = {
         "peak": {"kind": "chance", "metric": "peak", "upper": LIMIT, "probability": 0.96}
     }
 }
+DRAWS_NEEDED = draws_needed_without_event(0.04, 0.05)
 PLANE = {
     "contexts": {
         name: {"node": "axis", "distribution": "uniform", "bounds": [0.0, 1.0]}
@@ -75,8 +77,13 @@ def collect(study, backend, draws, **subjects):
 class TestChance:
     @pytest.mark.parametrize(
         ("violations", "draws", "passed"),
-        # The evidence for a probability below 0.04 reaches 20 at 93 draws without a violation.
-        [(0, 92, False), (0, 93, True), (1, 93, False), (1, 400, True), (40, 400, False)],
+        [
+            (0, DRAWS_NEEDED - 1, False),
+            (0, DRAWS_NEEDED, True),
+            (1, DRAWS_NEEDED, False),
+            (1, 400, True),
+            (40, 400, False),
+        ],
     )
     def test_the_bound_decides(self, make_study, violations, draws, passed):
         study = make_study(**CHANCE)
@@ -96,8 +103,8 @@ class TestChance:
     def test_too_few_draws_are_told(self, make_study):
         found = judge(make_study(**CHANCE), evidence([0.5] * 25), 0.95)
         assert not found.passed
-        assert "93 draws without any are needed" in found.reasons[0]
-        assert most_draws_needed(make_study(**CHANCE), 0.95) == (93, "peak")
+        assert f"{DRAWS_NEEDED} draws without any are needed" in found.reasons[0]
+        assert most_draws_needed(make_study(**CHANCE), 0.95) == (DRAWS_NEEDED, "peak")
         assert most_draws_needed(make_study(), 0.95) == (1, "")
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from axis import node, write_study
 from commands import Fork, finish
+from draws_needed import draws_needed_without_event
 from in_process import call, complaint
 from waiting import count_in, wait_until
 
@@ -36,6 +37,8 @@ CHANCE = {
     "peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0},
     "error": {"kind": "chance", "metric": "error", "upper": 9.0, "probability": 0.96},
 }
+# The chance constraint has half of the error probability in the first certificate.
+NEEDED = draws_needed_without_event(0.04, 0.05 / 2)
 
 
 class Runs:
@@ -112,8 +115,7 @@ class TestVerdict:
         found = certificate(folder)
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
         assert (found["draws"], found["confidence"]) == (120, 0.95)
-        # As many as the chance constraint takes with half of the error probability.
-        assert (found["drawn"], found["attempt"], found["default"]) == (112, 1, None)
+        assert (found["drawn"], found["attempt"], found["default"]) == (NEEDED, 1, None)
         assert found["bound_confidence"] == pytest.approx(0.975)
         summary = json.loads((folder / "summary.json").read_text())
         assert found["trial"] == summary["trial"]
@@ -127,7 +129,7 @@ class TestVerdict:
         assert found["evaluations_sha256"] == hashlib.sha256(evaluations).hexdigest()
         rows = evaluations.decode().splitlines()[1:]
         assert len(rows) == found["tuned"]["evaluations"]
-        assert sum(row.startswith("tuned,validation") for row in rows) == 112
+        assert sum(row.startswith("tuned,validation") for row in rows) == NEEDED
         # All else of the run is as it was; a reader of the journal leaves files of its own.
         names = {path.name for path in folder.iterdir() if path.is_file()}
         new = {name for name in names - set(before) if not name.startswith("journal")}
@@ -152,7 +154,7 @@ class TestVerdict:
         for side, gain in (("default", 0.5), ("tuned", found["parameters"]["gain"])):
             mean = found[side]["objective"]
             expected = 25 * (gain - 0.3) ** 2 + 1.5
-            assert abs(mean["value"] - expected) < 4 * (1 / 12 / 112) ** 0.5
+            assert abs(mean["value"] - expected) < 4 * (1 / 12 / NEEDED) ** 0.5
             peak, error = found[side]["constraints"]
             assert (peak["kind"], peak["limit"], peak["violations"]) == ("worst_case", 1.0, 0)
             assert peak["violation_bound"] == pytest.approx(0.04, abs=1e-3)
@@ -391,8 +393,11 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("arguments", "complaint"),
         [
-            (["--draws", "111"], "--draws: expected at least 112 to show error, even if none viol"),
-            (["--draws", "-1"], "--draws: expected at least 112"),
+            (
+                ["--draws", str(NEEDED - 1)],
+                f"--draws: expected at least {NEEDED} to show error, even if none viol",
+            ),
+            (["--draws", "-1"], f"--draws: expected at least {NEEDED}"),
             (["--draws", "many"], "argument --draws: many: expected a whole number"),
             (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 3"),
             (["--confidence", "95"], "argument --confidence: 95: expected a number between 0 and"),

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 
 import pytest
+from draws_needed import draws_needed_without_event
 from in_process import Uninterrupted, call
 from made_runs import INITIAL, make_run, write_certificate
 
@@ -226,10 +227,10 @@ class TestCertificate:
         backend = function_backend(study, lambda gain, load, seed: {"error": 1.0, "peak": 0.5})
         record = make_run(tmp_path / "strict", study, backend, result=1)
         write_certificate(record, record.trials[1])
-        # The evidence of n draws without a violation reaches 20 at n = 3787.
+        needed = draws_needed_without_event(0.001, 0.05)
         problem = certificate_problem(record, record.trials[1])
-        assert "1000 draws, the study requires 3787" in problem
-        write_certificate(record, record.trials[1], draws=3787)
+        assert f"1000 draws, the study requires {needed}" in problem
+        write_certificate(record, record.trials[1], draws=needed)
         assert certificate_problem(record, record.trials[1]) == ""
 
     @pytest.mark.parametrize(
