@@ -1,6 +1,7 @@
 """Who hears our nodes: this machine only, unless told otherwise; and DDS security, which is not."""
 
 import contextlib
+import json
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from bo_tuner.backends.ros.isolation import isolated_environment
 pytestmark = pytest.mark.ros
 
 OTHER_MACHINE = """\
+import json
 import sys
 import time
 
@@ -22,12 +24,13 @@ import rclpy
 
 rclpy.init()
 node = rclpy.create_node("other_machine")
-end = time.monotonic() + float(sys.argv[1])
+awaited, seconds = sys.argv[1], float(sys.argv[2])
+end = time.monotonic() + seconds
 found = set()
-while time.monotonic() < end and "milling_plant" not in found:
+while time.monotonic() < end and awaited not in found:
     rclpy.spin_once(node, timeout_sec=0.1)
     found = set(node.get_node_names())
-print("milling_plant" in found)
+print(json.dumps(sorted(found)))
 """
 # What the test and the nodes' own environment have chosen for the network.
 NETWORK = (
@@ -84,8 +87,8 @@ def machine(ros_environment):
     holder.wait()
 
 
-def is_seen_from(machine, seconds):
-    """Whether a node on the other machine, open to the network, discovers the plant."""
+def seen_from(machine, awaited):
+    """Nodes that one on the other machine, open to the network, knows once it sees the awaited."""
     environment = {k: v for k, v in os.environ.items() if k not in NETWORK}
     environment |= {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
@@ -93,31 +96,38 @@ def is_seen_from(machine, seconds):
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
     }
     done = subprocess.run(
-        [*machine, sys.executable, "-c", OTHER_MACHINE, str(seconds)],
+        [*machine, sys.executable, "-c", OTHER_MACHINE, awaited, str(DEADLINE / 2)],
         env=environment,
         capture_output=True,
         text=True,
         timeout=DEADLINE,
     )
-    assert done.stdout in ("True\n", "False\n"), done.stderr
-    return done.stdout == "True\n"
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert awaited in found
+    return found
 
 
 class TestNetwork:
-    def test_nodes_that_are_open_to_the_network_are_seen(self, machine, start_node, monkeypatch):
-        """Without this the next test would prove nothing."""
+    def test_only_nodes_that_are_open_to_the_network_are_seen(
+        self, machine, start_node, peer, monkeypatch
+    ):
+        """The plant, started as the tuner starts it, is there before the open controller."""
+        with monkeypatch.context() as isolated:
+            for name in NETWORK:
+                isolated.delenv(name)
+            for name, value in isolated_environment(int(os.environ["ROS_DOMAIN_ID"])).items():
+                isolated.setenv(name, value)
+            start_node("milling_plant")
+            peer.get_parameters("milling_plant", ["gain"])
+        monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
+        start_node("mpc_controller")
+        assert "milling_plant" not in seen_from(machine, "mpc_controller")
+
+    def test_the_plant_is_seen_if_it_is_open(self, machine, start_node, monkeypatch):
         monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE")
         start_node("milling_plant")
-        assert is_seen_from(machine, 60.0)
-
-    def test_nodes_as_the_tuner_starts_them_are_not(self, machine, start_node, peer, monkeypatch):
-        for name in NETWORK:
-            monkeypatch.delenv(name)
-        for name, value in isolated_environment(int(os.environ["ROS_DOMAIN_ID"])).items():
-            monkeypatch.setenv(name, value)
-        start_node("milling_plant")
-        peer.get_parameters("milling_plant", ["gain"])
-        assert not is_seen_from(machine, 5.0)
+        seen_from(machine, "milling_plant")
 
 
 class TestSecurity:
