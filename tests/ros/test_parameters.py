@@ -185,15 +185,15 @@ def test_the_same_parameter_twice_takes_the_last(client):
     answer = client.call(
         SetParametersAtomically, "mpc_controller/set_parameters_atomically", request
     )
-    value = client.get_parameters("mpc_controller", ["lambda_mpc"])
-    assert value == ([-2.0] if answer.result.successful else [-3.0])
+    assert answer.result.successful
+    assert client.get_parameters("mpc_controller", ["lambda_mpc"]) == [-2.0]
 
 
-def test_an_unknown_name_among_known_ones_is_answered(client):
+def test_an_unknown_name_among_known_ones_is_answered_by_no_values(client):
     answer = client.call(
         GetParameters,
         "mpc_controller/get_parameters",
         GetParameters.Request(names=["lambda_mpc", "no_such"]),
     )
-    assert len(answer.values) in (0, 2)
+    assert len(answer.values) == 0
     assert client.get_parameters("mpc_controller", ["lambda_mpc"]) == [-3.0]
