@@ -1,7 +1,33 @@
-from tuning_benchmark.campaign.cost import cost_of_run
+import time
+
+import pytest
+
+from bo_tuner.tuning.loop import Tuning
+from tuning_benchmark.campaign import cost
 
 
-def test_cost_is_taken_at_the_marks():
-    result = cost_of_run("IV", 3, 1, [4, 22])
-    assert result["trials"] == [4, 22]
-    assert 0.0 < result["seconds"][0] < result["seconds"][1]
+@pytest.fixture
+def passed(monkeypatch):
+    """Spans of processor time [s] that have passed; a test appends to them."""
+    spans = []
+    monkeypatch.setattr(time, "process_time", lambda: sum(spans))
+    return spans
+
+
+def test_cost_is_that_of_the_optimizer_at_the_marks(monkeypatch, passed):
+    run_cut = cost.Valley.run_cut
+
+    def evaluated(valley):
+        passed.append(100.0)
+        return run_cut(valley)
+
+    def optimized(*arguments):
+        for trial in Tuning(*arguments):
+            passed.append(1.5)
+            yield trial
+
+    monkeypatch.setattr(cost.Valley, "run_cut", evaluated)
+    monkeypatch.setattr(cost, "Tuning", optimized)
+    result = cost.cost_of_run("IV", 3, 1, [4, 22])
+    assert passed.count(100.0) > 22
+    assert result == {"trials": [4, 22], "seconds": [6.0, 33.0]}
