@@ -42,10 +42,12 @@ def test_what_breaks_a_rule_is_refused(plant_settings, changes, message):
     assert str(caught.value) == message
 
 
-@pytest.mark.parametrize("spec", specifications(PlantSettings), ids=lambda spec: spec.name)
+@pytest.mark.parametrize(
+    "spec",
+    [spec for spec in specifications(PlantSettings) if spec.kind is not str],
+    ids=lambda spec: spec.name,
+)
 def test_every_limit_is_enforced(plant_settings, spec):
-    if spec.kind is str:
-        return
     assert spec.lower < spec.upper
     for beyond in (spec.lower - 1, spec.upper * 2 + 1):
         value = [float(beyond)] if spec.kind is tuple else spec.kind(beyond)

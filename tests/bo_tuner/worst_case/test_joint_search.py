@@ -5,7 +5,7 @@ import pytest
 
 from bo_tuner.models.constraints import JointConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.context_space import CANDIDATES, MOST_CORNER_DIMENSIONS, ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
 from bo_tuner.worst_case.joint_search import JointSearch
 
@@ -38,7 +38,12 @@ class TestCandidateContexts:
 
     def test_many_variables(self):
         space = ContextSpace({f"c{k}": Uniform(bounds=(0.0, 1.0)) for k in range(9)})
-        assert space.candidates().shape[1] == 9
+        corners, inside = np.split(space.candidates(), [2**MOST_CORNER_DIMENSIONS])
+        assert len({tuple(row) for row in corners}) == len(corners)
+        assert set(corners[:, :MOST_CORNER_DIMENSIONS].flat) == {0.0, 1.0}
+        assert set(corners[:, MOST_CORNER_DIMENSIONS:].flat) == {0.5}
+        assert inside.shape == (CANDIDATES, 9)
+        assert ((inside > 0) & (inside < 1)).all()
 
     def test_discrete_values_are_possible_ones(self):
         space = ContextSpace(

@@ -104,7 +104,10 @@ class TestEnd:
     def test_none_wanted(self, plane):
         found, asked = search(plane, corner, evaluations=0)
         assert asked == []
-        assert found.worst_case(np.random.default_rng(0)).value < np.inf
+        drawn = [corner(plane.to_dict(row)) for row in plane.draw(DRAWN, np.random.default_rng(0))]
+        worst = found.worst_case(np.random.default_rng(0))
+        assert worst.observed == max(drawn)
+        assert max(drawn) <= worst.value < 2.0
 
     @pytest.mark.parametrize("estimate", [OBSERVED, POSTERIOR])
     def test_at_a_violation(self, plane, estimate):
@@ -183,8 +186,8 @@ class TestStarts:
 
     def test_come_from_the_nearest_and_differ(self, plane):
         assert self.nearby(plane, [0.1, 0.0], 1) == [0.7]
-        # 1.0 and 1.01 count as one.
-        assert self.nearby(plane, [0.5, 0.5], 2) in ([1.0, 1.3], [1.0, 0.7])
+        # 1.0 and 1.01 count as one; of two that are equally near, the earlier comes first.
+        assert self.nearby(plane, [0.5, 0.5], 2) == [1.0, 0.7]
         assert self.nearby(plane, [0.5, 0.5], 0) == []
 
     def test_nothing_tried_yet(self, plane):
@@ -192,5 +195,6 @@ class TestStarts:
 
     def test_no_contexts(self):
         worst = [WorstCase(1.0, {}, 1.0)] * 2
-        found = worst_contexts_nearby(np.zeros(1), np.zeros((2, 1)), worst, ContextSpace({}), 2)
-        assert found in ([], [{}])
+        assert (
+            worst_contexts_nearby(np.zeros(1), np.zeros((2, 1)), worst, ContextSpace({}), 2) == []
+        )
