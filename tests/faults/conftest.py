@@ -17,12 +17,10 @@ def load(path):
 
 
 ros = load(TESTS / "ros" / "conftest.py")
-tuner = load(TESTS / "ros" / "tune" / "conftest.py")
 
 client = ros.client
 drive = ros.drive
 loop = ros.loop
-make_loop = ros.make_loop
 make_peer = ros.make_peer
 peer = ros.peer
 ros_environment = ros.ros_environment
@@ -32,5 +30,5 @@ shared_plant = ros.shared_plant
 stand_in_controller = ros.stand_in_controller
 start_node = ros.start_node
 start_shared_node = ros.start_shared_node
-tune = tuner.tune
-_drive_study = tuner._drive_study
+tune = ros.tune
+drive_study = ros.drive_study

@@ -2,6 +2,7 @@
 
 import pytest
 from builtin_interfaces.msg import Time
+from cuts import Constant
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import JointState
@@ -27,18 +28,6 @@ any_state = st.builds(
 )
 
 
-class Steady:
-    """A controller that says 0.6 m/s whatever happens."""
-
-    command = 0.6
-
-    def start(self, reference):
-        pass
-
-    def step(self, measurement):
-        return self
-
-
 @pytest.fixture
 def controller(stand_in_controller):
     """The one in the controller's place for all examples: each further one would answer, too."""
@@ -58,7 +47,7 @@ def test_any_commands_leave_the_cut_as_it_is(controller, messages):
     """All but one for the present sample, which none of these can be by chance."""
     plain = MillingPlant()
     plain.set_parameters(SHORT)
-    expected = plain.run_cut(Steady())
+    expected = plain.run_cut(Constant(0.6))
 
     def answer(measurement):
         for message in messages:

@@ -7,6 +7,7 @@ import pytest
 from builtin_interfaces.msg import Duration, Time
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from milling_nodes import Loop
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rosgraph_msgs.msg import Clock
@@ -195,13 +196,13 @@ class TestController:
 
 
 class TestClock:
-    def test_a_clock_that_jumps_changes_no_cut(self, start_node, make_peer, make_loop):
+    def test_a_clock_that_jumps_changes_no_cut(self, start_node, make_peer):
         """By an hour forth and back while cuts run, to before 1970, and to where stamps end."""
         for package in ("milling_plant", "mpc_controller"):
             start_node(package, "-r", "__ns:=/clocked", "-p", "use_sim_time:=true")
         peer = make_peer("/clocked")
         clock = peer.node.create_publisher(Clock, "/clock", 10)
-        loop = make_loop(peer)
+        loop = Loop(peer)
         loop.connect()
         plain = MillingPlant()
         plain.set_parameters({"seed": 5, "samples_per_level": 200})

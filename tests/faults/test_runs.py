@@ -12,13 +12,14 @@ import time
 
 import pytest
 from commands import Fork, environment, python_path, start
+from short_cuts import small_study
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.storage.record import read_run
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import EvaluationState, TrialState
 from bo_tuner.tuning.loop import Tuning
 
@@ -28,27 +29,21 @@ pytestmark = pytest.mark.ros
 OWN = ("ROS_DOMAIN_ID", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
-def small_study(trials=7):
+def study_of(trials=7):
     """The benchmark without any measured time, so that the backends agree bit for bit."""
-    study = study_to_mapping(
-        load_study("benchmark").replace(
-            trials=trials,
-            initial_trials=min(trials, 5),
-            drawn_contexts=2,
-            search_evaluations=1,
-            validation_draws=1,
-        )
+    return small_study(
+        trials,
+        controller={"return_time": "modelled"},
+        initial_trials=min(trials, 5),
+        search_evaluations=1,
+        validation_draws=1,
     )
-    study["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
-    # Short cuts: their number makes the run, not their length.
-    study["nodes"]["plant"]["parameters"] = {"samples_per_level": 10}
-    return json.loads(json.dumps(study))
 
 
 @functools.cache
 def uninterrupted(trials=7):
-    """Trials of a run of `small_study` without ROS and without faults."""
-    study = study_from_mapping(small_study(trials))
+    """Trials of a run of `study_of` without ROS and without faults."""
+    study = study_from_mapping(study_of(trials))
     backend = InProcessBackend(study)
     backend.open()
     # As the command does: with another number of threads the last bits differ.
@@ -161,7 +156,7 @@ def starts_with(record, before):
 @pytest.mark.timeout(400)
 def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
     """Killed at any moment, in an evaluation or in thought; nothing on record is lost."""
-    study = small_study()
+    study = study_of()
     run = make_run(study)
     rng = random.Random(2)
     run.start()
@@ -188,7 +183,7 @@ def limit_file_size(run):
 
 @pytest.mark.timeout(400)
 def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
-    study = small_study()
+    study = study_of()
     run = make_run(study)
     run.start()
     run.wait_for_evaluations(3)
@@ -222,7 +217,7 @@ def test_no_wall_clock_decides_anything(make_run, tmp_path):
     folder = tmp_path / "site"
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(CLOCK)
-    study = small_study(trials=4)
+    study = study_of(trials=4)
     run = make_run(study, PYTHONPATH=python_path(folder))
     jumps = "import time; a = time.time(); print(any(abs(time.time() - a) > 1e3 for _ in range(9)))"
     done = subprocess.run(

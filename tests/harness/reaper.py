@@ -32,9 +32,9 @@ def guard():
     os.close(reading)
 
 
-def marked(mark):
-    """Processes whose program was started with a mark in its environment."""
-    entry = f"{MARK}={mark}".encode()
+def marked(mark, variable=MARK):
+    """Processes whose program was started with a mark in a variable of its environment."""
+    entry = f"{variable}={mark}".encode()
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from cuts import Constant
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,21 +21,6 @@ from milling_plant.cut import (
 from mpc_controller.controller import MpcController
 
 velocities = st.floats(-2.0, 2.0, allow_subnormal=False)
-
-
-class Constant:
-    """A controller that always commands the same, and records what it was told."""
-
-    def __init__(self, command):
-        self.command = command
-
-    def start(self, reference):
-        self.reference = reference
-        self.measurements = []
-
-    def step(self, measurement):
-        self.measurements.append(measurement)
-        return self
 
 
 def naive_overshoot(reference, velocity, window):

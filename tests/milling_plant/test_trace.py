@@ -2,22 +2,10 @@
 
 import numpy as np
 import pytest
+from cuts import Constant
 
 from milling_plant.cut import MillingPlant, reference_velocity
 from mpc_controller.controller import MpcController
-
-
-class Constant:
-    """A controller that always commands the same."""
-
-    def __init__(self, command):
-        self.command = command
-
-    def start(self, reference):
-        pass
-
-    def step(self, measurement):
-        return self
 
 
 def test_there_are_no_signals_before_a_cut():

@@ -7,6 +7,8 @@ import os
 from pathlib import Path
 
 import pytest
+import tuner
+from commands import start
 from milling_nodes import Drive, Loop, StandInController, reset_parameters
 from peer import Peer
 from ros_processes import Starter, claim_domain, shared_memory_of
@@ -123,6 +125,18 @@ def drive(shared_controller, peer):
 
 
 @pytest.fixture
-def make_loop():
-    """Function that looks at running nodes from a peer."""
-    return Loop
+def tune(tmp_path):
+    """Function that starts the command: arguments, and the environment by keywords."""
+    yield from tuner.starter(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def start_tune(tmp_path_factory):
+    """The same for a run that the tests of a module share, in an interpreter of its own."""
+    yield from tuner.starter(tmp_path_factory.mktemp("tune"), start)
+
+
+@pytest.fixture
+def drive_study():
+    """Function that makes a study of the small node."""
+    return tuner.drive_study

@@ -5,46 +5,15 @@ import sys
 
 import numpy as np
 import pytest
+from cuts import cut_in_process
 from diagnostic_msgs.msg import DiagnosticStatus
+from milling_nodes import Loop, values_of
 from sensor_msgs.msg import JointState
 
 from feed_axis_common.ros.messages import cut_identifier, from_stamp
 from milling_plant.cut import MillingPlant, reference_velocity
-from mpc_controller.controller import MpcController
 
 pytestmark = pytest.mark.ros
-
-
-def values_of(result):
-    """Key-value pairs of a cut_result message."""
-    (status,) = result.status
-    return {item.key: item.value for item in status.values}
-
-
-class Recorder:
-    """A controller in this process whose measurements and commands are kept."""
-
-    def __init__(self, controller):
-        self.controller = controller
-
-    def start(self, reference):
-        self.measurements, self.commands = [], []
-        self.controller.start(reference)
-
-    def step(self, measurement):
-        step = self.controller.step(measurement)
-        self.measurements.append(measurement)
-        self.commands.append(step.command)
-        return step
-
-
-def in_process(plant_values, controller_values):
-    """The same cut without ROS: plant's and controller's results, measurements and commands."""
-    plant, recorder = MillingPlant(), Recorder(MpcController())
-    plant.set_parameters(plant_values)
-    recorder.controller.set_parameters(controller_values)
-    result = plant.run_cut(recorder)
-    return result, recorder.controller.cut_result(), recorder.measurements, recorder.commands
 
 
 def by_sample(messages, start):
@@ -91,19 +60,17 @@ def test_a_cut_over_ros_equals_the_cut_in_process_bit_for_bit(
     reference = references()[0]
     start = from_stamp(reference.header.stamp)
 
-    expected, expected_controller, measurements, commands = in_process(
-        plant_values, controller_values
-    )
+    expected = cut_in_process(plant_values, controller_values)
     for received in (loop.measurements, loop.commands):
         loop.peer.spin_until(
             lambda r=received: len(by_sample(r, start)) == 270, "all messages of the cut"
         )
-    assert by_sample(loop.measurements, start) == measurements
-    assert by_sample(loop.commands, start) == commands
+    assert by_sample(loop.measurements, start) == expected.kept["measurement"]
+    assert by_sample(loop.commands, start) == expected.kept["command"]
     velocities = [point.velocities[0] for point in reference.points]
     np.testing.assert_array_equal(velocities, reference_velocity(MillingPlant().settings))
 
-    for message, values in ((plant, expected), (controller, expected_controller)):
+    for message, values in ((plant, expected.plant), (controller, expected.controller)):
         (status,) = message.status
         assert status.level == DiagnosticStatus.OK
         assert status.hardware_id == "x_axis"
@@ -153,8 +120,8 @@ def test_no_second_cut_while_one_runs_and_abort(loop):
     loop.set("milling_plant", reference_levels=[0.5, 0.8], samples_per_level=20, seed=3)
     plant, controller = loop.run_cut()
     assert (plant["status"], controller["status"]) == ("ok", "ok")
-    plain, *_ = in_process({"reference_levels": [0.5, 0.8], "samples_per_level": 20, "seed": 3}, {})
-    assert float(plant["tracking_error"]) == plain["tracking_error"]
+    plain = cut_in_process({"reference_levels": [0.5, 0.8], "samples_per_level": 20, "seed": 3}, {})
+    assert float(plant["tracking_error"]) == plain.plant["tracking_error"]
 
 
 def test_stamps_after_a_cut_that_failed_are_behind_its_own(loop):
@@ -186,8 +153,8 @@ def test_a_change_in_a_cut_takes_effect_with_the_next(loop):
     controller = values_of(loop.result("mpc_controller", cut))
     assert (plant["seed"], plant["stiffness_factor"]) == ("1", "1.0")
     assert controller["lambda_mpc"] == "-3.0"
-    plain, *_ = in_process({"samples_per_level": 150, "seed": 1}, {})
-    assert float(plant["tracking_error"]) == plain["tracking_error"]
+    plain = cut_in_process({"samples_per_level": 150, "seed": 1}, {})
+    assert float(plant["tracking_error"]) == plain.plant["tracking_error"]
 
     plant, controller = loop.run_cut()
     assert (plant["seed"], plant["stiffness_factor"]) == ("2", "1.1")
@@ -217,10 +184,10 @@ def start_pair(start_node, namespace, *arguments):
         start_node(package, "-r", f"__ns:={namespace}", *arguments)
 
 
-def test_both_nodes_move_into_a_namespace_together(start_node, make_peer, make_loop):
+def test_both_nodes_move_into_a_namespace_together(start_node, make_peer):
     start_pair(start_node, "/w1")
     peer = make_peer("/w1")
-    loop = make_loop(peer)
+    loop = Loop(peer)
     loop.connect()
     plant, controller = loop.run_cut()
     assert (plant["status"], controller["status"]) == ("ok", "ok")
@@ -230,10 +197,10 @@ def test_both_nodes_move_into_a_namespace_together(start_node, make_peer, make_l
         assert outside <= {"/rosout", "/parameter_events"}
 
 
-def test_cuts_need_no_clock(start_node, make_peer, make_loop):
+def test_cuts_need_no_clock(start_node, make_peer):
     """With simulated time and nobody who publishes it, time stands still."""
     start_pair(start_node, "/still", "-p", "use_sim_time:=true")
-    loop = make_loop(make_peer("/still"))
+    loop = Loop(make_peer("/still"))
     loop.connect()
     first, _ = loop.run_cut()
     second, _ = loop.run_cut()

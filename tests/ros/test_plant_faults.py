@@ -5,7 +5,7 @@ import math
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from milling_nodes import values_of
+from milling_nodes import Loop, values_of
 
 from feed_axis_common.ros.messages import from_stamp, to_stamp
 
@@ -178,11 +178,11 @@ def test_a_resend_period_beyond_the_timeout_does_not_hide_it(stand_in_controller
     assert result["reason"] == "no command for sample 0 within 0.2 s"
 
 
-def test_a_controller_killed_in_a_cut_fails_it_with_the_reason(start_node, make_peer, make_loop):
+def test_a_controller_killed_in_a_cut_fails_it_with_the_reason(start_node, make_peer):
     remap = ("-r", "__ns:=/killed")
     start_node("milling_plant", *remap, "-p", "command_timeout:=2.0")
     controller = start_node("mpc_controller", *remap)
-    loop = make_loop(make_peer("/killed"))
+    loop = Loop(make_peer("/killed"))
     loop.connect()
     loop.set("milling_plant", reference_levels=[0.5], samples_per_level=5_000)
     cut = None

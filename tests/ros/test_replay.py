@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 from bag_readers import READERS, with_rosbags
 from commands import Fork, finish
+from cuts import cut_in_process
 from in_process import Uninterrupted, call
 from made_runs import make_run
+from short_cuts import small_study
 from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
@@ -17,9 +19,7 @@ from bo_tuner.cli import replay as command
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import find_evaluation
 from bo_tuner.storage.run_files import HELD_PARAMETERS
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
-from milling_plant.cut import MillingPlant
-from mpc_controller.controller import MpcController
+from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.ros
 
@@ -31,43 +31,15 @@ LOOP = {
 }
 
 
-def small_study(**plant_parameters):
-    study = load_study("benchmark").replace(
-        trials=2, initial_trials=2, drawn_contexts=1, search_evaluations=1, seed=3
-    )
-    mapping = json.loads(json.dumps(study_to_mapping(study)))
-    mapping["nodes"]["plant"]["parameters"] = plant_parameters
+def study_of(**plant):
+    mapping = small_study(2, plant=plant, drawn_contexts=1, search_evaluations=1, seed=3)
     return study_from_mapping(mapping)
-
-
-def in_process(parameters, evaluation):
-    """What passes between plant and controller in this process."""
-    kept = defaultdict(list)
-    plant, controller = MillingPlant(), MpcController()
-
-    class Tap:
-        def start(self, reference):
-            controller.start(reference)
-
-        def step(self, measurement):
-            step = controller.step(measurement)
-            kept["measurement"].append(measurement)
-            kept["command"].append(step.command)
-            kept["estimate"].append(step.estimate)
-            return step
-
-    plant.set_parameters(dict(evaluation.context) | {"seed": evaluation.seed})
-    controller.set_parameters(parameters)
-    # As the nodes and the command: products are summed in another order by several threads.
-    with threadpool_limits(1):
-        plant.run_cut(Tap())
-    return kept
 
 
 @pytest.fixture(scope="module")
 def attached(shared_pair, tmp_path_factory):
     """A run, and what the command says of its trial 1 on nodes that run already."""
-    study = small_study()
+    study = study_of()
     folder = tmp_path_factory.mktemp("replay") / "run"
     with threadpool_limits(1):
         record = make_run(folder, study, InProcessBackend(study))
@@ -134,7 +106,7 @@ def test_default_and_tuned_run_side_by_side(attached, read):
     }
     (start,) = {times[f"/{side}/mpc_controller/joint_trajectory"][0] for side in sides}
     for side, parameters in sides.items():
-        kept = in_process(parameters, recorded)
+        kept = cut_in_process(dict(recorded.context) | {"seed": recorded.seed}, parameters).kept
         for topic, name in LOOP.items():
             found = values[f"/{side}/{topic}"]
             assert [found[start + k * PERIOD] for k in range(SAMPLES)] == kept[name]
@@ -159,7 +131,7 @@ def test_the_metadata_tell_both(attached):
 
 def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
     """The command as a process, as a user starts it: nodes, the same failure, and a bag."""
-    study = small_study(velocity_limit=0.6)
+    study = study_of(velocity_limit=0.6)
     folder = tmp_path / "run"
     record = make_run(folder, study, InProcessBackend(study))
     evaluation = record.trials[0].evaluations[-1]
@@ -183,7 +155,7 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
 
 def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", 1.0)
-    study = small_study()
+    study = study_of()
     nodes = {key: replace(spec, node=f"no_{spec.node}") for key, spec in study.nodes.items()}
     study = replace(study, nodes=nodes)
     folder = tmp_path / "run"

@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from bag_readers import READERS
+from cuts import cut_in_process
 from short_cuts import SHORT, small_study
 
 from bo_tuner.recording.recovery import partial_bags, recover
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.trials import TrialState
 from milling_plant.cut import MillingPlant, reference_velocity
-from mpc_controller.controller import MpcController
 
 pytestmark = pytest.mark.ros
 
@@ -26,32 +26,6 @@ LOOP = {
 }
 RESULTS = ("/x_axis/milling_plant/cut_result", "/x_axis/mpc_controller/cut_result")
 REFERENCE = "/x_axis/mpc_controller/joint_trajectory"
-
-
-class Tap:
-    """A controller in this process that keeps what goes in and out."""
-
-    def __init__(self, controller):
-        self.controller = controller
-
-    def start(self, reference):
-        self.kept = defaultdict(list)
-        self.controller.start(reference)
-
-    def step(self, measurement):
-        step = self.controller.step(measurement)
-        self.kept["measurement"].append(measurement)
-        self.kept["command"].append(step.command)
-        self.kept["estimate"].append(step.estimate)
-        return step
-
-
-def in_process(parameters, evaluation):
-    plant, tap = MillingPlant(), Tap(MpcController())
-    plant.set_parameters(SHORT | evaluation["context"] | {"seed": evaluation["seed"]})
-    tap.controller.set_parameters(parameters)
-    plant.run_cut(tap)
-    return tap.kept
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +84,8 @@ def test_values_are_those_of_the_evaluation_in_process_bit_for_bit(recorded, rea
         if topic == REFERENCE:
             references[time] = [point.velocities[0] for point in message.points]
     for evaluation in json.loads(data["evaluations"]):
-        kept = in_process(json.loads(data["parameters"]), evaluation)
+        plant = SHORT | evaluation["context"] | {"seed": evaluation["seed"]}
+        kept = cut_in_process(plant, json.loads(data["parameters"])).kept
         for topic, name in LOOP.items():
             found = [values[topic][evaluation["start"] + k * PERIOD] for k in range(SAMPLES)]
             assert found == kept[name], name
@@ -157,6 +132,7 @@ def killed_with_a_bag_in_the_making(command):
     command.wait_for(
         lambda: any((p / "notes.json").exists() for p in partial_bags(bags)), "a bag in the making"
     )
+    assert len(command.nodes()) == 2
     command.popen.kill()
     command.popen.wait()
     command.wait_for_nodes_to_end()
@@ -187,7 +163,9 @@ def test_a_killed_tuner_leaves_bags_that_can_be_recovered(tune, tmp_path):
 
 def test_a_failed_trial_is_kept(tune):
     """Every trial fails: what the tuner sees of it is all there is."""
-    command = tune(study=small_study(2, velocity_limit=0.0), AMENT_PREFIX_PATH="")
+    command = tune(
+        study=small_study(2, plant=SHORT | {"velocity_limit": 0.0}), AMENT_PREFIX_PATH=""
+    )
     assert command.finish() == 3, command.err
     assert [trial.state for trial in command.trials()] == [TrialState.FAILED] * 2
     for number in range(2):

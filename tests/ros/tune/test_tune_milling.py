@@ -4,11 +4,10 @@ import csv
 import json
 import os
 import signal
-import sys
-from pathlib import Path
 
 import pytest
-from short_cuts import small_study
+from short_cuts import SHORT, small_study
+from tuner import environment_of_nodes
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
@@ -114,7 +113,9 @@ class TestRecovery:
 
     def test_a_frozen_controller_is_replaced(self, tune):
         """The plant misses its command and fails the cut, but it is the controller that is lost."""
-        command = tune(study=small_study(4, command_timeout=3.0), AMENT_PREFIX_PATH="")
+        command = tune(
+            study=small_study(4, plant=SHORT | {"command_timeout": 3.0}), AMENT_PREFIX_PATH=""
+        )
         command.wait_for_trial(0)
         (pid,) = command.nodes("mpc_controller")
         os.kill(pid, signal.SIGSTOP)
@@ -123,8 +124,12 @@ class TestRecovery:
         (reason,) = reasons
         assert reason.startswith("mpc_controller does not answer ")
 
-    @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+    @pytest.mark.parametrize(
+        ("signum", "code"),
+        [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)],
+    )
     def test_a_signal_to_the_whole_group(self, tune, signum, code):
+        """As of Ctrl-C, or of a terminal that is closed; no node is left."""
         command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
         command.wait_for_trial(1)
         assert command.shared_memory() == []
@@ -133,28 +138,14 @@ class TestRecovery:
         assert len(command.trials()) >= 2
         assert (command.run_folder / "trials.csv").exists()
 
-    def test_a_killed_tuner_takes_both_nodes_along(self, tune):
-        command = tune(study=small_study(50), AMENT_PREFIX_PATH="")
-        command.wait_for_trial(0)
-        assert len(command.nodes()) == 2
-        command.popen.kill()
-        command.popen.wait()
-        command.wait_for_nodes_to_end()
-
 
 def test_attached_to_nodes_that_run(tune, start_node, peer):
     for node in NODES:
         start_node(node)
     before = {node: peer.get_parameters(node, TUNED_OR_SET[node]) for node in NODES}
-    environment = {key: os.environ[key] for key in os.environ if key.startswith(("ROS_", "FAST"))}
-    command = tune("--attach", study=small_study(2), **environment)
+    command = tune("--attach", study=small_study(2), **environment_of_nodes())
     assert command.finish() in (0, 3), command.err
     assert [trial.state for trial in command.trials()] == [TrialState.COMPLETE] * 2
     # They are not ours to end, nor to change.
     assert command.nodes() == []
     assert {node: peer.get_parameters(node, TUNED_OR_SET[node]) for node in NODES} == before
-
-
-def test_the_executables_of_this_environment_are_found():
-    for node in NODES:
-        assert (Path(sys.prefix) / "lib" / node / node).exists()

@@ -1,11 +1,11 @@
 """A tuner that is told to end by any signal, or that is stopped for a while."""
 
 import json
-import os
 import signal
 import time
 
 import pytest
+from tuner import environment_of_nodes
 from waiting import count_in
 
 from bo_tuner.backends.ros.suspension import LONGEST
@@ -27,9 +27,8 @@ def test_attached_nodes_get_their_parameters_back(tune, start_node, peer, signum
     for node in NODES:
         start_node(node)
     before = {node: peer.get_parameters(node, SET[node]) for node in NODES}
-    environment = {key: os.environ[key] for key in os.environ if key.startswith(("ROS_", "FAST"))}
     study = json.loads(json.dumps(study_to_mapping(load_study("benchmark").replace(trials=50))))
-    command = tune("--attach", study=study, **environment)
+    command = tune("--attach", study=study, **environment_of_nodes())
     command.wait_for_trial(0)
     changed = {node: peer.get_parameters(node, SET[node]) for node in NODES}
     for _ in range(3):
@@ -39,14 +38,6 @@ def test_attached_nodes_get_their_parameters_back(tune, start_node, peer, signum
     assert "Traceback" not in command.err
     assert changed != before
     assert {node: peer.get_parameters(node, SET[node]) for node in NODES} == before
-
-
-def test_a_closed_terminal_leaves_no_node_behind(tune):
-    command = tune("--trials", "1000")
-    command.wait_for_trial(0)
-    os.killpg(command.popen.pid, signal.SIGHUP)
-    assert command.finish() == 129
-    command.wait_for_nodes_to_end()
 
 
 def test_what_the_tuner_slept_through_is_no_failure(tune, drive_study, tmp_path):

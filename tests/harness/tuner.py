@@ -1,5 +1,6 @@
 """The tuner as a process of its own, and a small node that misbehaves to order."""
 
+import contextlib
 import json
 import os
 import re
@@ -8,9 +9,9 @@ import sys
 import uuid
 from pathlib import Path
 
-import pytest
-from commands import Fork, start
+from commands import Fork
 from functions import NODE, study_mapping
+from reaper import marked
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.storage.journal_reader import read_journal
@@ -145,16 +146,9 @@ def drive_study(**changes):
     }
 
 
-def processes(mark):
-    """Command lines by pid of the programs that were started with the mark in their environment."""
-    found = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            if f"{MARK}={mark}".encode() in (folder / "environ").read_bytes().split(b"\0"):
-                found[int(folder.name)] = (folder / "cmdline").read_bytes().decode()
-        except (OSError, UnicodeDecodeError):
-            continue
-    return found
+def environment_of_nodes():
+    """Variables by which a tuner finds the nodes that a test has started, to attach to them."""
+    return {key: value for key, value in os.environ.items() if key.startswith(("ROS_", "FAST"))}
 
 
 class Tune:
@@ -210,7 +204,12 @@ class Tune:
 
     def nodes(self, name=""):
         """Pids of the nodes whose command line has the name."""
-        return [pid for pid, command in processes(self.mark).items() if name in command]
+        found = []
+        for pid in marked(self.mark, MARK):
+            with contextlib.suppress(OSError):
+                if name.encode() in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    found.append(pid)
+        return found
 
     def wait_for(self, condition, what):
         wait_until(condition, what, self.popen, lambda: self.err)
@@ -226,7 +225,7 @@ class Tune:
 
         What lies in /dev/shm does not tell: other programs of this machine have theirs there.
         """
-        pids = [self.popen.pid, *processes(self.mark)]
+        pids = [self.popen.pid, *marked(self.mark, MARK)]
         maps = "".join(Path(f"/proc/{pid}/maps").read_text() for pid in pids)
         return re.findall(r"/dev/shm/.*fast.*", maps)
 
@@ -234,7 +233,7 @@ class Tune:
         """Wait for the end; returns the exit code. No node may be left."""
         code = self.popen.wait(DEADLINE)
         assert "Traceback" not in self.err, self.err
-        assert processes(self.mark) == {}
+        assert marked(self.mark, MARK) == []
         for log in (self.folder / "runs").glob("*/log/*.log"):
             assert "Traceback" not in log.read_text(), log.read_text()
         return code
@@ -275,20 +274,3 @@ def starter(folder, begin=Fork):
     yield start
     for command in started:
         command.close()
-
-
-@pytest.fixture
-def tune(tmp_path):
-    """Function that starts the command: arguments, and the environment by keywords."""
-    yield from starter(tmp_path)
-
-
-@pytest.fixture(scope="module")
-def start_tune(tmp_path_factory):
-    """The same for a run that the tests of a module share, in an interpreter of its own."""
-    yield from starter(tmp_path_factory.mktemp("tune"), start)
-
-
-@pytest.fixture(name="drive_study")
-def _drive_study():
-    return drive_study

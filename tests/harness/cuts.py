@@ -1,0 +1,62 @@
+"""Cuts in this process, and controllers for them."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+from threadpoolctl import threadpool_limits
+
+from milling_plant.cut import MillingPlant
+from mpc_controller.controller import MpcController
+
+
+class Constant:
+    """A controller that always commands the same, and records what it was told."""
+
+    def __init__(self, command):
+        self.command = command
+
+    def start(self, reference):
+        self.reference = reference
+        self.measurements = []
+
+    def step(self, measurement):
+        self.measurements.append(measurement)
+        return self
+
+
+class Tap:
+    """Keeps what goes into and out of a controller, by sample: all velocities [m/s]."""
+
+    def __init__(self, controller):
+        self.controller = controller
+
+    def start(self, reference):
+        self.kept = defaultdict(list)
+        self.controller.start(reference)
+
+    def step(self, measurement):
+        step = self.controller.step(measurement)
+        self.kept["measurement"].append(measurement)
+        self.kept["command"].append(step.command)
+        self.kept["estimate"].append(step.estimate)
+        return step
+
+
+@dataclass
+class TappedCut:
+    """Results of plant and controller, and what passed between them (`Tap`)."""
+
+    plant: dict
+    controller: dict
+    kept: dict
+
+
+def cut_in_process(plant_values, controller_values):
+    """Run a cut without ROS, with some parameters of both set."""
+    plant, tap = MillingPlant(), Tap(MpcController())
+    plant.set_parameters(plant_values)
+    tap.controller.set_parameters(controller_values)
+    # As the nodes and the command: products are summed in another order by several threads.
+    with threadpool_limits(1):
+        result = plant.run_cut(tap)
+    return TappedCut(result, tap.controller.cut_result(), tap.kept)
