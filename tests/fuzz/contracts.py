@@ -9,23 +9,20 @@ import math
 import shutil
 from pathlib import Path
 
+import made_runs
 from hypothesis import strategies as st
+from made_runs import INITIAL
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.errors import BoTunerError, RunRecordError, StudyError
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_repair import salvage
-from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
-from bo_tuner.storage.run_folder import JOURNAL, STUDY
+from bo_tuner.storage.run_folder import JOURNAL
 from bo_tuner.study import strict_yaml
 from bo_tuner.study.study_file import load_study, parse_study, study_to_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
-from bo_tuner.tuning.journaling import JournalObserver
-from bo_tuner.tuning.loop import Tuning
 from feed_axis_common.parameters import specifications
 from milling_plant.cut import MillingPlant
 from milling_plant.settings import PlantSettings
@@ -129,18 +126,8 @@ def check_study_bytes(data, folder):
 
 def make_run(folder):
     """Make a run folder with a journal of a few trials."""
-    study = load_study("benchmark").replace(
-        trials=3, initial_trials=3, drawn_contexts=2, search_evaluations=1, validation_draws=1
-    )
-    folder.mkdir()
-    (folder / STUDY).write_text(study_to_yaml(study))
-    backend = InProcessBackend(study)
-    backend.open()
-    provenance = session_provenance(study, "inprocess", "IV")
-    with Journal(folder / JOURNAL, provenance) as journal:
-        for trial in Tuning(study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)):
-            journal.record_trial(trial)
-    return read_run(folder)
+    study = load_study("benchmark").replace(**INITIAL, validation_draws=1)
+    return made_runs.make_run(folder, study, InProcessBackend(study))
 
 
 @st.composite

@@ -58,6 +58,7 @@ def test_nodes_with_other_parameters_than_in_the_run_are_refused(attached, capsy
     """Of those that the study does not set."""
     record, _, _ = attached
     held = record.path / "log" / HELD_PARAMETERS
+    held.parent.mkdir(exist_ok=True)
     held.write_text(json.dumps({"plant": {"noise_variance": 0.5}, "controller": {}}))
     try:
         code, _, err = call(command, capsys, record.path, "1", "--backend", "ros", "--attach")

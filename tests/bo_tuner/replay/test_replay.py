@@ -10,12 +10,13 @@ from axis import node, write_axis
 from bag_readers import READERS, with_rosbags
 from in_process import call, complaint
 from made_runs import INITIAL, make_run
+from recorded_trials import event, joints
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.cli import replay as command
 from bo_tuner.errors import OutputError, RunRecordError, StudyError
-from bo_tuner.recording.bag import make_topic, typestore
+from bo_tuner.recording.bag import NANOSECONDS
 from bo_tuner.recording.recovery import read_messages
 from bo_tuner.recording.retention import custom_data
 from bo_tuner.replay.replay import changed_provenance, find_evaluation, find_trial, replay
@@ -317,36 +318,8 @@ class TestReproducible:
             )
 
 
-STORE = typestore()
-STATE = make_topic("/joint_states", "sensor_msgs/msg/JointState")
-EVENTS = make_topic("/parameter_events", "rcl_interfaces/msg/ParameterEvent")
-
-
 def state(seconds, velocity):
-    types = STORE.types
-    header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](
-            sec=int(seconds), nanosec=round(seconds % 1 * 1e9)
-        ),
-        frame_id="axis",
-    )
-    message = types["sensor_msgs/msg/JointState"](
-        header=header,
-        name=["x"],
-        position=np.zeros(0),
-        velocity=np.array([velocity]),
-        effort=np.zeros(0),
-    )
-    return STATE, bytes(STORE.serialize_cdr(message, STATE.type))
-
-
-def event(node):
-    types = STORE.types
-    stamp = types["builtin_interfaces/msg/Time"](sec=7, nanosec=7)
-    message = types[EVENTS.type](
-        stamp=stamp, node=node, new_parameters=[], changed_parameters=[], deleted_parameters=[]
-    )
-    return EVENTS, bytes(STORE.serialize_cdr(message, EVENTS.type))
+    return joints(round(seconds * NANOSECONDS), velocity)
 
 
 class TestSideBySide:
@@ -373,10 +346,10 @@ class TestSideBySide:
             ("/tuned/joint_states", 100.5, 100.5, 4.0),
             ("/tuned/joint_states", 101.0, 101.0, 5.0),
         ]
-        events = [(topic, time, m.node, m.stamp.sec) for topic, time, m in read(bag)
+        events = [(topic, time, m.node, m.stamp.nanosec) for topic, time, m in read(bag)
                   if topic.endswith("/parameter_events")]  # fmt: skip
         assert sorted(events) == [
-            (f"/{side}/parameter_events", 100_000_000_000, "/axis", 7)
+            (f"/{side}/parameter_events", 100 * NANOSECONDS, "/axis", 5)
             for side in ("default", "tuned")
         ]
         # In the file as well, for those who read it as it comes.

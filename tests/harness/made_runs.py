@@ -21,7 +21,7 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
 
     With `result`, the number of a trial, the run has ended with that one.
     """
-    (folder / "log").mkdir(parents=True)
+    folder.mkdir()
     (folder / "study.yaml").write_text(study_to_yaml(study))
     backend.open()
     try:
