@@ -1,6 +1,7 @@
 """What all commands share."""
 
 import importlib
+import re
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,15 @@ def test_version(capsys, name):
         parser.parse_args(["--version"])
     assert caught.value.code == 0
     assert capsys.readouterr().out.startswith(f"{name} {version('bo_tuner')} (commit ")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_80_columns_and_tells_the_exit_codes(name):
+    text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
+    assert max(map(len, text.splitlines())) <= 80
+    told = set(re.findall(r"^  (\d+)\s+\w", text, re.MULTILINE))
+    # A report judges nothing.
+    assert told >= {"0", "1", "2", "130"} | (set() if name == "report" else {"3"})
 
 
 class TestLatest:

@@ -12,10 +12,8 @@ import pytest
 from axis import node
 from command_runs import Runs
 from commands import finish, run
-from functions import planned
 from waiting import wait_until
 
-from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import OutputError
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.convergence import incumbents
@@ -24,7 +22,7 @@ from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import CHECKS, Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.trials import CHECKS, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 
@@ -43,6 +41,14 @@ def whole(runs):
     code, _, err = runs.begin("whole")
     assert code == 0, err
     return "whole"
+
+
+@pytest.fixture
+def copy(runs, whole, request):
+    """Name of a copy of that run, which may be changed."""
+    name = request.node.name.translate(str.maketrans("[]./-", "-----"))
+    runs.copy(whole, name)
+    return name
 
 
 class TestResume:
@@ -110,12 +116,6 @@ class TestResume:
 
 
 class TestStudyOnRecord:
-    @pytest.fixture
-    def copy(self, runs, whole, request):
-        name = request.node.name.translate(str.maketrans("[]./-", "-----"))
-        runs.copy(whole, name)
-        return name
-
     @pytest.mark.parametrize("command", ["tune", "validate", "report", "replay", "apply"])
     def test_a_changed_study_is_refused_with_what_changed(self, runs, copy, command):
         study = runs.latest(copy) / "study.yaml"
@@ -312,13 +312,6 @@ class TestLost:
 
 
 class TestDamage:
-    @pytest.fixture
-    def copy(self, runs, whole, request):
-        """Run folder that may be damaged."""
-        name = request.node.name.translate(str.maketrans("[].", "---"))
-        runs.copy(whole, name)
-        return name
-
     def goes_on(self, runs, whole, name):
         code, _, err = runs.resume(name)
         assert code == 0, err
@@ -412,54 +405,3 @@ class TestRecordOfARunInProgress:
             assert record.damage == ""
             assert record.trials == final.trials[: len(record.trials)]
             assert record.evaluations == final.evaluations[: len(record.evaluations)]
-
-
-class TestRecordedEvaluations:
-    def test_each_is_given_once_and_only_for_the_same_assignments(
-        self, make_study, function_backend
-    ):
-        study = make_study()
-        outcomes = [
-            Outcome(EvaluationState.COMPLETE, {"error": e, "peak": 0.1}) for e in (1.0, 2.0)
-        ]
-        recorded = [
-            Evaluation(0, k, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
-            for k, outcome in enumerate(outcomes)
-        ]
-        ran = []
-
-        def function(**values):
-            ran.append(values)
-            return {"error": 3.0, "peak": 0.1}
-
-        backend = RecordedEvaluations(function_backend(study, function), study, recorded)
-        backend.open()
-        same = planned({"gain": 0.5}, {"load": 1.5}, 7)
-        given = list(backend.run([same, same]))
-        assert [evaluation.outcome for evaluation in given] == outcomes
-        assert all(evaluation.recorded for evaluation in given)
-        assert ran == []
-        (new,) = backend.run([same])
-        assert new.outcome.metrics["error"] == 3.0
-        assert not new.recorded
-        list(backend.run([planned({"gain": 0.5}, {"load": 1.5 + 2**-50}, 7)]))
-        assert len(ran) == 2
-
-    def test_without_a_parameter_for_the_seed_other_seeds_are_other_evaluations(
-        self, make_study, function_backend
-    ):
-        """A repetition or a validation draw in a context on record is a run of its own."""
-        study = make_study(seed_parameter=None)
-        outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.1})
-        recorded = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
-        backend = RecordedEvaluations(
-            function_backend(study, lambda **_: {"error": 3.0, "peak": 0.1}), study, [recorded]
-        )
-        backend.open()
-        others = [
-            planned({"gain": 0.5}, {"load": 1.5}, 8),
-            replace(planned({"gain": 0.5}, {"load": 1.5}, 7), stage=Stage.VALIDATION),
-        ]
-        assert [e.outcome.metrics["error"] for e in backend.run(others)] == [3.0, 3.0]
-        (same,) = backend.run([planned({"gain": 0.5}, {"load": 1.5}, 7)])
-        assert same.outcome == outcome

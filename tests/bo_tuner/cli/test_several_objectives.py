@@ -5,10 +5,11 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from axis import node, write_study
-from commands import Fork, finish
+from commands import run
 
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.report.analysis import Analysis
@@ -22,39 +23,30 @@ CHANCE = {"peak": {"kind": "chance", "metric": "peak", "upper": 1.0, "probabilit
 AXIS = {"node": "axis"}
 
 
-class Runs:
-    """A folder with a study of two objectives, which conflict."""
-
-    def __init__(self, folder, make_study):
-        self.folder = folder
-        study = make_study(
-            nodes=node("front_axis"),
-            constraints=CHANCE,
-            further_objectives=[{"metric": "peak"}],
-        ).replace(trials=10, initial_trials=5)
-        # Both errors are smallest at different gains.
-        write_study(
-            folder,
-            study,
-            error="(self.gain - 0.3) ** 2 + 0.01 * self.load",
-            peak="(self.gain - 0.8) ** 2 + 0.001 * self.load",
-        )
-
-    def run(self, *arguments):
-        return finish(Fork(*arguments, folder=self.folder))
-
-    def tune(self, *arguments):
-        return self.run("tune", "--backend", "inprocess", "--study", "axis.yaml", *arguments)
+TUNE = ("tune", "--backend", "inprocess", "--study", "axis.yaml")
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    found = Runs(tmp_path_factory.mktemp("runs"), make_study)
-    code, found.out, err = found.tune()
+    """A run of a study of two objectives, which conflict."""
+    folder = tmp_path_factory.mktemp("runs")
+    study = make_study(
+        nodes=node("front_axis"),
+        constraints=CHANCE,
+        further_objectives=[{"metric": "peak"}],
+    ).replace(trials=10, initial_trials=5)
+    # Both errors are smallest at different gains.
+    write_study(
+        folder,
+        study,
+        error="(self.gain - 0.3) ** 2 + 0.01 * self.load",
+        peak="(self.gain - 0.8) ** 2 + 0.001 * self.load",
+    )
+    code, out, err = run(*TUNE, folder=folder)
     assert code == 0, err
-    found.latest = (found.folder / "runs" / "latest").resolve()
-    found.front = json.loads((found.latest / "summary.json").read_text())["front"]
-    return found
+    latest = (folder / "runs" / "latest").resolve()
+    front = json.loads((latest / "summary.json").read_text())["front"]
+    return SimpleNamespace(folder=folder, latest=latest, out=out, front=front)
 
 
 def test_the_front_is_printed_with_a_mark_on_the_result(runs):
@@ -115,9 +107,10 @@ def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):
 
 def test_any_point_can_be_certified(runs):
     other = runs.front[0]["trial"]
-    code, _, err = runs.run("validate", "runs/latest", "--trial", other, "--draws", "60")
+    folder = runs.folder
+    code, _, err = run("validate", "runs/latest", "--trial", other, "--draws", 60, folder=folder)
     assert code == 0, err
-    code, _, err = runs.run("apply", "runs/latest", "--trial", "99", "--yes")
+    code, _, err = run("apply", "runs/latest", "--trial", 99, "--yes", folder=folder)
     assert (code, "no trial 99" in err) == (2, True)
 
 
@@ -129,7 +122,7 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
 
     def validate(trial):
         arguments = ("validate", "run", "--trial", trial, "--draws", "80")
-        code, out, err = finish(Fork(*arguments, folder=tmp_path))
+        code, out, err = run(*arguments, folder=tmp_path)
         assert code == 0, err
         return out
 
@@ -159,6 +152,6 @@ def test_a_certificate_still_tells_how_the_result_was_chosen(runs, tmp_path):
     ],
 )
 def test_what_needs_one_objective_is_refused(runs, arguments, problem):
-    code, out, err = runs.tune(*arguments)
+    code, out, err = run(*TUNE, *arguments, folder=runs.folder)
     assert (code, out) == (2, "")
     assert problem in " ".join(err.split())

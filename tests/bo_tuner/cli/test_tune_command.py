@@ -10,7 +10,6 @@ import re
 import resource
 import signal
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -145,12 +144,6 @@ class TestRun:
         assert code == 0, err
         assert "keeps all limits" in out
 
-    def test_help_fits_80_columns(self):
-        text = tune_command.make_parser().format_help()
-        assert max(map(len, text.splitlines())) <= 80
-        for code in ("0", "1", "2", "3", "130"):
-            assert re.search(rf"^  {code}\s+\w", text, re.MULTILINE)
-
 
 class TestInterruption:
     @pytest.mark.parametrize(
@@ -185,18 +178,6 @@ class TestInterruption:
         (tmp_path / "cuts.go").touch()
         code, _, err = finish(process)
         assert code == 130, err
-
-    def test_twice(self, tune, tmp_path):
-        counter = tmp_path / "cuts"
-        process = tune(environment={"CUTS": str(counter), "HOLD": "2"})
-        wait_until(lambda: count_in(counter) == 2, "the evaluation", process)
-        for _ in range(3):
-            process.send_signal(signal.SIGINT)
-            time.sleep(0.02)
-        (tmp_path / "cuts.go").touch()
-        code, _, err = finish(process)
-        assert code == 130, err
-        assert len(recorded(latest(tmp_path))) == 0
 
 
 class TestFaults:

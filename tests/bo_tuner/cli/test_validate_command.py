@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from axis import node, write_study
-from commands import Fork, finish
+from commands import Fork, finish, run
 from draws_needed import draws_needed_without_event
 from in_process import call, complaint
 from waiting import count_in, wait_until
@@ -41,27 +41,17 @@ CHANCE = {
 NEEDED = draws_needed_without_event(0.04, 0.05 / 2)
 
 
-class Runs:
-    """Runs in a folder, tuned once and copied for each test."""
-
-    def __init__(self, folder, study):
-        self.folder = folder
-        noise = "(self.seed % 997) / 997"
-        peak = f'number("PEAK", 0.2) + 0.1 * self.load * {noise}'
-        write_study(folder, study, peak=peak)
-
-    def start(self, *arguments, environment=None):
-        return Fork(*arguments, folder=self.folder, env=environment)
-
-    def run(self, *arguments):
-        return finish(self.start(*arguments))
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory, make_study):
-    study = make_study(nodes=node("validated_axis"), constraints=CHANCE)
-    found = Runs(tmp_path_factory.mktemp("runs"), study)
-    code, _, err = found.run("tune", "--backend", "inprocess", "--study", "axis.yaml")
+    """Folder with a run, which is copied for each test, and with its object."""
+    found = tmp_path_factory.mktemp("runs")
+    noise = "(self.seed % 997) / 997"
+    write_study(
+        found,
+        make_study(nodes=node("validated_axis"), constraints=CHANCE),
+        peak=f'number("PEAK", 0.2) + 0.1 * self.load * {noise}',
+    )
+    code, _, err = run("tune", "--backend", "inprocess", "--study", "axis.yaml", folder=found)
     assert code == 0, err
     return found
 
@@ -69,20 +59,20 @@ def runs(tmp_path_factory, make_study):
 @pytest.fixture
 def folder(runs, tmp_path):
     """A copy of the run."""
-    return Path(shutil.copytree((runs.folder / "runs" / "latest").resolve(), tmp_path / "run"))
+    return Path(shutil.copytree((runs / "runs" / "latest").resolve(), tmp_path / "run"))
 
 
 @pytest.fixture
 def here(runs, monkeypatch, capsys):
     """Function that runs the command in this process; returns code, out and err."""
-    monkeypatch.syspath_prepend(runs.folder)
+    monkeypatch.syspath_prepend(runs)
     return partial(call, validate_command, capsys)
 
 
 @pytest.fixture
 def refusal(runs, monkeypatch, capsys):
     """Function that runs the command and returns its one line of complaint."""
-    monkeypatch.syspath_prepend(runs.folder)
+    monkeypatch.syspath_prepend(runs)
     return partial(complaint, validate_command, capsys)
 
 
@@ -93,7 +83,7 @@ def certificate(folder, number=1):
 class TestVerdict:
     def test_pass(self, runs, folder):
         before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-        code, out, err = runs.run("validate", folder, "--draws", "120")
+        code, out, err = run("validate", folder, "--draws", 120, folder=runs)
         assert code == 0, err
         assert out.startswith("PASS: the tuned parameter set is shown to keep all limits\n")
         assert f"certificate: {folder}/certificates/0001.json" in out
@@ -248,7 +238,7 @@ class TestResumeOfACertifiedRun:
         if failing:
             monkeypatch.setenv("FAILING", failing)
         expected, *_ = here(folder, "--draws", "120")
-        code, out, err = runs.run("tune", "--resume", folder)
+        code, out, err = run("tune", "--resume", folder, folder=runs)
         assert code == expected == (0 if words == "PASS" else 3), err
         assert out.splitlines()[0].startswith(f"{words}: the tuned parameter set is ")
         assert "not certified yet" not in out
@@ -261,7 +251,7 @@ class TestInterruption:
     def test_leaves_no_certificate(self, runs, folder, signum, code):
         counter = folder / "cuts"
         environment = {"CUTS": str(counter), "HOLD": "5"}
-        process = runs.start("validate", folder, environment=environment)
+        process = Fork("validate", folder, folder=runs, env=environment)
         wait_until(lambda: count_in(counter) == 5, "the evaluation", process)
         process.send_signal(signum)
         (folder / "cuts.go").touch()
@@ -454,9 +444,3 @@ class TestBadInput:
         finally:
             held.close()
         assert f"another process works in this run (process {os.getpid()})" in line
-
-    def test_help_fits_80_columns(self):
-        text = validate_command.make_parser().format_help()
-        assert max(map(len, text.splitlines())) <= 80
-        for code in ("0", "1", "2", "3", "130"):
-            assert re.search(rf"^  {code}\s+\w", text, re.MULTILINE)
