@@ -13,10 +13,9 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from judged_runs import certify, evaluations, made
 from rich.console import Console
 
-from bo_tuner.certificate.certificate import make_certificate, write_certificate
-from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
@@ -32,8 +31,8 @@ from bo_tuner.report.page import answer_html, render, section_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
-from bo_tuner.tuning.limits import WITHIN, judge_samples
+from bo_tuner.trials import EvaluationState, Outcome, Stage
+from bo_tuner.tuning.limits import WITHIN
 from bo_tuner.tuning.limits import verdict as verdict_of
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.next_steps import next_steps
@@ -45,75 +44,6 @@ draws = st.lists(
     st.none() | st.tuples(st.floats(0.5, 2.0), st.floats(0.2, 1.05)), min_size=2, max_size=8
 )
 """Error and peak of each draw, whose limit is 1; None for a failed one."""
-
-
-def evaluations(side, parameters, values, stage=Stage.VALIDATION):
-    outcomes = [
-        Outcome(EvaluationState.FAILED, reason="stalled")
-        if value is None
-        else Outcome(EvaluationState.COMPLETE, {"error": value[0], "peak": value[1]})
-        for value in values
-    ]
-    return tuple(
-        Evaluation(side, k, stage, parameters, {"load": 1.5}, k, outcome)
-        for k, outcome in enumerate(outcomes)
-    )
-
-
-def validation(study, found):
-    complete = [e.outcome.metrics["error"] for e in found if e.outcome.metrics]
-    return Validation(
-        parameters=found[0].parameters,
-        draws=len(found),
-        failures=len(found) - len(complete),
-        objective=sum(complete) / len(complete) if complete else float("nan"),
-        deviation=float("nan"),
-        constraints=judge_samples(study, found),
-    )
-
-
-def made(run, default, tuned, passed_check):
-    """The run with another validation of its result."""
-    study, trial = run.study, run.trials[run.summary["trial"]]
-    sides = [
-        evaluations(0, study.search_space().defaults, default),
-        evaluations(1, trial.parameters, tuned),
-    ]
-    earlier = [e for e in run.evaluations if e.stage is not Stage.VALIDATION]
-    found = [validation(study, side) for side in sides]
-    summary = dict(run.summary) | {
-        "feasible": passed_check and found[1].feasible,
-        "passed_check": passed_check,
-        **{
-            name: dataclasses.asdict(item) | {"feasible": item.feasible}
-            for name, item in zip(("default", "tuned"), found, strict=True)
-        },
-    }
-    return dataclasses.replace(run, summary=summary, evaluations=(*earlier, *sides[0], *sides[1]))
-
-
-def certify(run, default, tuned, *, with_default=True, repeated=2):
-    trial = run.trials[run.summary["trial"]]
-    evidence = {}
-    for side, (name, parameters, values) in enumerate(
-        [
-            ("default", run.study.search_space().defaults, default),
-            ("tuned", trial.parameters, tuned),
-        ]
-    ):
-        of_worst = evaluations(
-            side, parameters, [v for v in values if v][:repeated], Stage.CHECK_WORST
-        )
-        evidence[name] = Evidence(
-            parameters,
-            evaluations(side, parameters, values),
-            repeated=(of_worst,) if of_worst else (),
-        )
-    if not with_default:
-        del evidence["default"]
-    certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
-    write_certificate(run.path, certificate, evidence)
-    return certificate
 
 
 def on_terminal(run, verdict):
@@ -136,7 +66,6 @@ def folder(tmp_path_factory):
 
 @settings(
     max_examples=20,
-    deadline=None,
     suppress_health_check=list(HealthCheck),
     # An example takes a second: to shrink one would take minutes.
     phases=(Phase.explicit, Phase.reuse, Phase.generate),
@@ -281,10 +210,15 @@ def tuned_run(tuned):
     return lambda: tuned
 
 
-@pytest.mark.parametrize("peak", [0.5, 2.0])
-def test_a_certificate_brings_summary_and_bundle_up_to_date(tuned, tmp_path, peak):
+@pytest.fixture
+def run(tuned, tmp_path):
+    """A copy of the run, whose folder may be changed."""
     shutil.copytree(tuned.path, tmp_path / "run")
-    run = read_run(tmp_path / "run")
+    return read_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize("peak", [0.5, 2.0])
+def test_a_certificate_brings_summary_and_bundle_up_to_date(run, peak):
     before = json.loads((run.path / "summary.json").read_text())
     tuned_draws = [(1.0 + 0.01 * k, peak + 0.001 * k) for k in range(40)]
     certificate = certify(run, [(1.0, 0.5)] * 40, tuned_draws)
@@ -301,10 +235,8 @@ def test_a_certificate_brings_summary_and_bundle_up_to_date(tuned, tmp_path, pea
 
 
 @pytest.mark.parametrize("with_default", [True, False])
-def test_each_number_tells_its_draws_where_they_differ(tuned, tmp_path, with_default):
+def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     """5 draws of the validation for both, 40 more of the certificate for the tuned one alone."""
-    shutil.copytree(tuned.path, tmp_path / "run")
-    run = read_run(tmp_path / "run")
     certify(run, [(2.0, 0.5)] * 40, [(1.0, 0.5)] * 40, with_default=with_default)
     verdict = run_verdict(run)
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
@@ -332,9 +264,7 @@ def test_each_number_tells_its_draws_where_they_differ(tuned, tmp_path, with_def
     assert ("was not searched" in worst.remark) is not with_default
 
 
-def test_apply_is_no_next_step_where_it_refuses(tuned, tmp_path, monkeypatch):
-    shutil.copytree(tuned.path, tmp_path / "run")
-    run = read_run(tmp_path / "run")
+def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
     certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
     path = run.path / "certificates" / "0001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"verdict": PASS}))
@@ -352,12 +282,11 @@ def test_apply_is_no_next_step_where_it_refuses(tuned, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("certificate", [None, "tuned", "both"])
-def test_a_better_default_is_preferred(tuned, tmp_path, certificate):
+def test_a_better_default_is_preferred(run, certificate):
     """The error is the objective; the peak is lower, and kept by both."""
-    shutil.copytree(tuned.path, tmp_path / "run")
     draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(40)]
              for error, peak in ((1.0, 0.6), (2.0, 0.5))]  # fmt: skip
-    run = made(read_run(tmp_path / "run"), *draws, True)
+    run = made(run, *draws, True)
     if certificate:
         certify(run, *draws, with_default=certificate == "both", repeated=40)
     verdict = run_verdict(run)
@@ -400,9 +329,8 @@ def test_without_a_search_no_draw_may_exceed_a_worst_case_limit(tuned, stage):
         assert verdict.reasons == verdict.default_reasons
 
 
-def test_a_limit_is_kept_or_shown_to_be_kept_in_the_same_words_everywhere(tuned, tmp_path):
-    shutil.copytree(tuned.path, tmp_path / "run")
-    run = made(read_run(tmp_path / "run"), [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, True)
+def test_a_limit_is_kept_or_shown_to_be_kept_in_the_same_words_everywhere(run):
+    run = made(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40, True)
     for words, peak in (("kept", None), ("shown to be kept", 0.5), ("NOT shown to be kept", 2.0)):
         if peak is not None:
             tuned_draws = [(1.0, peak + 0.001 * k) for k in range(40)]
@@ -461,21 +389,18 @@ def test_lost_draws_are_said_to_be_run_again(tuned):
     assert run_verdict(again).remarks == ()
 
 
-def test_the_links_of_the_report_lead_into_the_run_from_the_bundle_as_well(tuned, tmp_path):
-    shutil.copytree(tuned.path, tmp_path / "run")
-    write_deliverables(tmp_path / "run", lambda text: None, pytest.fail)
+def test_the_links_of_the_report_lead_into_the_run_from_the_bundle_as_well(run):
+    write_deliverables(run.path, lambda text: None, pytest.fail)
     for page, up in (("report.html", "."), ("deploy/report.html", "..")):
-        text = (tmp_path / "run" / page).read_text(encoding="utf-8")
+        text = (run.path / page).read_text(encoding="utf-8")
         links = re.findall(r'<a href="(\.[^"#]+)"', text)
         assert f"{up}/best.yaml" in links
         for link in links:
-            assert (tmp_path / "run" / page).parent.joinpath(link).exists()
+            assert (run.path / page).parent.joinpath(link).exists()
 
 
 @pytest.mark.parametrize("text", ["", "parameter_set,stage\ntuned,none\n", "\x00", None])
-def test_a_verdict_survives_evaluations_that_cannot_be_read(tuned, tmp_path, text):
-    shutil.copytree(tuned.path, tmp_path / "run")
-    run = read_run(tmp_path / "run")
+def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
     certify(run, [(1.0, 0.5)] * 3, [(1.0, 2.0)] * 3)
     path = run.path / "certificates" / "0001_evaluations.csv"
     path.unlink() if text is None else path.write_text(text)
