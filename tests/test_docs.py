@@ -7,14 +7,13 @@ import os
 import re
 import shlex
 import signal
-import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import yaml
 from commands import Fork, finish, python_path
+from example_nodes import UNCHANGED, start_script
 from ros_processes import claim_domain
 from waiting import DEADLINE, wait_until
 
@@ -31,7 +30,6 @@ COMMANDS = tuple(MODULES)
 PACKAGE_OF = {name: module.partition(".")[0] for name, module in MODULES.items()}
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "examples" / "your_own_node"
-UNCHANGED = ROOT / "examples" / "unchanged_system"
 DOCUMENTS = sorted(
     [
         *ROOT.glob("*.md"),
@@ -324,16 +322,7 @@ def nodes_of_example(folder, monkeypatch, *scripts):
     nodes, logs = [], [folder / f"{script.stem}.txt" for script in scripts]
     try:
         for script, log in zip(scripts, logs, strict=True):
-            with log.open("w") as output:
-                nodes.append(
-                    subprocess.Popen(
-                        [sys.executable, str(script)],
-                        env=os.environ | environment,
-                        stdin=subprocess.DEVNULL,
-                        stdout=output,
-                        stderr=subprocess.STDOUT,
-                    )
-                )
+            nodes.append(start_script(script, log, env=os.environ | environment))
         for node, log in zip(nodes, logs, strict=True):
             wait_until(lambda log=log: "ready" in log.read_text(), "a node", node, log.read_text)
         yield environment

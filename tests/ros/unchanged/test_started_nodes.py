@@ -3,13 +3,13 @@
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 from functools import partial
 from pathlib import Path
 
 import pytest
+from example_nodes import UNCHANGED, start_script
 from waiting import DEADLINE
 
 from bo_tuner.backends.ros.backend import RosBackend
@@ -21,12 +21,11 @@ from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
-FOLDER = Path(__file__).parents[3] / "examples" / "unchanged_system"
 TRIAL = {"kp": 2.0, "ki": 0.0, "kd": 0.375}
 
 
 def command(node):
-    return f"'{sys.executable}' '{FOLDER / f'{node}_node.py'}'"
+    return f"'{sys.executable}' '{UNCHANGED / f'{node}_node.py'}'"
 
 
 def position(**changes):
@@ -34,7 +33,7 @@ def position(**changes):
 
     A controller that gets no processor for a moment lets the motor run on: that ends no run.
     """
-    mapping = study_to_mapping(load_study(str(FOLDER / "study.yaml")))
+    mapping = study_to_mapping(load_study(str(UNCHANGED / "study.yaml")))
     for signal_of in mapping["signals"].values():
         signal_of["largest_gap"] = 5.0
     mapping["run"] = mapping["run"] | changes.get("run", {})
@@ -114,9 +113,8 @@ def running(ros_environment, tmp_path, monkeypatch):
     started = []
 
     def start(node):
-        with (tmp_path / f"{node}{len(started)}.txt").open("w") as log:
-            program = [sys.executable, FOLDER / f"{node}_node.py"]
-            started.append(subprocess.Popen(program, stdout=log, stderr=log))
+        log = tmp_path / f"{node}{len(started)}.txt"
+        started.append(start_script(UNCHANGED / f"{node}_node.py", log))
         return started[-1]
 
     yield start

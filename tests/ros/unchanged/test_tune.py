@@ -1,12 +1,10 @@
 """``tune`` on a controller and a motor that run by themselves: paused, and ended by a signal."""
 
 import signal
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from commands import Fork, finish
+from example_nodes import UNCHANGED, start_script
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
@@ -14,7 +12,6 @@ from bo_tuner.study import strict_yaml
 
 pytestmark = pytest.mark.ros
 
-FOLDER = Path(__file__).parents[3] / "examples" / "unchanged_system"
 SAFE, FOUND = 0.25, 0.375
 HALT = -0.125
 
@@ -24,9 +21,8 @@ def running(ros_environment, tmp_path):
     """Controller and motor, with a gain that is neither the default nor safe."""
     started = []
     for node, arguments in (("motor", []), ("pid", ["--ros-args", "-p", f"kd:={FOUND}"])):
-        with (tmp_path / f"{node}.txt").open("w") as log:
-            program = [sys.executable, FOLDER / f"{node}_node.py", *arguments]
-            started.append(subprocess.Popen(program, stdout=log, stderr=log))
+        log = tmp_path / f"{node}.txt"
+        started.append(start_script(UNCHANGED / f"{node}_node.py", log, *arguments))
     yield
     for process in started:
         process.kill()
@@ -35,7 +31,7 @@ def running(ros_environment, tmp_path):
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_pause_and_a_signal_leave_the_machine_safe(running, peer, tmp_path, signum):
-    study = strict_yaml.parse((FOLDER / "study.yaml").read_text()).value
+    study = strict_yaml.parse((UNCHANGED / "study.yaml").read_text()).value
     halt = {"publish": {"topic": "/setpoint", "message": {"data": HALT}}}
     study["run"] |= {"after": [halt], "end": {"after": 1.0}}
     study["park"] = {"parameters": {"kp": SAFE}}
