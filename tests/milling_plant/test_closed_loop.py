@@ -11,6 +11,7 @@ import functools
 import clipped_law
 import numpy as np
 import pytest
+from scenario_table import NAMES, TABLE
 from scipy.stats import truncnorm
 
 from milling_plant.cut import MillingPlant
@@ -21,17 +22,6 @@ from mpc_controller.mpc import Mpc
 OVERSHOOT_LIMIT = 0.09
 WORST_CORNER = (1.3, 0.7)
 
-# (H_u, H_p, lambda_MPC, lambda_KF): E[C], worst overshoot, nominal C, feasible
-TABLE = {
-    (15, 15, -3.0, -1.0): (0.206, 0.146, 0.164, False),
-    (1, 4, -3.9, 2.0): (0.165, 0.089, 0.137, True),
-    (1, 3, -3.9, 2.0): (0.140, 0.125, 0.109, False),
-    (1, 5, -3.9, 2.0): (0.222, 0.055, 0.195, True),
-    (2, 4, -3.9, 2.0): (0.247, 0.144, 0.204, False),
-    (5, 5, -2.0, -1.0): (0.144, 0.143, 0.109, False),
-    (8, 8, -1.0, -1.0): (0.162, 0.096, 0.132, False),
-    (8, 8, -0.75, -1.0): (0.174, 0.084, 0.145, True),
-}
 LIMITS_ACTIVE = [(15, 15, -3.0, -1.0), (2, 4, -3.9, 2.0)]
 LIMITS_INACTIVE = [row for row in TABLE if row not in LIMITS_ACTIVE]
 # Expected error at the optimum found by dense search, benchmark and full case.
@@ -79,8 +69,7 @@ class Loop:
 
     def run(self, row, context, seed):
         """One cut: tracking error and overshoot; also kept are its true velocity and commands."""
-        names = ("control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf")
-        self.controller.set_parameters(dict(zip(names, row, strict=True)))
+        self.controller.set_parameters(dict(zip(NAMES, row, strict=True)))
         stiffness, damping = (float(factor) for factor in context)
         self.plant.set_parameters(
             {"stiffness_factor": stiffness, "damping_factor": damping, "seed": seed}

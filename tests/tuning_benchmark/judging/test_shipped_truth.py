@@ -6,6 +6,7 @@ import json
 import clipped_law
 import numpy as np
 import pytest
+from scenario_table import NAMES
 from scipy.stats import truncnorm
 
 from bo_tuner.package_files import config_directory
@@ -37,8 +38,7 @@ def test_the_judge_reproduces_the_shipped_optima(name, kind):
 def test_an_independent_loop_finds_the_shipped_optima_as_good_as_they_say(name):
     """Its input is clipped, which makes no difference where the limits are hardly active."""
     entry = json.loads(OPTIMA.read_text())[name]["optimum"]
-    names = ("control_horizon", "prediction_horizon", "lambda_mpc", "lambda_kf")
-    row = tuple(entry["parameters"][name] for name in names)
+    row = tuple(entry["parameters"][parameter] for parameter in NAMES)
     rng = np.random.default_rng(2)
     # The study's contexts, and the one that is the worst in all rows of the scenario's table.
     drawn = truncnorm.rvs(-1.5, 1.5, loc=1.0, scale=0.2, size=(2, 1500), random_state=rng)
