@@ -9,6 +9,7 @@ import time
 import pytest
 from axis import write_study
 from commands import Fork, finish, start
+from strict_json import strict
 from waiting import DEADLINE
 
 from bo_tuner.cli.tune import make_parser
@@ -19,15 +20,6 @@ from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.trials import WorstCase
 from bo_tuner.tuning.observer import Phase
-
-
-def strict(line):
-    """Parse JSON that holds no NaN or Infinity, which are not part of it."""
-
-    def refuse(constant):
-        raise AssertionError(f"{constant} in {line}")
-
-    return json.loads(line, parse_constant=refuse)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import datetime
 import hashlib
-import json
 import os
 import re
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from strict_json import strict
 
 import bo_tuner
 from bo_tuner.errors import OutputError
@@ -170,13 +170,6 @@ class TestParameterFile:
             folder.write_parameters(make_study(), {"gain": 0.5})
 
 
-def strict_json(text):
-    def refuse(constant):
-        raise AssertionError(f"{constant} is no JSON")
-
-    return json.loads(text, parse_constant=refuse)
-
-
 class TestSummary:
     def test_what_is_no_number_is_null(self, tmp_path, make_study):
         folder = RunFolder.create(tmp_path, make_study())
@@ -184,7 +177,7 @@ class TestSummary:
             "summary.json",
             {"a": float("nan"), "b": ({"c": float("inf")}, 1.5), "d": True, "e": "nan", "f": 3},
         )
-        assert strict_json(path.read_text()) == {
+        assert strict(path.read_text()) == {
             "a": None,
             "b": [{"c": None}, 1.5],
             "d": True,

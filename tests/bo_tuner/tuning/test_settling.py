@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from functions import Watcher
 
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
@@ -21,7 +22,6 @@ from bo_tuner.trials import (
     count_evaluations,
 )
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 from bo_tuner.tuning.settling import (
     before_repetitions,
@@ -42,18 +42,6 @@ def axis(x, load, seed):
         "error": 2.0 - x + 0.2 * (load - 1.5) + rng.normal(0.0, 0.02),
         "peak": 0.4 + 0.5 * x * load - 0.25 * (2.0 - load) + rng.normal(0.0, 0.05),
     }
-
-
-class Watcher(RunObserver):
-    def __init__(self):
-        self.evaluations = []
-        self.steps = 0
-
-    def evaluation(self, evaluation):
-        self.evaluations.append(evaluation)
-
-    def advance(self):
-        self.steps += 1
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +83,7 @@ def test_a_trial_is_a_new_parameter_set_and_repetitions_come_on_top(trials, sett
     assert len({trial.parameters["x"] for trial in trials}) == 10
     known = {trial.number: trial for trial in trials}
     assert 0 < len(watcher.evaluations) <= 25
-    assert watcher.steps == len(watcher.evaluations)
+    assert len(watcher.steps) == len(watcher.evaluations)
     for number in {evaluation.trial for evaluation in watcher.evaluations}:
         of_trial = [e for e in watcher.evaluations if e.trial == number]
         first = len(known[number].evaluations)
