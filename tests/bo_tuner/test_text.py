@@ -26,7 +26,7 @@ def test_a_line_stays_a_line():
     assert one_line("a\n\x1b[0m  b\x85c") == "a ?[0m b c"
 
 
-def test_the_console_of_all_commands_shows_no_escape_sequence(monkeypatch):
+def test_the_console_of_all_commands_shows_no_escape_sequence():
     from rich.table import Table
 
     out = io.StringIO()

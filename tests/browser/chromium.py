@@ -176,11 +176,6 @@ class Chromium:
                 return False
             raise
 
-    def screenshot(self, path: Path, *, whole: bool = True) -> None:
-        """Write a PNG of the page, or of what the window shows of it."""
-        shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(shot["data"]))
-
     def print_pdf(self, path: Path) -> None:
         """Print the page to a PDF file."""
         page = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)

@@ -266,7 +266,7 @@ def test_a_dask_cluster_of_two_processes_gives_the_same_tables(benchmark, whole,
 
 
 @pytest.mark.slow
-def test_workers_of_several_threads_are_refused(benchmark, tmp_path):
+def test_workers_of_several_threads_are_refused(benchmark):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=2, processes=True, dashboard_address="127.0.0.1:0"

@@ -71,7 +71,7 @@ def test_the_noise_is_local():
     assert high > 0.06
 
 
-def test_without_any_variation(make_study):
+def test_without_any_variation():
     response = ContextResponse(
         np.random.default_rng(0).random((8, 2)), np.full(8, 3.0), np.random.default_rng(0)
     )

@@ -90,7 +90,7 @@ def test_a_chosen_basis_loses_next_to_nothing(monkeypatch, data):
     assert np.sqrt(variances[1]) == pytest.approx(np.sqrt(variances[0]), rel=0.1)
 
 
-def test_points_that_the_basis_explains_are_left_out(monkeypatch, data):
+def test_points_that_the_basis_explains_are_left_out(monkeypatch):
     """A dense cluster with much noise needs one point for all of it."""
     monkeypatch.setattr(conditioning, "BASIS", 40)
     x = 0.5 + 1e-4 * np.random.default_rng(2).random((60, 2))

@@ -184,7 +184,7 @@ def test_outgrown_warm_start_is_left():
     assert posterior.value(model.hyperparameters.to_log()) > 10.0 - only_stale.fun
 
 
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10)
 @given(st.integers(0, 1000))
 def test_the_order_of_the_data_does_not_matter(seed):
     x, y = observations(seed, points=8, replicates=3, dimension=2)

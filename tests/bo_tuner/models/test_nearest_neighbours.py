@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.neighbors import KNeighborsClassifier
 
@@ -103,7 +103,6 @@ def test_without_data_it_is_the_prior():
     np.testing.assert_allclose(classifier.log_complement(np.zeros((3, 2))), np.log(0.9))
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 1000), st.integers(1, 12))
 def test_probabilities_are_probabilities_and_the_complement_fits(seed, points):
     x, labels = labelled(seed, points)

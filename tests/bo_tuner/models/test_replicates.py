@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bo_tuner.models.replicates import Replicates, Standardisation
@@ -30,7 +30,6 @@ def test_statistics_equal_the_naive_ones():
     assert data.sum_of_squares == pytest.approx(total, rel=1e-12)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
 @given(st.integers(0, 10_000))
 def test_the_order_of_the_data_does_not_matter_to_the_last_bit(seed):
     x, y = repeated_data(seed)

@@ -254,7 +254,7 @@ def test_replicates_share_their_fate_and_the_order_does_not_matter():
     np.testing.assert_array_equal(outliers[order], shuffled)
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(st.integers(0, 1000), st.integers(1, 6))
 def test_few_points_of_any_size_work(seed, points):
     rng = np.random.default_rng(seed)

@@ -102,7 +102,7 @@ def test_a_given_particle_is_not_lost():
     assert result.value == 1.0
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15)
 @given(st.integers(0, 1000), st.integers(1, 6))
 def test_positions_stay_in_the_box_and_a_seed_fixes_the_result(seed, dimension):
     seen = []

@@ -46,7 +46,7 @@ def test_known_sets_follow_each_once(make_study, make_trial):
 
 
 @pytest.mark.parametrize("name", ["benchmark", "full"])
-def test_the_studies_of_the_paper_begin_with_its_design(name, make_trial):
+def test_the_studies_of_the_paper_begin_with_its_design(name):
     study = load_study(name)
     first = ALGORITHMS["IV"].optimizer(study).ask()
     assert first.origin == "initial"

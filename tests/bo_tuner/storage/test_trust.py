@@ -104,7 +104,7 @@ class TestPrograms:
         assert not list((run / "bo_tuner" / "trusted").iterdir())
         assert list((run.parent / "home" / ".local" / "state" / "bo_tuner" / "trusted").iterdir())
 
-    def test_trust_that_cannot_be_noted_down(self, run, monkeypatch):
+    def test_trust_that_cannot_be_noted_down(self, run):
         (run.parent / "state").touch()
         with pytest.raises(OutputError, match="cannot be written"):
             trust(read_run(run).study)

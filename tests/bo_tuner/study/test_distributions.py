@@ -189,7 +189,7 @@ class TestContextSpace:
         )
 
     @given(st.lists(st.floats(-1.0, 2.0), min_size=5, max_size=5))
-    @settings(max_examples=50, deadline=None, derandomize=True)
+    @settings(max_examples=50)
     def test_round_trip_through_the_cube(self, point):
         contexts = self.space.to_contexts([point])
         again = self.space.to_contexts(self.space.to_cube(contexts))

@@ -13,7 +13,7 @@ from bo_tuner.study.ordering import PartialOrder
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.search_space import SearchSpace
 
-few_examples = settings(max_examples=60, deadline=None, derandomize=True)
+few_examples = settings(max_examples=60)
 
 
 def integer(name, bounds, default=None, **fields):

@@ -176,7 +176,7 @@ class TestWriting:
             max_leaves=8,
         )
     )
-    @settings(max_examples=150, deadline=None, derandomize=True)
+    @settings(max_examples=150)
     def test_whatever_is_dumped_is_parsed_unchanged(self, value):
         again = strict_yaml.parse(strict_yaml.dump(value)).value
         assert again == value

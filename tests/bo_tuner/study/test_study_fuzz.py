@@ -49,7 +49,7 @@ DISTRIBUTION_FIELDS = st.fixed_dictionaries(
 
 class TestFuzz:
     @given(st.lists(st.tuples(st.sampled_from(PLACES), VALUES, st.booleans()), max_size=3))
-    @settings(max_examples=400, deadline=None, derandomize=True)
+    @settings(max_examples=400)
     def test_a_study_or_one_line(self, edits):
         changed = copy.deepcopy(mapping())
         for path, value, remove in edits:
@@ -69,17 +69,17 @@ class TestFuzz:
         self.study_or_line(changed)
 
     @given(VALUES)
-    @settings(max_examples=30, deadline=None, derandomize=True)
+    @settings(max_examples=30)
     def test_any_value(self, value):
         self.study_or_line(value)
 
     @given(DISTRIBUTION_FIELDS)
-    @settings(max_examples=150, deadline=None, derandomize=True)
+    @settings(max_examples=150)
     def test_any_distribution(self, fields):
         self.study_or_line(put({"node": "drive"} | fields, "contexts", "load"))
 
     @given(st.text(max_size=40) | st.text("abc:[]{}-,'\"|>&*!%# \n\t", max_size=40))
-    @settings(max_examples=300, deadline=None, derandomize=True)
+    @settings(max_examples=300)
     def test_any_text(self, text):
         with pytest.raises(StudyError) as caught:
             parse_study(text, "mine.yaml")

@@ -74,7 +74,7 @@ def test_a_node_restarted_between_cuts_is_told_everything_again(
         assert outcome.details["plant.stiffness_factor"] == "1.125"
 
 
-def test_results_of_others_are_ignored_and_counted(nodes, run_cut, peer):
+def test_results_of_others_are_ignored_and_counted(run_cut, peer):
     """Of a foreign publisher: other cuts, no cut, huge texts, no number, and another type."""
     before = run_cut(seed=3)
     assert before.details["ignored_results"] == "0"

@@ -99,7 +99,7 @@ def fields(study):
     return surrogates, truth
 
 
-def test_fields_stand_upright(make_case, study, fields):
+def test_fields_stand_upright(make_case, fields):
     """The second parameter runs upwards: rows of a heatmap are its values."""
     case = make_case(rows={"IV": Row(name="IV", algorithm="IV")}, surrogates=FIGURE)
     surrogates, truth = fields
