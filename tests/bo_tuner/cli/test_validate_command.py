@@ -387,6 +387,8 @@ class TestBadInput:
                 ["--draws", str(NEEDED - 1)],
                 f"--draws: expected at least {NEEDED} to show error, even if none viol",
             ),
+            (["--until-pass", "0"], "--until-pass: expected at least 1, found 0"),
+            (["--until-pass", "20000"], "--until-pass: expected at most 10000, found 20000"),
             (["--draws", "-1"], f"--draws: expected at least {NEEDED}"),
             (["--draws", "many"], "argument --draws: many: expected a whole number"),
             (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 3"),

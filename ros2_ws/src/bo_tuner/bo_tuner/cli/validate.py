@@ -160,8 +160,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
     draws = _draws(arguments, parser, record, confidence)
-    if not 1 <= arguments.until_pass <= maxima.TRIALS:
-        parser.error(f"--until-pass: expected at least 1, found {arguments.until_pass}")
+    most = arguments.until_pass
+    if not 1 <= most <= maxima.TRIALS:
+        bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
+        parser.error(f"--until-pass: expected {bound}, found {most}")
     trial, is_result = _trial(record, arguments.trial)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
@@ -172,7 +174,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
-        for candidate in _candidates(record, trial, arguments.until_pass):
+        for candidate in _candidates(record, trial, most):
             nodes = make_backend(
                 backend,
                 record.study,
@@ -193,7 +195,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     interruption,
                     console,
                     with_default=arguments.with_default,
-                    more=arguments.until_pass > 1,
+                    more=most > 1,
                 )
             except (RunError, OutputError) as error:
                 console.print(f"error: {error}; {again}", soft_wrap=True)
