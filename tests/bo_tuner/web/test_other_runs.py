@@ -1,8 +1,12 @@
 """The other runs in the folder of a run in progress, listed and compared."""
 
 import re
+import shutil
+from pathlib import Path
 
 import pytest
+
+from bo_tuner.web.runs import Runs
 
 
 class TestOtherRuns:
@@ -53,3 +57,19 @@ class TestOtherRuns:
             assert "kept all limits" not in beside.ask("/runs")[2]
         finally:
             path.write_text(content)
+
+
+def test_a_run_that_is_deleted_meanwhile_is_not_listed(tmp_path, monkeypatch):
+    for name in ("kept", "deleted"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "journal.sqlite").touch()
+    is_file = Path.is_file
+
+    def deleted_afterwards(path):
+        found = is_file(path)
+        if path.parent.name == "deleted":
+            shutil.rmtree(path.parent)
+        return found
+
+    monkeypatch.setattr(Path, "is_file", deleted_afterwards)
+    assert Runs(tmp_path, "kept").names() == ["kept"]

@@ -1,5 +1,6 @@
 """The runs beside a run: those in the same folder, listed, shown and compared."""
 
+import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -51,8 +52,11 @@ class Runs:
         found = []
         with os.scandir(self._folder) as entries:
             for entry in entries:
-                if entry.is_dir(follow_symlinks=False) and (Path(entry.path) / JOURNAL).is_file():
-                    found.append(((Path(entry.path) / JOURNAL).stat().st_mtime, entry.name))
+                journal = Path(entry.path) / JOURNAL
+                if entry.is_dir(follow_symlinks=False) and journal.is_file():
+                    # A run may be deleted meanwhile.
+                    with contextlib.suppress(OSError):
+                        found.append((journal.stat().st_mtime, entry.name))
         return [name for _, name in sorted(found, reverse=True)]
 
     def listing(self) -> str:
