@@ -297,7 +297,7 @@ def test_a_better_default_is_preferred(run, certificate):
     if certificate == "both":
         assert f"{told}." in verdict.sentences
     else:
-        assert f"{told}, unless it breaks a limit: validate --with-default tells." in (
+        assert f"{told}, unless it breaks a limit: validate --with-default checks this." in (
             verdict.sentences
         )
     commands = [step.command for step in next_steps(verdict, "run")]

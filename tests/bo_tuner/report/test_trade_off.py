@@ -1,4 +1,4 @@
-"""The Pareto front of what was seen, and what other limits would cost."""
+"""The observed Pareto front, and what other limits would cost."""
 
 import numpy as np
 from hypothesis import given

@@ -50,11 +50,11 @@ def test_outliers_that_kept_all_limits_are_told_of():
     assert "best.yaml holds the least violating parameter set; do not use it." in found[0]
     assert not any("outlier" in sentence for sentence in found[0])
     assert (
-        "Trial 4 kept all limits, but is an outlier of the objective, far from all others, and no "
-        "candidate for that."
+        "Trial 4 kept all limits, but is an outlier of the objective, far from all others, and "
+        "therefore not a candidate."
     ) in found[1]
     assert (
         "Trials 4, 7 kept all limits, but are outliers of the objective, far from all others, and "
-        "no candidates for that."
+        "therefore not candidates."
     ) in found[2]
     assert "best.yaml holds the least violating one of the candidates; do not use it." in found[2]

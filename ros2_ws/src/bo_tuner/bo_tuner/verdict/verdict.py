@@ -231,8 +231,8 @@ class Verdict:
         numbers = ", ".join(map(str, self.outliers))
         return [
             f"Trial{'' if one else 's'} {numbers} kept all limits, but {'is' if one else 'are'} "
-            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and no "
-            f"candidate{'' if one else 's'} for that.",
+            f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
+            f"therefore not {'a candidate' if one else 'candidates'}.",
             "best.yaml holds the least violating one of the candidates; do not use it.",
         ]
 
@@ -272,14 +272,11 @@ class Verdict:
             found.append(f"No measurable difference: {', '.join(q.label for q in same)}.")
         if self.feasible and self.default_preferred:
             preferred = "By the objective the default is the better choice"
-            if self.certificate and self.default_certified:
-                found.append(f"{preferred}.")
-            else:
-                found.append(
-                    f"{preferred}, unless it breaks a limit: validate --with-default tells."
-                )
+            doubt = ", unless it breaks a limit: validate --with-default checks this"
+            sure = self.certificate and self.default_certified
+            found.append(f"{preferred}{'' if sure else doubt}.")
         elif self.feasible and not self.gained:
-            found.append("Tuning gained nothing that can be told from chance.")
+            found.append("Tuning gained nothing that can be distinguished from chance.")
         return found
 
     def kept_in_words(self, quantity: Quantity) -> str:

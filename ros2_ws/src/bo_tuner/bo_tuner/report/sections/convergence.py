@@ -327,7 +327,9 @@ def _notes(analysis: Analysis) -> list[str]:
             )
         notes.append(f"{text}.")
     if analysis.record.summary is not None and analysis.record.summary.get("stopped_early"):
-        notes.append("The run stopped early: what was left would have gained less than the noise.")
+        notes.append(
+            "The run stopped early: the remaining trials were expected to gain less than the noise."
+        )
     lost = sum(r.outcome.state is EvaluationState.LOST for r in analysis.record.evaluations)
     if lost:
         notes.append(f"Lost with their nodes: {counted(lost, 'evaluation')}.")

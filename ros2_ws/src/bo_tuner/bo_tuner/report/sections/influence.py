@@ -59,7 +59,7 @@ def influence(analysis: Analysis) -> Section | None:
             "space that remains as long as this parameter is free, its interactions with others "
             "included; the indices of a response can therefore add up to more than 1.",
             f"Of the posterior means of Gaussian processes, fitted to the means of {len(chosen)} "
-            "trials without failures and outliers: far from all trials they know little. "
+            "trials without failures and outliers: far from all trials they are unreliable. "
             "Parameters are taken as independent and uniform on the scale of the study; sets in "
             "the wrong order count as the permitted ones nearest to them.",
         ],

@@ -56,7 +56,7 @@ def trade_off(analysis: Analysis) -> Section | None:
         front = pareto_front(study.objective.sign * means, constraint.sign * worst)
         leads.append(
             f"{len(front)} of {len(trials)} trials, without failed and outlying ones, are on the "
-            "Pareto front of what was seen: no other trial has both a better objective and a "
+            "observed Pareto front: no other trial has both a better objective and a "
             f"better worst {constraint.metric}, whether or not it keeps the limits."
         )
         name = numbered("trade-off", place)
@@ -102,7 +102,7 @@ def _figure(
                     Line(
                         x=worst[front],
                         y=means[front],
-                        name="Pareto front of what was seen",
+                        name="observed Pareto front",
                         color=Color.INK,
                         dash=Dash.DOTTED,
                         hover=[f"front: trial {trials[k].number}" for k in front],

@@ -148,7 +148,7 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
     figure = Figure(
         name="trajectories",
         title=f"The worst recorded run of default and {analysis.answer_name}",
-        caption="As the tuner heard the signals; each value holds until the next message. "
+        caption="As received by the tuner; each value holds until the next message. "
         "Drag across a panel to zoom in; double-click to zoom out.",
         alternative=f"Signals over time. {'; '.join(where)}.",
         panels=signal_panels(

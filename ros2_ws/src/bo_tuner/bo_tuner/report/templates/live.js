@@ -18,7 +18,7 @@
     const left = state.time_left ? `, ${state.time_left} left` : "";
     let text = `${state.phase || "starting"}${counted}${left}${state.paused ? ", PAUSED" : ""}`;
     if (state.verdict) text = state.verdict;
-    if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; tune says why";
+    if (state.ended) text = state.verdict ? `Ended. ${state.verdict}` : "The run has ended; see the terminal of tune";
     if (title.textContent !== text) title.textContent = text;
     document.title = `${text} - ${document.querySelector("h1").textContent}`;
     const bar = now.querySelector("progress");
