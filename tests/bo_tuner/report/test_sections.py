@@ -16,6 +16,7 @@ from bo_tuner.report.sections.appendix import RESULT, all_trials
 from bo_tuner.report.sections.contexts import contexts
 from bo_tuner.report.sections.contours import contours
 from bo_tuner.report.sections.convergence import MOST_INCUMBENTS, _counts, convergence
+from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.sections.sensitivity import sensitivity
 from bo_tuner.report.sections.slices import slices
 from bo_tuner.report.sections.surrogates import surrogates
@@ -225,6 +226,56 @@ def test_neighbours_are_a_step_away(analysis):
     for row, step in zip(table.rows, (0.0, -0.05, 0.05), strict=True):
         x = np.array([[analysis.answer.parameters["gain"] + step]])
         assert row[1] == f"{analysis.models.objective.predict_mean(x)[0]:.4g}"
+
+
+def with_metric(analysis, change, unit=""):
+    """The run with other values of its objective, and another unit."""
+
+    def changed(evaluation):
+        metrics = evaluation.outcome.metrics
+        if not metrics:
+            return evaluation
+        found = {**metrics, "error": change(metrics["error"])}
+        return replace(evaluation, outcome=replace(evaluation.outcome, metrics=found))
+
+    study = analysis.study
+    metrics = {**study.metrics, "error": replace(study.metrics["error"], unit=unit)}
+    trials = tuple(
+        replace(trial, evaluations=tuple(map(changed, trial.evaluations)))
+        for trial in analysis.record.trials
+    )
+    evaluations = tuple(map(changed, analysis.record.evaluations))
+    study = replace(study, metrics=metrics)
+    return Analysis(replace(analysis.record, study=study, trials=trials, evaluations=evaluations))
+
+
+def test_changes_of_a_negative_objective_are_in_its_unit(analysis):
+    """A percentage of it would have the wrong sign."""
+    found = with_metric(analysis, lambda error: error - 5.0, "mm")
+    section = sensitivity(found)
+    (figure,), (table,) = section.figures, section.tables
+    (panel,) = figure.panels
+    optimum, *others = (float(row[1]) for row in table.rows)
+    assert optimum < 0.0
+    assert panel.y.title == "change of the mean [mm]"
+    heights = [y for bars in panel.elements for y in bars.y]
+    np.testing.assert_allclose(sorted(heights), sorted(o - optimum for o in others), atol=2e-3)
+    assert "%" not in figure.alternative
+
+
+def test_an_objective_of_zero_has_no_change_in_percent(analysis):
+    figure = sensitivity(with_metric(analysis, lambda _: 0.0)).figures[0]
+    assert "+0" in figure.alternative
+
+
+def test_headings_of_a_metric_without_a_unit(analysis):
+    plain = with_metric(analysis, lambda error: error)
+    assert sensitivity(plain).tables[0].header[1] == "mean error"
+    far = iter([1e6])
+    outlying = with_metric(analysis, lambda error: next(far, error))
+    assert outlying.models.outliers
+    tables = failures(outlying).tables
+    assert tables[-1].header == ["trial", "parameters", "mean error"]
 
 
 def test_the_most_critical_context_variable_is_named(analysis):

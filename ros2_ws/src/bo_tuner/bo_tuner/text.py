@@ -60,6 +60,11 @@ def shown(value: bool | int | float | str) -> str:
     return value if isinstance(value, str) else f"{value + 0.0:.4g}"  # no "-0"
 
 
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit in brackets; the name alone if it has no unit."""
+    return f"{name} [{unit}]" if unit else name
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with what it counts: ``1 trial``, ``2 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -12,6 +12,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from bo_tuner.text import with_unit
+
 Values = Sequence[float] | NDArray[np.float64]
 Grid = NDArray[np.float64]
 
@@ -101,7 +103,7 @@ class ColorScale:
     @property
     def title(self) -> str:
         """The label with its unit in brackets."""
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
+        return with_unit(self.label, self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)

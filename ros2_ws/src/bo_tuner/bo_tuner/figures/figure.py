@@ -29,6 +29,7 @@ from bo_tuner.figures.elements import (
     Scale,
     Values,
 )
+from bo_tuner.text import with_unit
 
 __all__ = [
     "Axis",
@@ -78,7 +79,7 @@ class Axis:
     @property
     def title(self) -> str:
         """The label with its unit in brackets."""
-        return f"{self.label} [{self.unit}]" if self.unit else self.label
+        return with_unit(self.label, self.unit)
 
 
 @dataclass(frozen=True, kw_only=True)

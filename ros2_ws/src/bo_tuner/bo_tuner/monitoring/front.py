@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bo_tuner.study.study import Study
+from bo_tuner.text import with_unit
 from bo_tuner.tuning.front import CONFIDENCE
 
 
@@ -34,8 +35,7 @@ def print_front(
     table.add_column("trial", justify="right")
     for objective in study.objectives:
         unit = study.metrics[objective.metric].unit
-        heading = f"mean {objective.metric}" + (f" [{unit}]" if unit else "")
-        table.add_column(heading, justify="right")
+        table.add_column(with_unit(f"mean {objective.metric}", unit), justify="right")
     table.add_column("P(feasible)", justify="right")
     table.add_column("")
     for point in front:

@@ -12,6 +12,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.study.parts import LOG
+from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.limits import tightest
 from bo_tuner.verdict.verdict import Quantity, Status, Verdict
@@ -152,7 +153,7 @@ def _side_by_side(
         caption=caption,
         header=["", *runs],
         rows=[
-            [f"{name} [{unit}]" if unit else name, *(cell(a, name) for a in runs.values())]
+            [with_unit(name, unit), *(cell(a, name) for a in runs.values())]
             for name, unit in units.items()
         ],
     )

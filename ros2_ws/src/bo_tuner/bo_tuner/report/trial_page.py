@@ -20,7 +20,7 @@ from bo_tuner.report.sections.trajectories import (
     side_looks,
     simulate,
 )
-from bo_tuner.text import counted
+from bo_tuner.text import counted, with_unit
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.limits import verdict
 
@@ -87,7 +87,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
     study = analysis.study
     contexts = list(study.context_space().names)
     header = ["evaluation", "stage", *contexts]
-    header += [f"{m.name} [{m.unit}]" if m.unit else m.name for m in study.metrics.values()]
+    header += [with_unit(m.name, m.unit) for m in study.metrics.values()]
     header += ["seed", "time [s]", "state"]
     rows = [
         [
@@ -140,7 +140,7 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
         if run is not None:
             figure = _figure(
                 signal_panels({"recorded": run}, {"recorded": LOOKS[TUNED]}),
-                "As the tuner heard them; each value holds until the next message.",
+                "As received by the tuner; each value holds until the next message.",
             )
             lead = f"Recorded in bags/{run.bag}: {where}."
         else:

@@ -68,11 +68,11 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
     defaults = study.search_space().defaults
     for name, item in study.parameters.items():
         now, new = defaults[name], tuned[name]
-        table.add_row(_with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
+        table.add_row(text.with_unit(name, item.unit), text.shown(now), text.shown(new), "", "")
     table.add_section()
     for quantity in verdict.quantities:
         table.add_row(
-            _with_unit(quantity.label, quantity.unit),
+            text.with_unit(quantity.label, quantity.unit),
             shown(quantity.default),
             shown(quantity.tuned),
             _difference(quantity),
@@ -104,7 +104,3 @@ def _difference(quantity: Quantity) -> str:
         return "–"
     half = 0.5 * (found.high - found.low)
     return f"{found.mean:+.3g} ± {half:.2g}" if isfinite(half) else f"{found.mean:+.3g}"
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name

@@ -5,6 +5,7 @@ import numpy as np
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.text import with_unit
 
 RESULT, NEIGHBOUR = "result", "neighbour"
 NEIGHBOURS = 3
@@ -17,9 +18,9 @@ def all_trials(analysis: Analysis) -> Section:
     names = study.search_space().names
     metrics = [study.metrics[objective.metric] for objective in study.objectives]
     worst = study.worst_case_constraints
-    header = ["trial", "origin", *(_with_unit(n, study.parameters[n].unit) for n in names)]
-    header += [_with_unit(f"mean {metric.name}", metric.unit) for metric in metrics]
-    header += [_with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
+    header = ["trial", "origin", *(with_unit(n, study.parameters[n].unit) for n in names)]
+    header += [with_unit(f"mean {metric.name}", metric.unit) for metric in metrics]
+    header += [with_unit(f"worst {c.limited}", study.metrics[c.metric].unit) for c in worst]
     header += ["evaluations", "outcome", "mark"]
     marks = _marks(analysis)
     rows = []
@@ -84,7 +85,3 @@ def provenance(analysis: Analysis) -> Section:
             ),
         ],
     )
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name

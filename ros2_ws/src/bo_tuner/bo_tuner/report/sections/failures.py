@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, values
+from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, EvaluationState, Trial
 
 
@@ -53,7 +54,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     metric = analysis.study.metrics[analysis.study.objective.metric]
     return Table(
         caption="Outliers: trials left out of the surrogates; their vicinity is avoided",
-        header=["trial", "parameters", f"mean {metric.name} [{metric.unit}]"],
+        header=["trial", "parameters", with_unit(f"mean {metric.name}", metric.unit)],
         rows=[
             [
                 str(trial.number),

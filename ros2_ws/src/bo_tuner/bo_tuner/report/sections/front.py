@@ -22,6 +22,7 @@ from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import trial_points
 from bo_tuner.study.parts import LOG, Objective
+from bo_tuner.text import with_unit
 from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
 
 
@@ -139,7 +140,7 @@ def _table(analysis: Analysis, points: Sequence[Point], result: int | None) -> T
     by_number = {trial.number: trial for trial in analysis.trials}
     header = ["trial"]
     for name, unit in units.items():
-        header += [f"mean {name} [{unit}]" if unit else f"mean {name}", f"± of {name}"]
+        header += [with_unit(f"mean {name}", unit), f"± of {name}"]
     header += ["evaluations", "P(feasible)", *names]
     return Table(
         caption="The front, by the first objective",

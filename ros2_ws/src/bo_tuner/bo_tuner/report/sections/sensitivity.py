@@ -12,8 +12,9 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
+from bo_tuner.study.parts import Metric
 from bo_tuner.study.search_space import STEP
-from bo_tuner.text import shown
+from bo_tuner.text import shown, with_unit
 from bo_tuner.trials import Value
 
 
@@ -53,14 +54,14 @@ def sensitivity(analysis: Analysis) -> Section | None:
         name="sensitivity",
         title="Sensitivity to a step in one parameter",
         lead=lead,
-        figures=[_figure(analysis, found, metric.name)],
+        figures=[_figure(analysis, found, metric)],
         tables=[
             Table(
                 caption="Predictions of the surrogates one step away from the "
                 f"{analysis.answer_set}",
                 header=[
                     "step",
-                    f"mean {metric.name} [{metric.unit}]" if metric.unit else metric.name,
+                    with_unit(f"mean {metric.name}", metric.unit),
                     "change",
                     "P(feasible)",
                     "tolerable",
@@ -79,22 +80,28 @@ def sensitivity(analysis: Analysis) -> Section | None:
     )
 
 
-def _figure(analysis: Analysis, found: ParameterSensitivity, metric: str) -> Figure:
+def _figure(analysis: Analysis, found: ParameterSensitivity, metric: Metric) -> Figure:
     optimum = found.optimum
     steps = [_step(n, optimum) for n in found.neighbours]
-    relative = np.array([100.0 * (n.objective / optimum.objective - 1.0) for n in found.neighbours])
+    objectives = np.array([n.objective for n in found.neighbours])
+    if optimum.objective > 0.0:
+        unit, form = "%", "+.1f"
+        changes = 100.0 * (objectives / optimum.objective - 1.0)
+    else:  # A percentage of it would say nothing; the table has a dash.
+        unit, form = metric.unit, "+.3g"
+        changes = objectives - optimum.objective
+    told = [f"{s}: {c:{form}} {unit}".rstrip() for s, c in zip(steps, changes, strict=True)]
     kept = np.array([n.feasibility >= BELIEVED_FEASIBLE for n in found.neighbours])
     places = np.arange(len(steps), dtype=float)
     bars = [
         Bars(
             x=places[chosen],
-            y=relative[chosen],
+            y=changes[chosen],
             base=np.zeros(int(chosen.sum())),
             name=name,
             color=color,
             hover=[
-                f"{steps[k]}: {relative[k]:+.1f} %\n"
-                f"P(feasible) {found.neighbours[k].feasibility:.2f}"
+                f"{told[k]}\nP(feasible) {found.neighbours[k].feasibility:.2f}"
                 for k in np.flatnonzero(chosen)
             ],
         )
@@ -106,14 +113,14 @@ def _figure(analysis: Analysis, found: ParameterSensitivity, metric: str) -> Fig
     ]
     return Figure(
         name="sensitivity",
-        title=f"Change of the mean {metric} one step away from the {analysis.answer_set}",
+        title=f"Change of the mean {metric.name} one step away from the {analysis.answer_set}",
         caption="Predicted by the surrogates. A gain at an infeasible neighbour means that a limit "
         "is active at the optimum; large losses on both sides mean that the optimum is narrow.",
-        alternative="; ".join(f"{s}: {r:+.1f} %" for s, r in zip(steps, relative, strict=True)),
+        alternative="; ".join(told),
         panels=[
             Panel(
                 x=Axis(label="", ticks=list(zip(places.tolist(), steps, strict=True))),
-                y=Axis(label="change of the mean", unit="%"),
+                y=Axis(label="change of the mean", unit=unit),
                 elements=bars,
             )
         ],
