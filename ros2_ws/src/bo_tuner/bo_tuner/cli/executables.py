@@ -3,40 +3,14 @@
 import importlib
 import signal
 import sys
+from functools import partial
 from typing import NoReturn
 
 from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import SIGNALS, Interruption
 
 
-def tune() -> NoReturn:
-    """Run a study, or resume a run."""
-    run("bo_tuner.cli.tune", sys.argv[1:])
-
-
-def report() -> NoReturn:
-    """Write the report of a run."""
-    run("bo_tuner.cli.report", sys.argv[1:])
-
-
-def validate() -> NoReturn:
-    """Certify the result of a run."""
-    run("bo_tuner.cli.validate", sys.argv[1:])
-
-
-def replay() -> NoReturn:
-    """Repeat an evaluation of a run from its record."""
-    run("bo_tuner.cli.replay", sys.argv[1:])
-
-
-def recompute() -> NoReturn:
-    """Compute the metrics of a run again from its bags."""
-    run("bo_tuner.cli.recompute", sys.argv[1:])
-
-
-def apply() -> NoReturn:
-    """Set the result of a run on live nodes."""
-    run("bo_tuner.cli.apply", sys.argv[1:])
+COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply")
 
 
 def run(module: str, argv: list[str]) -> NoReturn:
@@ -49,3 +23,13 @@ def run(module: str, argv: list[str]) -> NoReturn:
     command = importlib.import_module(module)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     sys.exit(command.run(argv, interruption))
+
+
+def _run_named(command: str) -> NoReturn:
+    run(f"bo_tuner.cli.{command}", sys.argv[1:])
+
+
+# One for each of the console scripts.
+tune, report, validate, replay, recompute, apply = (
+    partial(_run_named, command) for command in COMMANDS
+)
