@@ -47,7 +47,7 @@ def full_figure():
             Band(x=x, lower=x, upper=2.0 * x, name="band"),
             Line(x=x, y=[1.0, np.nan, 3.0], name="line", step=True, hover=["a", "b\nc", "d"]),
             Points(x=x, y=x, low=x / 2, high=2 * x, marker=Marker.CROSS, name="points"),
-            Points(x=x, y=x, marker=Marker.STAR, labels=["p", "q", "r"], filled=False),
+            Points(x=x, y=x, marker=Marker.STAR, filled=False),
             Limit(value=2.0, name="limit"),
             Limit(value=3.0, vertical=True, color=Color.GREEN, name="here"),
         ],

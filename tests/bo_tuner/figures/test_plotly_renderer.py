@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import plotly.graph_objects as go
@@ -9,6 +10,7 @@ import pytest
 
 from bo_tuner.figures.figure import (
     Axis,
+    Color,
     ColorScale,
     Figure,
     Heatmap,
@@ -20,11 +22,26 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, DIVERGING, LIGHT
-from bo_tuner.figures.plotly_renderer import figure_data, panel_data, resolve
+from bo_tuner.figures.plotly_renderer import figure_data, panel_data
 
 
 def panel_of(*elements):
     return Panel(x=Axis(label="x"), y=Axis(label="y"), elements=elements)
+
+
+def resolve(data, shades):
+    """Replace the names of colours by the shades of a palette, as the page does."""
+
+    def shade(match):
+        name, opacity = match.groups()
+        if name == "none":
+            return '"rgba(0,0,0,0)"'
+        color = shades[Color.GRAY if name == "grid" else Color(name)]
+        red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+        return f'"rgba({red},{green},{blue},{opacity or (0.25 if name == "grid" else 1)})"'
+
+    text = re.sub(r'"@([a-z]+)(?:/([0-9.]+))?"', shade, json.dumps(data))
+    return json.loads(text)
 
 
 @pytest.mark.parametrize("palette", [LIGHT, DARK])

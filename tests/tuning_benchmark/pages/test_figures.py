@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bo_tuner.figures.elements import Band, Contour, Heatmap, Line, Points
+from bo_tuner.figures.figure import Band, Contour, Heatmap, Line, Points
 from bo_tuner.study.study_file import load_study
 from tuning_benchmark.campaign.fields import surrogate_fields, true_fields
 from tuning_benchmark.campaign.runs import RunSize

@@ -81,7 +81,6 @@ MARKERS = {
     Marker.DIAMOND: "D",
     Marker.TRIANGLE: "^",
     Marker.CROSS: "x",
-    Marker.PLUS: "+",
     Marker.STAR: "*",
 }
 DASHES: Mapping[Dash, Any] = {
@@ -92,8 +91,6 @@ DASHES: Mapping[Dash, Any] = {
 }
 PLAIN = FuncFormatter(lambda value, _: f"{value:.4g}")
 """Plain numbers: powers of ten would need the markup that is off for names."""
-
-UNFILLED = (Marker.CROSS, Marker.PLUS)
 
 
 def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
@@ -258,16 +255,14 @@ def _points(ax: Any, points: Points, order: int) -> Any:
     if points.values is not None and points.colors is not None:
         scale = points.colors
         style |= {"c": np.asarray(points.values), "cmap": _colormap(scale), "norm": _norm(scale)}
-        style |= {} if points.marker in UNFILLED else {"edgecolors": "#1c232b", "linewidths": 0.5}
-    elif points.marker in UNFILLED:
+        if points.marker is not Marker.CROSS:
+            style |= {"edgecolors": "#1c232b", "linewidths": 0.5}
+    elif points.marker is Marker.CROSS:
         style |= {"c": color, "linewidths": 1.8}
     else:
         edge = LIGHT[Color.PAPER] if points.filled else color
         style |= {"facecolors": color if points.filled else "none", "edgecolors": edge}
-    handle = ax.scatter(points.x, points.y, **style)
-    for x, y, text in zip(points.x, points.y, points.labels, strict=False):
-        ax.annotate(text, (x, y), xytext=(5, 4), textcoords="offset points", fontsize=8)
-    return handle
+    return ax.scatter(points.x, points.y, **style)
 
 
 def _bars(ax: Any, bars: Bars, together: Sequence[Bars], order: int) -> Any:

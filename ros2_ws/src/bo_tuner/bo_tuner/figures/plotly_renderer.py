@@ -2,18 +2,16 @@
 
 A panel becomes a Plotly figure of its own, so that a page can put panels beside or below one
 another as its width permits. Colours stay names with an ``@`` in front, such as ``@blue``, or
-``@blue/0.2`` with an opacity; `resolve` puts in the shades of a palette, and a page does the same
-when the reader changes between light and dark. Legends and colour bars are the page's, see `keys`:
+``@blue/0.2`` with an opacity; the page puts in the shades of its palette, and does so again when
+the reader changes between light and dark. Legends and colour bars are the page's, see `keys`:
 they belong to all panels of a figure.
 """
 
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Limit, Panel, Scale
+from bo_tuner.figures.figure import Axis, Bars, Figure, Limit, Panel, Scale
 from bo_tuner.figures.plotly_traces import DASHES, Trace, text_of, traces
 
 CHARACTER = 7.0
@@ -79,22 +77,6 @@ def panel_data(panel: Panel, height: int) -> dict[str, Any]:
     layout["title"] = {"text": title, "x": 0.01, "y": 0.98, "yanchor": "top", "font": {"size": 12}}
     layout["yaxis"]["title"] = {"text": label, "standoff": 4}
     return {"data": drawn, "layout": layout}
-
-
-def resolve(data: Mapping[str, Any], shades: Mapping[Color, str]) -> dict[str, Any]:
-    """Replace the names of colours by the shades of a palette."""
-
-    def shade(match: re.Match[str]) -> str:
-        name, opacity = match.groups()
-        if name == "none":
-            return '"rgba(0,0,0,0)"'
-        color = shades[Color.GRAY if name == "grid" else Color(name)]
-        red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
-        return f'"rgba({red},{green},{blue},{opacity or (0.25 if name == "grid" else 1)})"'
-
-    text = re.sub(r'"@([a-z]+)(?:/([0-9.]+))?"', shade, json.dumps(data))
-    resolved: dict[str, Any] = json.loads(text)
-    return resolved
 
 
 def _values(

@@ -34,10 +34,8 @@ MARKERS = {
     Marker.DIAMOND: "diamond",
     Marker.TRIANGLE: "triangle-up",
     Marker.CROSS: "x-thin",
-    Marker.PLUS: "cross-thin",
     Marker.STAR: "star",
 }
-THIN = (Marker.CROSS, Marker.PLUS)
 DASHES = {Dash.SOLID: "solid", Dash.DASHED: "dash", Dash.DOTTED: "dot", Dash.DASH_DOT: "dashdot"}
 PIXELS_PER_POINT = 4.0 / 3.0
 
@@ -112,22 +110,20 @@ def _points(points: Points) -> Trace:
             "cmax": points.colors.high,
             "line": {"width": 1, "color": f"@{Color.BLACK}"},
         }
-    elif points.marker in THIN:
+    elif points.marker is Marker.CROSS:
         marker["line"] = {"width": 2.5, "color": f"@{points.color}"}
     elif not points.filled:
         marker["symbol"] += "-open"
         marker["line"] = {"width": 1.6}
     trace: Trace = {
         "type": "scatter",
-        "mode": "markers+text" if points.labels else "markers",
+        "mode": "markers",
         "name": text_of(points.name),
         "x": _numbers(points.x),
         "y": _numbers(points.y),
         "marker": marker,
         "cliponaxis": False,
     } | _hover(points.hover, "x+y+name" if points.name else "x+y")
-    if points.labels:
-        trace |= {"text": [text_of(t) for t in points.labels], "textposition": "top right"}
     if points.low is not None and points.high is not None:
         trace["error_y"] = _errors(points.y, points.low, points.high, f"@{points.color}")
     return trace
