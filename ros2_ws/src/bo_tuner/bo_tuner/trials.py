@@ -76,6 +76,11 @@ class Outcome:
     details: Mapping[str, str] = field(default_factory=dict)
 
     @property
+    def complete(self) -> bool:
+        """Whether it has all metrics of the study."""
+        return self.state is EvaluationState.COMPLETE
+
+    @property
     def spoilt(self) -> bool:
         """Whether it tells nothing of its parameters: its nodes were lost, or others disturbed."""
         return self.state is EvaluationState.LOST or DISTURBED in self.details
@@ -182,8 +187,7 @@ class Trial:
         return [
             evaluation.outcome.metrics[metric]
             for evaluation in self.evaluations
-            if evaluation.stage in ESTIMATING
-            and evaluation.outcome.state is EvaluationState.COMPLETE
+            if evaluation.stage in ESTIMATING and evaluation.outcome.complete
         ]
 
     def mean(self, metric: str) -> float | None:

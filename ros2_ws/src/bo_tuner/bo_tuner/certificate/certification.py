@@ -19,7 +19,7 @@ from bo_tuner.certificate.verdict import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
+from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
@@ -239,7 +239,7 @@ class Certification:
             [
                 (evaluation.context, sign * evaluation.outcome.metrics[metric])
                 for evaluation in known
-                if evaluation.outcome.state is EvaluationState.COMPLETE
+                if evaluation.outcome.complete
             ],
             suspected,
             sign * constraint.limit,

@@ -27,7 +27,7 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.parts import UPPER, Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState
+from bo_tuner.trials import Evaluation
 from bo_tuner.worst_case.contexts import maximise_over_contexts
 
 CREDIBLE = 0.9
@@ -199,9 +199,7 @@ def context_tolerances(
     tuple of ContextTolerance
         One for each worst-case constraint; empty without contexts, or with too few evaluations.
     """
-    complete = _first_contexts(
-        e for e in evaluations if e.outcome.state is EvaluationState.COMPLETE
-    )
+    complete = _first_contexts(e for e in evaluations if e.outcome.complete)
     if not study.contexts or len(complete) < FEWEST_EVALUATIONS:
         return ()
     return tuple(_tolerance(study, item, complete) for item in study.worst_case_constraints)

@@ -17,7 +17,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import ROS, UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import EvaluationState, Stage, Trial
+from bo_tuner.trials import Stage, Trial
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
@@ -233,8 +233,7 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     return [
         evaluation.outcome.metrics
         for evaluation in record.evaluations
-        if evaluation.outcome.state is EvaluationState.COMPLETE
-        and dict(evaluation.parameters) == dict(trial.parameters)
+        if evaluation.outcome.complete and dict(evaluation.parameters) == dict(trial.parameters)
     ]
 
 

@@ -42,7 +42,7 @@ from bo_tuner.certificate.sequential import (
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import EXPECTATION, MAXIMIZE, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState
+from bo_tuner.trials import Evaluation
 
 PASS, FAIL = "PASS", "FAIL"
 
@@ -310,8 +310,7 @@ def _refuted(
 def _events(constraint: Constraint, evaluations: Sequence[Evaluation]) -> list[bool]:
     """Return whether each evaluation violates the limit or failed."""
     return [
-        e.outcome.state is not EvaluationState.COMPLETE
-        or bool(constraint.violations(e.outcome.metrics[constraint.metric]))
+        not e.outcome.complete or bool(constraint.violations(e.outcome.metrics[constraint.metric]))
         for e in evaluations
     ]
 
@@ -321,7 +320,7 @@ def _bound(events: Sequence[bool], confidence: float) -> float:
 
 
 def _failed(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
-    return [e for e in evaluations if e.outcome.state is not EvaluationState.COMPLETE]
+    return [e for e in evaluations if not e.outcome.complete]
 
 
 def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
@@ -329,7 +328,7 @@ def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
         [
             evaluation.outcome.metrics[metric]
             for evaluation in evaluations
-            if evaluation.outcome.state is EvaluationState.COMPLETE
+            if evaluation.outcome.complete
         ]
     )
 

@@ -38,7 +38,7 @@ from bo_tuner.study.descriptors import node_problems
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted, shown
-from bo_tuner.trials import Evaluation, EvaluationState, Stage
+from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
 
@@ -157,7 +157,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
             with contextlib.suppress(BackendError):
                 backend.close()
     _plot(study, recording)
-    failed = [e for e in done if e.outcome.state is not EvaluationState.COMPLETE]
+    failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
         say_error(
             f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"

@@ -17,7 +17,6 @@ from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import csv_cell
-from bo_tuner.trials import EvaluationState
 
 DESCRIPTION = """\
 Compute the metrics of every recorded run again from the signals in its bag, and
@@ -100,7 +99,7 @@ def _row(
 ) -> tuple[object, ...]:
     run, outcome = found.run, found.outcome
     note = ""
-    if outcome.state is not EvaluationState.COMPLETE:
+    if not outcome.complete:
         note = outcome.reason
     elif differs:
         recorded = (f"{name} {run.evaluation['metrics'][name]!r}" for name in differs)

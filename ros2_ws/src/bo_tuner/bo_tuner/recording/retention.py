@@ -14,7 +14,7 @@ import yaml
 
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
+from bo_tuner.trials import Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import tightest
 
 MEGABYTE = 1_000_000
@@ -78,7 +78,7 @@ def evaluation_badness(study: Study, evaluation: Evaluation) -> tuple[bool, floa
     Else its worst-case metric counts, or in a study without one the objective as a cost.
     """
     metrics = evaluation.outcome.metrics
-    if evaluation.outcome.state is not EvaluationState.COMPLETE:
+    if not evaluation.outcome.complete:
         return True, 0.0
     if worst := study.worst_case_constraints:
         return False, max(constraint.excess(metrics[constraint.metric]) for constraint in worst)

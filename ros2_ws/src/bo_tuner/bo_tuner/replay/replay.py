@@ -12,7 +12,7 @@ from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.parts import IN_PROCESS, Metric
-from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Stage, TrialState
+from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
@@ -83,7 +83,7 @@ class Replay:
         """The result in words."""
         if not self.confirmed:
             return "NOT confirmed"
-        complete = self.replayed.outcome.state is EvaluationState.COMPLETE
+        complete = self.replayed.outcome.complete
         if complete and not any(row.judged for row in self.metrics):
             return "the end is confirmed; no metric of this study is the same in two runs"
         return "confirmed"

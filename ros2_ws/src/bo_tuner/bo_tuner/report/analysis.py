@@ -15,7 +15,7 @@ from bo_tuner.optimizers.ranking import Candidate, comparable, first_by, ranked_
 from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.trials import CHECKS, Evaluation, EvaluationState, Trial, TrialState, Value
+from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.tuning.settling import estimated, repetitions_of, with_repetitions
@@ -179,8 +179,7 @@ class Analysis:
         return [
             evaluation
             for evaluation in self.record.evaluations
-            if evaluation.outcome.state is EvaluationState.COMPLETE
-            and space.key(evaluation.parameters) == key
+            if evaluation.outcome.complete and space.key(evaluation.parameters) == key
         ]
 
 

@@ -61,7 +61,7 @@ def trial_of(row: Row, evaluations: tuple[Evaluation, ...]) -> Trial:
     """Make a trial."""
     state, reason = TrialState(_text(row, "state")), _text(row, "reason")
     worst_cases: dict[str, WorstCase] = {}
-    failed = [e for e in evaluations if e.outcome.state is not EvaluationState.COMPLETE]
+    failed = [e for e in evaluations if not e.outcome.complete]
     if state is TrialState.COMPLETE and failed:
         state, reason = TrialState.FAILED, failed[0].outcome.reason
     else:
@@ -125,7 +125,7 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
 
     for evaluation in evaluations:
         outcome = evaluation.outcome
-        complete = outcome.state is EvaluationState.COMPLETE
+        complete = outcome.complete
         try:
             check_parameters(evaluation.parameters)
             check_context(evaluation.context)

@@ -38,7 +38,7 @@ def evaluate(
     """
     (evaluation,) = backend.run([planned])
     outcome = evaluation.outcome
-    if outcome.state is EvaluationState.COMPLETE:
+    if outcome.complete:
         values = {o.metric: outcome.metrics[o.metric] for o in study.objectives if o.scale == LOG}
         for metric, value in values.items():
             if value <= 0.0:

@@ -28,7 +28,7 @@ from scipy.special import bdtrc, stdtrit
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, WorstCase
+from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
 
 FAILED, WITHIN = "failed", "within limits"
 
@@ -95,9 +95,7 @@ def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
 
 def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, Sample]:
     """Judge each constraint, by name, on the complete evaluations among some draws."""
-    complete = [
-        e.outcome.metrics for e in evaluations if e.outcome.state is EvaluationState.COMPLETE
-    ]
+    complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
     return {
         name: judge_sample(constraint, [metrics[constraint.metric] for metrics in complete])
         for name, constraint in study.constraints.items()

@@ -12,7 +12,6 @@ from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     Evaluation,
-    EvaluationState,
     Outcome,
     Stage,
     Trial,
@@ -120,7 +119,7 @@ class Tuning:
 
         for stage, context in self._estimating_contexts(number, proposal):
             outcome = run(stage, context)
-            if outcome.state is not EvaluationState.COMPLETE:
+            if not outcome.complete:
                 return TrialState.FAILED, outcome.reason, {}
         searches = self._algorithm.worst_case_searches(self._study, proposal, self.trials)
         for evaluation in done:
@@ -128,7 +127,7 @@ class Tuning:
         while not searches.done(rng()):
             context = searches.ask(rng())
             outcome = run(Stage.SEARCH, context)
-            if outcome.state is not EvaluationState.COMPLETE:
+            if not outcome.complete:
                 return TrialState.FAILED, outcome.reason, {}
             searches.tell(context, outcome.metrics)
         return TrialState.COMPLETE, "", searches.worst_cases(rng())

@@ -16,7 +16,7 @@ from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, WorstCase
+from bo_tuner.trials import Evaluation, Stage, Trial, WorstCase
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.limits import judge_sample, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -140,9 +140,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         Whether the check is complete and all constraints hold.
     """
     extended = replace(trial, evaluations=trial.evaluations + tuple(check))
-    completed = len(check) == _size(trial) and all(
-        e.outcome.state is EvaluationState.COMPLETE for e in check
-    )
+    completed = len(check) == _size(trial) and all(e.outcome.complete for e in check)
     if not completed:
         return extended, False
     holds = all(
@@ -186,7 +184,7 @@ def _check(
         seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
         planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
         check.append(evaluate(study, backend, planned, observer))
-        if check[-1].outcome.state is not EvaluationState.COMPLETE:
+        if not check[-1].outcome.complete:
             break
     return with_check(study, trial, check)
 

@@ -22,7 +22,6 @@ from bo_tuner.trials import (
     CHECKS,
     TUNING,
     Evaluation,
-    EvaluationState,
     Stage,
     Trial,
     TrialState,
@@ -121,7 +120,7 @@ def settle(
             losses.note(evaluation)
             losses.check()
             observer.advance()
-            if evaluation.outcome.state is not EvaluationState.COMPLETE:
+            if not evaluation.outcome.complete:
                 break
 
 
@@ -175,7 +174,7 @@ def with_repetitions(trial: Trial, repetitions: Sequence[Evaluation]) -> Trial:
     """Add repetitions to a trial, which has failed if one of them did for its parameters."""
     extended = replace(trial, evaluations=(*trial.evaluations, *repetitions))
     for outcome in (evaluation.outcome for evaluation in repetitions):
-        if outcome.state is not EvaluationState.COMPLETE and not outcome.spoilt:
+        if not outcome.complete and not outcome.spoilt:
             return replace(extended, state=TrialState.FAILED, reason=outcome.reason)
     return extended
 
@@ -196,7 +195,7 @@ def estimated(study: Study, models: Surrogates, trial: Trial) -> Trial:
             values = [
                 evaluation.outcome.metrics[constraint.metric]
                 for evaluation in trial.evaluations
-                if evaluation.outcome.state is EvaluationState.COMPLETE
+                if evaluation.outcome.complete
             ]
             worst_cases[name] = WorstCase(
                 float(value[0]), context, constraint.farthest(values), float(noise[0])

@@ -11,7 +11,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
+from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.limits import Sample, all_hold, judge_samples
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -127,9 +127,7 @@ def validate(
 def _judge(
     study: Study, parameters: Mapping[str, Value], evaluations: Sequence[Evaluation]
 ) -> Validation:
-    complete = [
-        e.outcome.metrics for e in evaluations if e.outcome.state is EvaluationState.COMPLETE
-    ]
+    complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
     objective = np.array([metrics[study.objective.metric] for metrics in complete])
     return Validation(
         parameters=dict(parameters),

@@ -8,7 +8,6 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     SEEKING_WORST,
     Evaluation,
-    EvaluationState,
     Stage,
     Trial,
     TrialState,
@@ -160,10 +159,7 @@ def observed(
     drawn: dict[int, Mapping[str, float]] = {}
     others = []
     for evaluation in evaluations:
-        if (
-            dict(evaluation.parameters) != dict(parameters)
-            or evaluation.outcome.state is not EvaluationState.COMPLETE
-        ):
+        if dict(evaluation.parameters) != dict(parameters) or not evaluation.outcome.complete:
             continue
         if evaluation.stage is Stage.VALIDATION and evaluation.trial == side:
             drawn[evaluation.index] = evaluation.outcome.metrics

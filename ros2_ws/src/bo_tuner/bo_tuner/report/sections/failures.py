@@ -5,14 +5,12 @@ from collections.abc import Sequence
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, values
 from bo_tuner.text import with_unit
-from bo_tuner.trials import Evaluation, EvaluationState, Trial
+from bo_tuner.trials import Evaluation, Trial
 
 
 def failures(analysis: Analysis) -> Section:
     """List failures and outliers."""
-    failed = [
-        r for r in analysis.record.evaluations if r.outcome.state is not EvaluationState.COMPLETE
-    ]
+    failed = [r for r in analysis.record.evaluations if not r.outcome.complete]
     outliers = [t for t in analysis.trials if t.number in analysis.models.outliers]
     tables = []
     if failed:

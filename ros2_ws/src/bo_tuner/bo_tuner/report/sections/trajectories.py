@@ -23,7 +23,7 @@ from bo_tuner.report.content import Section, values
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Value
+from bo_tuner.trials import Evaluation, Stage, Value
 
 TIME = "time"
 DEFAULT, TUNED = "default", "tuned"
@@ -229,7 +229,7 @@ def side_looks(name: str) -> dict[str, Look]:
 
 def _run(backend: TracingBackend, planned: Evaluation) -> Trace:
     outcome = backend.outcome(planned)
-    if outcome.state is not EvaluationState.COMPLETE:
+    if not outcome.complete:
         raise NoTraceError(f"the evaluation failed: {outcome.reason}")
     return backend.trace()
 
