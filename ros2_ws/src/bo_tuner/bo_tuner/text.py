@@ -1,6 +1,7 @@
 """Text of others, such as names in a study and what nodes say, made fit to be shown."""
 
 import textwrap
+from collections.abc import Mapping
 
 JOIN = "\xa0"
 """In place of a space, between what stays on one line, such as a name and its number."""
@@ -58,6 +59,11 @@ def shown(value: bool | int | float | str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return value if isinstance(value, str) else f"{value + 0.0:.4g}"  # no "-0"
+
+
+def values(mapping: Mapping[str, bool | int | float | str]) -> str:
+    """Format named values, such as a context, in one line."""
+    return ", ".join(f"{name} {shown(value)}" for name, value in mapping.items())
 
 
 def with_unit(name: str, unit: str) -> str:

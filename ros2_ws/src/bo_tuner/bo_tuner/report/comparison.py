@@ -11,7 +11,6 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
-from bo_tuner.study.parts import LOG
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage
 from bo_tuner.tuning.limits import tightest
@@ -170,7 +169,7 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
         if not any(candidate.believed_feasible for _, candidate in found):
             without.append(name)
             continue
-        scales.setdefault(objective, Scale.LOG if study.objective.scale == LOG else Scale.LINEAR)
+        scales.setdefault(objective, Scale(study.objective.scale))
         panels.setdefault(objective, []).append(
             Line(
                 x=[float(k) for k, _ in found],

@@ -24,8 +24,7 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted
-from bo_tuner.report.sections.convergence import LOOKS, describe
-from bo_tuner.study.parts import LOG
+from bo_tuner.report.sections.convergence import outcome_points
 from bo_tuner.trials import Trial
 
 MOST_PARAMETERS = 4
@@ -117,21 +116,8 @@ def _contour_panel(
                 color=Color.VERMILION, dash=Dash.DOTTED,
             )
         )  # fmt: skip
-    for kind, (color, marker, filled) in LOOKS.items():
-        chosen = [t for t in analysis.trials if analysis.outcome(t) == kind]
-        if chosen:
-            elements.append(
-                Points(
-                    x=[float(t.parameters[a.name]) for t in chosen],
-                    y=[float(t.parameters[b.name]) for t in chosen],
-                    name=kind,
-                    color=color,
-                    marker=marker,
-                    filled=filled,
-                    size=5,
-                    hover=[describe(analysis, t) for t in chosen],
-                )
-            )
+    of_a, of_b = (np.array([float(t.parameters[g.name]) for t in analysis.trials]) for g in grids)
+    elements += outcome_points(analysis, analysis.trials, of_a, of_b, size=5)
     for name, parameters, marker, color in (
         ("default", analysis.defaults, Marker.SQUARE, Color.INK),
         (analysis.answer_name, answer.parameters, Marker.STAR, Color.BLUE),
@@ -153,7 +139,7 @@ def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
     low, high = np.quantile(seen, [0.0, 0.9]) if len(seen) else (0.0, 1.0)
     if not low < high:
         low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
-    scale = Scale.LOG if study.objective.scale == LOG and low > 0.0 else Scale.LINEAR
+    scale = Scale(study.objective.scale) if low > 0.0 else Scale.LINEAR
     return ColorScale(
         label=f"mean {metric.name}", unit=metric.unit, low=float(low), high=float(high), scale=scale
     )

@@ -25,9 +25,10 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, Outcome
-from bo_tuner.report.content import Section, numbered, quantity, values
-from bo_tuner.study.parts import EXPECTATION, LOG, Constraint
-from bo_tuner.text import counted
+from bo_tuner.report.content import Section, numbered, quantity
+from bo_tuner.study.parts import EXPECTATION, Constraint, Objective
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted, values
 from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import worst_case_holds
 from bo_tuner.tuning.summary import continued
@@ -95,15 +96,13 @@ def describe(analysis: Analysis, trial: Trial) -> str:
 
 def _objective(analysis: Analysis) -> Figure:
     study, trials = analysis.study, analysis.trials
-    metric = study.metrics[study.objective.metric]
-    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
-    y = Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale)
+    y = mean_axis(study, study.objective)
     means = np.array([analysis.mean_objective(trial) for trial in trials])
     found = incumbents(analysis)
     line = "the posterior mean of the surrogate, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:
         line = "the mean of its evaluations; it may rise where another objective gains more"
-    shown = _within_sight(analysis, means, scale)
+    shown = _within_sight(analysis, means, y.scale)
     top = float(np.nanmax(shown))
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
     panels = [
@@ -124,7 +123,7 @@ def _objective(analysis: Analysis) -> Figure:
     ]
     return Figure(
         name="convergence",
-        title=f"Mean {metric.name} of each trial, and of the incumbent",
+        title=f"Mean {study.objective.metric} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. Failed trials, which have no value, and values far above the "
         "others are at the top, and so is the line.",
@@ -168,8 +167,19 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     )
 
 
-def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array) -> list[Element]:
-    """Return a point for each trial at (x, y), by its outcome, and the mark of the result."""
+def mean_axis(study: Study, objective: Objective) -> Axis:
+    """Return the axis of the mean of an objective, on its scale."""
+    return Axis(
+        label=f"mean {objective.metric}",
+        unit=study.metrics[objective.metric].unit,
+        scale=Scale(objective.scale),
+    )
+
+
+def outcome_points(
+    analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array, size: float = 7.0
+) -> list[Element]:
+    """Return a point for each trial at (x, y), by its outcome."""
     drawn: list[Element] = []
     outcomes = np.array([analysis.outcome(trial) for trial in trials])
     for kind, (color, marker, filled) in LOOKS.items():
@@ -182,10 +192,17 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
                     name=kind,
                     color=color,
                     marker=marker,
+                    size=size,
                     filled=filled,
                     hover=[describe(analysis, trials[int(k)]) for k in chosen],
                 )
             )
+    return drawn
+
+
+def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array) -> list[Element]:
+    """Return the `outcome_points`, and the mark of the result."""
+    drawn = outcome_points(analysis, trials, x, y)
     answer = analysis.answer
     for k, trial in enumerate(trials):
         if answer is not None and trial.number == answer.number:

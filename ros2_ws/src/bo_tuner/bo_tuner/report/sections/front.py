@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 
 from bo_tuner.figures.figure import (
-    Axis,
     Color,
     Dash,
     Element,
@@ -16,12 +15,11 @@ from bo_tuner.figures.figure import (
     Marker,
     Panel,
     Points,
-    Scale,
 )
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, number
-from bo_tuner.report.sections.convergence import trial_points
-from bo_tuner.study.parts import LOG, Objective
+from bo_tuner.report.sections.convergence import mean_axis, trial_points
+from bo_tuner.study.parts import Objective
 from bo_tuner.text import with_unit
 from bo_tuner.tuning.front import CONFIDENCE, RULE, Mean, Point, pareto_front
 
@@ -113,7 +111,8 @@ def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, O
             ],
         ),
     ]
-    return Panel(x=_axis(analysis, pair[0]), y=_axis(analysis, pair[1]), elements=elements)
+    across, up = (mean_axis(analysis.study, objective) for objective in pair)
+    return Panel(x=across, y=up, elements=elements)
 
 
 def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
@@ -122,14 +121,6 @@ def _across(x: Mean, y: Mean) -> tuple[list[float], list[float]]:
     return (
         [x.value - x.error, x.value + x.error, gap, x.value, x.value, gap],
         [y.value, y.value, gap, y.value - y.error, y.value + y.error, gap],
-    )
-
-
-def _axis(analysis: Analysis, objective: Objective) -> Axis:
-    return Axis(
-        label=f"mean {objective.metric}",
-        unit=analysis.study.metrics[objective.metric].unit,
-        scale=Scale.LOG if objective.scale == LOG else Scale.LINEAR,
     )
 
 

@@ -16,15 +16,14 @@ from bo_tuner.figures.figure import (
     Line,
     Panel,
     Points,
-    Scale,
 )
 from bo_tuner.models.constraints import LimitedResponse
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
-from bo_tuner.report.sections.convergence import describe
-from bo_tuner.study.parts import CHANCE, LOG, Constraint
+from bo_tuner.report.sections.convergence import describe, mean_axis
+from bo_tuner.study.parts import CHANCE, Constraint
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1
@@ -72,13 +71,11 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
         np.where(allowed, study.objective.from_cost(cost), math.nan)
         for cost in (mean, mean - sigma, mean + sigma)
     )
-    metric = study.metrics[study.objective.metric]
-    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
     near = _near(analysis, answer, grid)
     y = [analysis.mean_objective(trial) for trial in near]
     return Panel(
         x=grid.axis,
-        y=Axis(label=f"mean {metric.name}", unit=metric.unit, scale=scale),
+        y=mean_axis(study, study.objective),
         elements=[
             *_curve(grid, line, np.minimum(one, other), np.maximum(one, other)),
             *_near_points(analysis, near, grid, y),

@@ -15,14 +15,13 @@ from bo_tuner.figures.figure import (
     Marker,
     Panel,
     Points,
-    Scale,
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.report.analysis import Analysis, Outcome
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
-from bo_tuner.report.sections.convergence import trial_points
-from bo_tuner.study.parts import LOG, Constraint
+from bo_tuner.report.sections.convergence import mean_axis, trial_points
+from bo_tuner.study.parts import Constraint
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.limits import WITHIN, verdict
 
@@ -81,11 +80,10 @@ def _figure(
     front: list[int],
 ) -> Figure:
     study = analysis.study
-    objective, limited = study.metrics[study.objective.metric], study.metrics[constraint.metric]
-    scale = Scale.LOG if study.objective.scale == LOG else Scale.LINEAR
+    limited = study.metrics[constraint.metric]
     return Figure(
         name=name,
-        title=f"Mean {objective.name} against worst {limited.name}, all trials",
+        title=f"Mean {study.objective.metric} against worst {limited.name}, all trials",
         caption="Estimates of the trials themselves, with the noise of a few evaluations "
         "each; the best ones were also lucky. The default has the numbers of the answer.",
         alternative="; ".join(
@@ -96,7 +94,7 @@ def _figure(
         panels=[
             Panel(
                 x=Axis(label=f"worst {limited.name}", unit=limited.unit),
-                y=Axis(label=f"mean {objective.name}", unit=objective.unit, scale=scale),
+                y=mean_axis(study, study.objective),
                 elements=[
                     Limit(value=constraint.limit, name="limit", vertical=True),
                     Line(
