@@ -9,7 +9,6 @@ from typing import NoReturn
 from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import SIGNALS, Interruption
 
-
 COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply")
 
 

@@ -103,13 +103,7 @@ def write_report(run: RunRecord, path: Path) -> Path:
 
 
 def write_page(analysis: Analysis, parts: Sequence[Section], path: Path) -> Path:
-    """Write the page with these sections to `path` and return it.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write the page with these sections to `path` and return it; raises as `write_atomically`."""
     return _write(path, render(analysis, parts, os.path.relpath(analysis.record.path, path.parent)))
 
 
@@ -119,24 +113,12 @@ def trial_html(analysis: Analysis, trial: Trial, parts: Sequence[Section], home:
 
 
 def write_trial(analysis: Analysis, trial: Trial, parts: Sequence[Section], path: Path) -> Path:
-    """Write the page of a trial to `path` and return it.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write the page of a trial to `path` and return it; raises as `write_atomically`."""
     return _write(path, trial_html(analysis, trial, parts))
 
 
 def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
-    """Write the page that compares runs to `path` and return it.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write the page that compares runs to `path` and return it; raises as `write_atomically`."""
     return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
 
 
