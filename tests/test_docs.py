@@ -17,9 +17,9 @@ from example_nodes import UNCHANGED, start_script
 from ros_processes import claim_domain
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.cli.executables import COMMANDS as OF_TUNER
 from bo_tuner.backends.ros.isolation import isolated_environment
 from bo_tuner.cli.common import split_ros_arguments
+from bo_tuner.cli.executables import COMMANDS as OF_TUNER
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study, parse_study, study_to_yaml
 from bo_tuner.trials import EvaluationState

@@ -18,12 +18,7 @@ from functions import FunctionBackend
 from small_run import make_run
 
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.certificate.certificate import (
-    DEFAULT,
-    TUNED,
-    make_certificate,
-    write_certificate,
-)
+from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.store import CERTIFICATES, certificate_problem
 from bo_tuner.cli import validate as validate_command
@@ -41,6 +36,7 @@ from bo_tuner.storage.journal import COLUMNS, checksum
 from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import BEST, JOURNAL, SUMMARY, RunFolder
+from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.summary import conclude, summarize, with_summary
 

@@ -22,7 +22,10 @@ class Stage(StrEnum):
 TUNING = (Stage.NOMINAL, Stage.DRAWN, Stage.SEARCH)
 """Stages of a trial; the others are those of the checks of candidates and of the validation."""
 
-VALIDATED = ("default", "tuned")
+DEFAULT, TUNED = "default", "tuned"
+"""The parameter sets that are compared."""
+
+VALIDATED = (DEFAULT, TUNED)
 """What the number of a trial stands for in the validation."""
 
 CHECKS = (Stage.CHECK_DRAWN, Stage.CHECK_WORST)

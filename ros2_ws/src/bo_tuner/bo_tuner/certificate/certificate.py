@@ -24,20 +24,19 @@ from bo_tuner.certificate.store import (
     next_path,
     parameters_sha256,
 )
-from bo_tuner.certificate.verdict import FAIL, PASS, judge
+from bo_tuner.certificate.verdict import judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank, ranking_models
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_folder import without_nan
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import csv_cell
-from bo_tuner.trials import Stage, Trial
-
-TUNED, DEFAULT = "tuned", "default"
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
+from bo_tuner.verdict.verdict import FAIL, PASS
 
 
 @dataclass(frozen=True)

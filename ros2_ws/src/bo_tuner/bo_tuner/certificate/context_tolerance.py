@@ -23,6 +23,7 @@ from bo_tuner.certificate.context_response import KEPT, ContextResponse
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.parts import UPPER, Constraint
@@ -63,12 +64,8 @@ class Band:
 
     @classmethod
     def from_mapping(cls, item: Mapping[str, Any]) -> Self:
-        """Return the band that a certificate holds, where null stands for NaN."""
-        low, median, high = (
-            np.nan if item[name] is None else float(item[name])
-            for name in ("low", "median", "high")
-        )
-        return cls(low, median, high)
+        """Return the band that a certificate holds."""
+        return cls(*(to_number(item[name]) for name in ("low", "median", "high")))
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import inf, nan
+from math import inf
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.store import certificate_problem, latest_certificate, read_certificate
 from bo_tuner.certificate.unfinished import evaluations_begun
-from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
+from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import ROS, UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import Stage, Trial
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
@@ -29,7 +28,7 @@ from bo_tuner.verdict.validated import (
     open_verdict,
     validated,
 )
-from bo_tuner.verdict.verdict import State, Verdict
+from bo_tuner.verdict.verdict import PASS, State, Verdict
 
 
 def run_verdict(record: RunRecord) -> Verdict:
@@ -216,8 +215,8 @@ def _observed(
         others=[*others, *(row.metrics for row in own if row.stage is not Stage.VALIDATION)],
         worst={
             constraint["name"]: WorstMean(
-                value=_number(mean["value"], nan),
-                standard_error=_number(mean["standard_error"], nan),
+                value=to_number(mean["value"]),
+                standard_error=to_number(mean["standard_error"]),
                 bound=widest(side, [_bound(side, w["mean"]) for w in constraint["worst"]]),
                 count=int(constraint["worst"][0]["evaluations"]),
             )
@@ -239,11 +238,11 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
 
 def _bound(side: str, mean: Mapping[str, Any]) -> float:
     """Return the bound of a mean on the side of the limit."""
-    return _number(mean[side], inf if side == UPPER else -inf)
+    return to_number(mean[side], inf if side == UPPER else -inf)
 
 
 def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str:
-    bound = _number(constraint["violation_bound"], nan)
+    bound = to_number(constraint["violation_bound"])
     beyond = "above" if constraint["side"] == UPPER else "below"
     return (
         f"{constraint['violations']} of {draws} draws {beyond} the limit; probability at most "
@@ -253,8 +252,3 @@ def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str
 
 def _reasons(findings: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(reason) for reason in findings["reasons"])
-
-
-def _number(value: object, missing: float) -> float:
-    """Read a number of a certificate, where null stands for one that is not finite."""
-    return missing if value is None else float(str(value))

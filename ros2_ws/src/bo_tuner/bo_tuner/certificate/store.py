@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.verdict import FAIL, PASS, most_draws_needed
+from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -20,6 +20,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.text import one_line
 from bo_tuner.trials import Trial, Value
+from bo_tuner.verdict.verdict import FAIL, PASS
 
 CERTIFICATES = "certificates"
 FORMAT = 4

@@ -1,7 +1,7 @@
 """The evaluations of a certificate that is not finished, so that `validate` can go on with it.
 
-``RUN/certificates/unfinished.jsonl`` has a line for what they belong to, then one for each. It goes
-when the certificate is written.
+``RUN/certificates/unfinished.jsonl`` has a line for what they belong to, then one for each, with
+the columns of the journal. It goes when the certificate is written.
 """
 
 import json
@@ -10,6 +10,7 @@ from pathlib import Path
 
 from bo_tuner.certificate.store import CERTIFICATES, parameters_sha256
 from bo_tuner.errors import OutputError
+from bo_tuner.storage.journal import COLUMNS, evaluation_row
 from bo_tuner.storage.provenance import sources, study_sha256
 from bo_tuner.storage.rows import evaluation_of
 from bo_tuner.study.study import Study
@@ -81,22 +82,9 @@ class Unfinished(RunObserver):
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""
-        outcome = evaluation.outcome
-        if evaluation.recorded or outcome.spoilt:
+        if evaluation.recorded or evaluation.outcome.spoilt:
             return
-        row = {
-            "trial": evaluation.trial,
-            "position": evaluation.index,
-            "stage": evaluation.stage,
-            "parameters": json.dumps(dict(evaluation.parameters)),
-            "context": json.dumps(dict(evaluation.context)),
-            "seed": evaluation.seed,
-            "state": outcome.state,
-            "metrics": json.dumps(dict(outcome.metrics)),
-            "reason": outcome.reason,
-            "details": json.dumps(dict(outcome.details)),
-            "seconds": evaluation.seconds,
-        }
+        row = dict(zip(COLUMNS["evaluation"], evaluation_row(evaluation), strict=True))
         try:
             self._write(json.dumps(row))
         except OSError as error:

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bo_tuner import text
 from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
 from bo_tuner.certificate.risk import conditional_value_at_risk, mean_of
 from bo_tuner.certificate.sequential import (
@@ -43,8 +44,6 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import EXPECTATION, MAXIMIZE, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
-
-PASS, FAIL = "PASS", "FAIL"
 
 
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
@@ -247,7 +246,7 @@ def _worst_case(
             constraint.sign * _mean_bound(constraint, w) if on_mean else w.violation_bound
         ),
     )
-    context = ", ".join(f"{name} {value:.4g}" for name, value in top.context.items())
+    context = text.values(top.context)
     which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
     where = f"in {which} ({context}) " if context else ""
     says = "at most" if passed else "may be"
@@ -334,5 +333,5 @@ def _values(evaluations: Sequence[Evaluation], metric: str) -> Array:
 
 
 def _failure(evaluation: Evaluation) -> str:
-    context = ", ".join(f"{name} {value:.4g}" for name, value in evaluation.context.items())
-    return f"{evaluation.outcome.reason} (context {context or 'none'}; seed {evaluation.seed})"
+    context = text.values(evaluation.context) or "none"
+    return f"{evaluation.outcome.reason} (context {context}; seed {evaluation.seed})"

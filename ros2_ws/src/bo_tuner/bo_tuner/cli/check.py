@@ -21,7 +21,6 @@ from bo_tuner.backends.ros.graph import (
 )
 from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
-from bo_tuner.certificate.certificate import TUNED
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
@@ -38,7 +37,7 @@ from bo_tuner.study.descriptors import node_problems
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted, shown
-from bo_tuner.trials import Evaluation, Stage
+from bo_tuner.trials import TUNED, Evaluation, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
 

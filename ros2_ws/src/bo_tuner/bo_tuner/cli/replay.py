@@ -40,7 +40,8 @@ from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import LOGS
 from bo_tuner.study.parts import IN_PROCESS
-from bo_tuner.trials import Evaluation
+from bo_tuner.text import values
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 
@@ -72,8 +73,6 @@ examples:
   replay runs/latest --trial 7 --evaluation 3  any evaluation
   replay runs/latest --backend inprocess       without nodes, without a bag
 """
-
-DEFAULT, TUNED = "default", "tuned"
 
 
 def make_parser() -> Parser:
@@ -151,12 +150,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     return EXIT_OK if result.confirmed else EXIT_INFEASIBLE
 
 
-def _description(recorded: Evaluation, backend: str) -> str:
-    evaluation = recorded
-    context = ", ".join(f"{name} {value:.4g}" for name, value in evaluation.context.items())
+def _description(evaluation: Evaluation, backend: str) -> str:
     return (
         f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
-        f"context {context or 'none'}; seed {evaluation.seed}) on {backend}"
+        f"context {values(evaluation.context) or 'none'}; seed {evaluation.seed}) on {backend}"
     )
 
 
@@ -196,14 +193,13 @@ def _notes(
     lost: int,
 ) -> dict[str, object]:
     """Tell what is in the bag."""
-    evaluation = recorded
     notes: dict[str, object] = {
         "study": record.study.name,
-        "trial": str(evaluation.trial),
-        "evaluation": str(evaluation.index),
-        "stage": str(evaluation.stage),
-        "context": dict(evaluation.context),
-        "seed": str(evaluation.seed),
+        "trial": str(recorded.trial),
+        "evaluation": str(recorded.index),
+        "stage": str(recorded.stage),
+        "context": dict(recorded.context),
+        "seed": str(recorded.seed),
         "lost_messages": str(lost),
     }
     for side, ran in ((DEFAULT, default), (TUNED, tuned)):

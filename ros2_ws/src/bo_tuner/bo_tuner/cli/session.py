@@ -298,7 +298,10 @@ class Session:
             for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
-                self._observers.add(stack.enter_context(contextlib.closing(self._live(ros))))
+                live = LiveNode(
+                    ros.context, self._study, self._folder.path, self._status, self._control
+                )
+                self._observers.add(stack.enter_context(contextlib.closing(live)))
                 self._observers.add(ParkInPause(ros.park, self._display.warn))
             if self._live_page is not None:
                 self._observers.add(self._live_page)
@@ -307,16 +310,6 @@ class Session:
             stack.enter_context(self._display)
             stack.enter_context(recording)
             yield recording
-
-    def _live(self, ros: RosBackend) -> LiveNode:
-        """Show the run in the ROS graph."""
-        return LiveNode(
-            ros.context,
-            self._study,
-            self._folder.path,
-            self._status,
-            self._control,
-        )
 
     def _trials(self, tuning: Tuning) -> Iterator[Trial]:
         """Run trials up to the budget, or until the advice to stop if it is to be followed."""

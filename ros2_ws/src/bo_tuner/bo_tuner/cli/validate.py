@@ -13,13 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.certificate.certificate import (
-    DEFAULT,
-    TUNED,
-    Certificate,
-    make_certificate,
-    write_certificate,
-)
+from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
 from bo_tuner.certificate.certification import Certification, Subject, most_evaluations
 from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
@@ -59,7 +53,7 @@ from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import Trial
+from bo_tuner.trials import DEFAULT, TUNED, Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict

@@ -1,11 +1,10 @@
 """A run as JSON lines on standard output: one object for each event, for other programs."""
 
 import json
-import math
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TextIO
@@ -14,6 +13,7 @@ from bo_tuner.monitoring.display import Display, Result
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import verdict
@@ -155,7 +155,8 @@ class JsonLines(Display):
     def _write(self, event: str, **fields: object) -> None:
         if self._out is None:
             return
-        line = json.dumps(_strict({"event": event, "time": time.time(), **fields}), allow_nan=False)
+        content = without_nan({"event": event, "time": time.time(), **fields})
+        line = json.dumps(content, allow_nan=False)
         try:
             self._out.write(f"{line}\n")
             self._out.flush()
@@ -166,14 +167,3 @@ class JsonLines(Display):
             os.close(nowhere)
             self._out = None
             super().warn(f"no more JSON lines: {error.strerror}; the run continues")
-
-
-def _strict(value: object) -> object:
-    """Convert a value to what strict JSON can hold, with None for NaN and infinity."""
-    if isinstance(value, Mapping):
-        return {str(key): _strict(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_strict(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

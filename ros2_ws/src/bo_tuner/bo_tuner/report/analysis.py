@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.errors import RunRecordError
+from bo_tuner.deploy.bundle import result_of
 from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -128,11 +128,8 @@ class Analysis:
         """The trial of the result; before there is one, the trial recommended so far."""
         if self.record.summary is None:
             return self.leader.trial if self.leader else None
-        number = self.record.summary.get("trial")
-        for trial in self.trials:
-            if trial.number == number:
-                return trial
-        raise RunRecordError(f"{self.record.path}: its summary names trial {number}, not on record")
+        number = result_of(self.record).number
+        return next(trial for trial in self.trials if trial.number == number)
 
     @property
     def answer_name(self) -> str:

@@ -1,7 +1,7 @@
 """The content of a report without markup: sections with text, tables and figures."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bo_tuner.figures.figure import Figure
@@ -76,11 +76,6 @@ def number(value: Value | None) -> str:
 def quantity(value: float | None, unit: str) -> str:
     """Format a number with its unit."""
     return f"{number(value)} {unit}".rstrip()
-
-
-def values(mapping: Mapping[str, Value]) -> str:
-    """Format named numbers in one line."""
-    return ", ".join(f"{name} {number(value)}" for name, value in mapping.items())
 
 
 def change(value: float, reference: float) -> str:

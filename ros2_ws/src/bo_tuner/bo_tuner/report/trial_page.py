@@ -9,19 +9,11 @@ from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.recorder import bag_name
 from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number, quantity, values
+from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
-from bo_tuner.report.sections.trajectories import (
-    DEFAULT,
-    LOOKS,
-    TUNED,
-    NoTraceError,
-    panels,
-    side_looks,
-    simulate,
-)
-from bo_tuner.text import counted, with_unit
-from bo_tuner.trials import Evaluation, Trial
+from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
+from bo_tuner.text import counted, values, with_unit
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 from bo_tuner.tuning.limits import verdict
 
 

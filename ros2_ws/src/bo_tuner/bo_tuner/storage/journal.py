@@ -121,7 +121,7 @@ class Journal:
 
     def record_evaluation(self, evaluation: Evaluation) -> None:
         """Append an evaluation."""
-        self._record("evaluation", _evaluation_row(evaluation))
+        self._record("evaluation", evaluation_row(evaluation))
 
     def record_trial(self, trial: Trial) -> None:
         """Append a trial whose evaluations were recorded before."""
@@ -181,7 +181,7 @@ def create_journal(
             for provenance in sessions:
                 _insert(db, "session", (json.dumps(dict(provenance)),))
             for evaluation in evaluations:
-                _insert(db, "evaluation", _evaluation_row(evaluation))
+                _insert(db, "evaluation", evaluation_row(evaluation))
             for trial in trials:
                 _insert(db, "trial", _trial_row(trial))
             db.execute("COMMIT")
@@ -194,7 +194,8 @@ def create_journal(
             beside.unlink(missing_ok=True)
 
 
-def _evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
+def evaluation_row(evaluation: Evaluation) -> tuple[object, ...]:
+    """Return the values of an evaluation, in the order of its `COLUMNS`."""
     outcome = evaluation.outcome
     return (
         evaluation.trial,

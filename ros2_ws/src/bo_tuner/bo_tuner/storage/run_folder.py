@@ -3,7 +3,6 @@
 import contextlib
 import fcntl
 import json
-import math
 import os
 import shutil
 from collections.abc import Mapping
@@ -18,6 +17,7 @@ from bo_tuner.storage.atomic import (
     temporary_path,
     write_atomically,
 )
+from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import node_values, to_yaml
 from bo_tuner.storage.run_files import HELD_PARAMETERS, is_same_file, open_file
 from bo_tuner.study.study import Study
@@ -180,21 +180,12 @@ class RunFolder:
     def write_parameters(self, study: Study, parameters: Mapping[str, Value]) -> Path:
         """Write ``best.yaml``, which ``--params-file`` takes, and return its path.
 
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
+        Raises as `write_atomically`.
         """
         return write_atomically(self.path / BEST, to_yaml(node_values(study, parameters)))
 
     def write_study(self, study: Study) -> Path:
-        """Write ``study.yaml``, and return its path.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        """
+        """Write ``study.yaml``, and return its path; raises as `write_atomically`."""
         return write_atomically(self.path / STUDY, study_to_yaml(study))
 
     def write_json(self, name: str, content: Mapping[str, object]) -> Path:
@@ -240,12 +231,3 @@ def _new_folder(path: Path) -> Path:
             folder = path.with_name(f"{path.name}-{number}")
         else:
             return folder
-
-
-def without_nan(value: object) -> object:
-    """Replace what is not finite, which JSON has no word for, by None."""
-    if isinstance(value, Mapping):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -18,7 +18,7 @@ of less than `COINCIDENCE`.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,8 +177,3 @@ def _lowest_mean(values: Array) -> float:
         return -math.inf
     error = float(values.std(ddof=1)) / math.sqrt(count)
     return float(values.mean()) - float(stdtrit(count - 1, 1.0 - COINCIDENCE)) * error
-
-
-def all_hold(samples: Mapping[str, Sample]) -> bool:
-    """Whether every constraint holds."""
-    return all(sample.holds for sample in samples.values())

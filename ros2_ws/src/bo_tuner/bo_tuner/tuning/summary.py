@@ -13,9 +13,10 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
 from bo_tuner.optimizers.algorithms import ALGORITHMS, Algorithm
 from bo_tuner.optimizers.stopping import StopAdvice, StopAdvisor
+from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_folder import SUMMARY, without_nan
+from bo_tuner.storage.run_folder import SUMMARY
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial, count_checks, count_evaluations
 from bo_tuner.tuning.front import pareto_front

@@ -1,6 +1,5 @@
 """Validation of parameter sets on fresh draws of context and noise (Sec. 5.2)."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -9,11 +8,12 @@ import numpy as np
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
+from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.limits import Sample, all_hold, judge_samples
+from bo_tuner.tuning.limits import Sample, judge_samples
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
@@ -56,12 +56,12 @@ class Validation:
             parameters=dict(entry["parameters"]),
             draws=checks.integer(entry["draws"], at_least=0),
             failures=checks.integer(entry["failures"], at_least=0),
-            objective=_number(entry["objective"]),
-            deviation=_number(entry["deviation"]),
+            objective=to_number(entry["objective"]),
+            deviation=to_number(entry["deviation"]),
             constraints={
                 str(name): Sample(
                     name=str(sample["name"]),
-                    worst=_number(sample["worst"]),
+                    worst=to_number(sample["worst"]),
                     count=checks.integer(sample["count"], at_least=0),
                     violations=checks.integer(sample["violations"], at_least=0),
                     holds=bool(sample["holds"]),
@@ -73,7 +73,7 @@ class Validation:
     @property
     def feasible(self) -> bool:
         """Whether all evaluations are complete and every constraint holds."""
-        return self.failures == 0 and all_hold(self.constraints)
+        return self.failures == 0 and all(s.holds for s in self.constraints.values())
 
 
 def validate(
@@ -137,8 +137,3 @@ def _judge(
         deviation=float(objective.std(ddof=1)) if len(complete) > 1 else float("nan"),
         constraints=judge_samples(study, evaluations),
     )
-
-
-def _number(value: object) -> float:
-    """Read a number of a summary, where null stands for NaN."""
-    return math.nan if value is None else float(str(value))

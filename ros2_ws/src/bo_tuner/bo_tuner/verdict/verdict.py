@@ -4,11 +4,12 @@ Terminal, report, summary, topics, certificate and bundle show this one object, 
 follows from it, so no two of them can say different things. The words are those of this module.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import isfinite, isnan
 
+from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
 from bo_tuner.verdict.observed import Observed
 
@@ -305,7 +306,9 @@ class Verdict:
             "keeps_limits": {"default": self.default_keeps, "tuned": self.feasible},
             "reasons": {"default": list(self.default_reasons), "tuned": list(self.reasons)},
             "confidence_of_differences": CONFIDENCE,
-            "quantities": [_plain(asdict(q) | {"change": str(q.change)}) for q in self.quantities],
+            "quantities": without_nan(
+                [asdict(q) | {"change": str(q.change)} for q in self.quantities]
+            ),
         }
 
     def to_summary(self) -> dict[str, object]:
@@ -316,14 +319,6 @@ class Verdict:
 def shown(value: float) -> str:
     """Format a number with four digits; a dash for NaN."""
     return "–" if isnan(value) else f"{value:.4g}"
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, float) and not isfinite(value):
-        return None
-    return value
 
 
 def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:

@@ -5,16 +5,15 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import Any
 
-from bo_tuner.certificate.certificate import DEFAULT, TUNED
 from bo_tuner.certificate.context_tolerance import ContextTolerance
 from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.store import certificate_paths, read_certificate
-from bo_tuner.certificate.verdict import PASS
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Trial
+from bo_tuner.trials import DEFAULT, TUNED, Trial
+from bo_tuner.verdict.verdict import PASS
 
 
 @dataclass(frozen=True)
@@ -57,11 +56,6 @@ class CertificateFile:
         """Return whether the parameter set that was tested is that of a trial."""
         return bool(self.content["parameters"] == dict(trial.parameters))
 
-    @property
-    def reasons(self) -> Sequence[str]:
-        """Why it did not pass; empty if it did."""
-        return [str(reason) for reason in self.content["reasons"]]
-
 
 def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | None:
     """Read the latest certificate of a run's answer, or else of another trial; None without any.
@@ -84,7 +78,7 @@ def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | No
         section = _section(record.study, content, path.relative_to(record.path))
         file = CertificateFile(content, section)
         # All that the report takes from it, so that what is wrong is found here.
-        _ = (file.passed, file.trial, file.scope, file.reasons, file.tolerances)
+        _ = (file.passed, file.trial, file.scope, file.tolerances)
         return file
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number, values
-from bo_tuner.text import with_unit
+from bo_tuner.report.content import Section, Table, number
+from bo_tuner.text import values, with_unit
 from bo_tuner.trials import Evaluation, Trial
 
 

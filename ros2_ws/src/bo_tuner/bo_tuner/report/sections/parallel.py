@@ -4,7 +4,8 @@ import numpy as np
 
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.report.analysis import Analysis, Outcome
-from bo_tuner.report.content import Section, values
+from bo_tuner.report.content import Section
+from bo_tuner.text import values
 from bo_tuner.trials import Trial
 
 FEWEST = 4

@@ -10,8 +10,9 @@ from bo_tuner.certificate.context_tolerance import (
 )
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, Table, number, numbered, quantity, values
+from bo_tuner.report.content import Section, Table, number, numbered, quantity
 from bo_tuner.study.study import Study
+from bo_tuner.text import values
 
 
 def tolerance(analysis: Analysis) -> Section | None:

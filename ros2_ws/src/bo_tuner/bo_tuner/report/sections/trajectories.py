@@ -19,14 +19,14 @@ from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
-from bo_tuner.report.content import Section, values
+from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Value
+from bo_tuner.text import values
+from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Stage, Value
 
 TIME = "time"
-DEFAULT, TUNED = "default", "tuned"
 Look = tuple[Color, Dash]
 LOOKS = {DEFAULT: (Color.ORANGE, Dash.SOLID), TUNED: (Color.BLUE, Dash.SOLID)}
 MOST_SAMPLES = 2000
