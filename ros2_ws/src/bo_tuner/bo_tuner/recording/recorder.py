@@ -249,21 +249,13 @@ class Recorder:
             self._bag = None
             return
         value = badness(self._study, trial) if trial.state is TrialState.COMPLETE else None
-        bag.finish(
-            self._notes
-            | self._missing()
-            | {
-                "origin": trial.origin,
-                "state": str(trial.state),
-                "reason": trial.reason,
-                "verdict": verdict(self._study, trial),
-                KEPT_AS: str(reason or ""),
-                "complete": "true",
-            }
-            | ({} if value is None else {BADNESS: repr(value)})
-        )
-        self._bag = None
-        self._keep(retention, bag.path, reason, value)
+        notes = {
+            "origin": trial.origin,
+            "state": str(trial.state),
+            "reason": trial.reason,
+            "verdict": verdict(self._study, trial),
+        }
+        self._keep(retention, bag, notes, reason, value)
 
     def _finish_evidence(self, batch: _Batch) -> None:
         """Finish the bag of a check or of the validation, if one is open."""
@@ -272,15 +264,26 @@ class Recorder:
             return
         self._count(batch)
         bag.write(timed(batch.messages, bag.latest), self._notes)
-        notes = {"state": "complete", KEPT_AS: str(Reason.EVIDENCE), "complete": "true"}
-        bag.finish(self._notes | self._missing() | notes)
-        self._bag = None
-        self._keep(retention, bag.path, Reason.EVIDENCE, None)
+        self._keep(retention, bag, {"state": "complete"}, Reason.EVIDENCE, None)
 
     def _keep(
-        self, retention: Retention, path: Path, reason: Reason | None, value: float | None
+        self,
+        retention: Retention,
+        bag: TrialBag,
+        notes: dict[str, str],
+        reason: Reason | None,
+        value: float | None,
     ) -> None:
-        displaced = retention.keep(path, reason, value)
+        """Finish a bag with further notes, and let others go if there is no room for it."""
+        bag.finish(
+            self._notes
+            | self._missing()
+            | notes
+            | {KEPT_AS: str(reason or ""), "complete": "true"}
+            | ({} if value is None else {BADNESS: repr(value)})
+        )
+        self._bag = None
+        displaced = retention.keep(bag.path, reason, value)
         if displaced and not self._displaced:
             self._displaced = True
             self.warn(

@@ -1,16 +1,17 @@
 """Hears all topics of a study's nodes and of its signals: the graph tells names and types."""
 
-import importlib
 import threading
 import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from bo_tuner.backends.ros.messages import interface_class
+from bo_tuner.errors import StudyError
 from bo_tuner.recording.bag import Topic, make_topic
 
 NODE_NAME = "bo_tuner_recorder"
@@ -118,8 +119,8 @@ class TopicListener:
     def _subscribe(self, name: str, message_type: str) -> None:
         try:
             topic = make_topic(name, message_type)
-            message_class = _message_class(message_type)
-        except (KeyError, ImportError, AttributeError):
+            message_class = interface_class(message_type)
+        except (KeyError, StudyError):
             self._sink.warn(f"{name} is not recorded: its type {message_type} is not known here")
             return
         publishers = self._node.get_publishers_info_by_topic(name)
@@ -171,8 +172,3 @@ class _Heard:
                     self.lost += number - self.latest - 1
                 self.latest = number or 0
         return found
-
-
-def _message_class(name: str) -> Any:
-    package, _, kind = name.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), kind)
