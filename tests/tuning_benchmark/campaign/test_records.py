@@ -41,6 +41,20 @@ def test_a_torn_last_line_is_dropped_and_written_over(file, torn):
     assert [json.loads(text)["task"] for text in file.read_text().splitlines()] == list(VERSIONS)
 
 
+@pytest.mark.parametrize("torn", ["", "{"])
+def test_what_another_campaign_has_written_since_is_not_cut_off(file, torn):
+    with Records(file, VERSIONS) as records:
+        records.add(line("run/a/1"))
+    with file.open("a") as stream:
+        stream.write(torn)
+    late = Records(file, VERSIONS)
+    with Records(file, VERSIONS) as records:
+        records.add(line("run/a/2"))
+    with pytest.raises(OutputError, match="another campaign has written to it"), late:
+        pass
+    assert list(Records(file, VERSIONS).done) == ["run/a/1", "run/a/2"]
+
+
 def test_another_version_is_refused_with_both_versions_named(file):
     with Records(file, VERSIONS) as records:
         records.add(line("run/a/1"))

@@ -102,6 +102,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         parser.error("--cluster: expected dask://host:port or tcp://host:port")
     folder = arguments.records or arguments.output
     experiments = [load_experiment(name) for name in arguments.experiment or ["paper"]]
+    names = [experiment.name for experiment in experiments]
+    for name in names:
+        if names.count(name) > 1:
+            parser.error(f"--experiment: two are named {name}, and would share their records")
     plans = [(experiment, tasks_of(experiment)) for experiment in experiments]
     # All are checked against their records before the first task runs.
     records = [

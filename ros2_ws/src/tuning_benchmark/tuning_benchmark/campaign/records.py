@@ -39,6 +39,7 @@ class Records:
         self._file: Any = None
         self.done: dict[str, dict[str, Any]] = {}
         content = _read(path)
+        self._size = len(content)
         # What follows the last newline is a torn line.
         self._whole = content.rfind(b"\n") + 1
         for number, line in enumerate(content[: self._whole].splitlines(), start=1):
@@ -58,13 +59,27 @@ class Records:
             self.done[name] = record
 
     def __enter__(self) -> Self:
-        """Open the file for further records, without a torn end."""
+        """Open the file for further records, without a torn end.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written, or another campaign has written to it since it was read.
+        """
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("ab")
-            self._file.truncate(self._whole)
+            unchanged = self._file.tell() == self._size
+            if unchanged:
+                self._file.truncate(self._whole)
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
+        if not unchanged:
+            self._file.close()
+            raise OutputError(
+                f"{self._path}: another campaign has written to it; let that one end, or choose "
+                "another folder for the records"
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
