@@ -42,13 +42,20 @@ def test_record_and_page(tmp_path, monkeypatch):
     monkeypatch.setattr(fronts, "OURS", ("II",))
     whole = TwoObjectives.study
     monkeypatch.setattr(TwoObjectives, "study", lambda problem: whole(problem).replace(trials=12))
-    fronts.main(["--runs", "2", "--output", str(tmp_path)])
-    record = json.loads((tmp_path / "fronts.json").read_text())
+    pages, records = tmp_path / "new" / "pages", tmp_path / "new" / "records"
+    where = ["--output", str(pages), "--records", str(records)]
+    fronts.main(["--runs", "2", *where])
+    record = json.loads((records / "fronts.json").read_text())
     assert set(record["problems"]["2"]) == {"II", "NSGA-II", "TPE"}
     assert all(len(runs) == 2 for runs in record["problems"]["2"].values())
     assert any(text.startswith("optuna ") for text in record["provenance"]["versions"])
-    page = (tmp_path / "fronts.md").read_text()
+    page = (pages / "fronts.md").read_text()
     assert page.count("| Optuna ") == 2
-    (tmp_path / "fronts.md").unlink()
-    fronts.main(["--page-only", "--output", str(tmp_path)])
-    assert (tmp_path / "fronts.md").read_text() == page
+    (pages / "fronts.md").unlink()
+    fronts.main(["--page-only", *where])
+    assert (pages / "fronts.md").read_text() == page
+
+
+def test_the_help_names_modules_on_one_line():
+    """They are split at spaces only."""
+    assert "(`problems.two_objectives`)" in " ".join(fronts.make_parser().format_help().split())

@@ -1,10 +1,10 @@
 """Pareto fronts compared: ``python -m tuning_benchmark.fronts``.
 
 The tuner's algorithms and Optuna's samplers for several objectives, with equally many trials and
-evaluations in each, on problems whose front under the robust limit is known (`problems.
-two_objectives`). Each front that an optimizer recommends is judged by the hypervolume of the true
-costs of its points, relative to that of the true front; a point that violates the limit in truth
-counts nothing. Runs with the same seed share their initial design.
+evaluations in each, on problems whose front under the robust limit is known
+(`problems.two_objectives`). Each front that an optimizer recommends is judged by the hypervolume of
+the true costs of its points, relative to that of the true front; a point that violates the limit in
+truth counts nothing. Runs with the same seed share their initial design.
 """
 
 import argparse
@@ -182,6 +182,9 @@ def main(arguments: Sequence[str]) -> None:
     if options.runs < 2:
         parser.error(f"--runs: expected at least 2, found {options.runs}")
     path = (options.records or options.output) / RECORD
+    # A folder that cannot be made is found out ahead of the measurement, which takes long.
+    for folder in (options.output, path.parent):
+        folder.mkdir(parents=True, exist_ok=True)
     if options.page_only:
         record = json.loads(path.read_text(encoding="utf-8"))
     else:
