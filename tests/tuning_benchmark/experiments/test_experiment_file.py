@@ -62,6 +62,15 @@ def test_a_case_changes_keys_of_its_study(experiment_file):
         ("study: valley.yaml", "study: other.yaml", r"other.yaml: cannot be read"),
         ("cases:", "cases: {}\nx:", r"closed.yaml:4: x: unknown key"),
         ("{algorithm: IV}", "{algorithm: IV, published: {cost: 1}}", r"published.cost: unknown"),
+        ("title: A valley", "title: 2024", r"closed.yaml:5: cases.valley.title: expected text"),
+        ("runs: 2", "runs: 2\n    remarks: 7", r"cases.valley.remarks: expected text, found 7"),
+        ("name: closed", "name: closed\ntitle: 7", r"closed.yaml:2: title: expected text, found 7"),
+        ("name: closed", "name: closed\ndescription: 7", r"description: expected text, found 7"),
+        (
+            "    rows:",
+            "    points: {middle: {parameters: {}, neighbours: 1}}\n    rows:",
+            r"points.middle.neighbours: expected true or false, found 1",
+        ),
         ("name: closed", "name: closed\ntruth: none.json", r"truth: cannot read"),
         (
             "    rows:",

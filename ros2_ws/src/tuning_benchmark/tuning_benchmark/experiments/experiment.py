@@ -98,8 +98,7 @@ class Point:
     published: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.neighbours, bool):
-            raise StudyError("expected true or false", ("neighbours",))
+        checks.boolean(self.neighbours, "neighbours")
         _check_mapping(self.parameters, "parameters")
         _check_published(self.published)
 
@@ -254,6 +253,8 @@ class Case:
 
     def __post_init__(self) -> None:
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -", "name")
+        checks.text(self.title, "title")
+        checks.text(self.remarks, "remarks")
         checks.integer(self.runs, "runs", at_least=1)
         checks.integer(self.evaluations, "evaluations", at_least=1)
         checks.integer(self.reserved_evaluations, "reserved_evaluations", at_least=0)
@@ -313,6 +314,8 @@ class Experiment:
 
     def __post_init__(self) -> None:
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -", "name")
+        checks.text(self.title, "title")
+        checks.text(self.description, "description")
         checks.matching(self.judge, checks.OBJECT_PATH, "module:Class", "judge")
         if not self.cases:
             raise StudyError("expected at least one", ("cases",))
