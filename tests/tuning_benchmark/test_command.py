@@ -162,7 +162,7 @@ def test_a_task_that_raises_is_a_failed_run_with_its_reason(benchmark, tmp_path,
     assert code == 1
     assert "run/valley/lent/1 failed: RuntimeError: out of ideas" in err
     page = (tmp_path / "out" / "results.md").read_text()
-    assert "- lent: RuntimeError: out of ideas" in page
+    assert "- run/valley/lent/1: RuntimeError: out of ideas" in page
     assert records_of(tmp_path / "out")["run/valley/draws/1"]["failed"] == ""
 
 
@@ -215,6 +215,7 @@ def test_records_of_another_version_are_not_mixed(refused, tmp_path):
             ["--experiment", "none"],
             "error: unknown experiment 'none'; shipped are boundary, choices, closed_form, ",
         ),
+        (["--experiment", "closed.yaml"], "error: --experiment: two are named closed, and would"),
         (["--records", "/proc/none"], "error: .*/proc/none/closed.jsonl: cannot be written"),
     ],
 )

@@ -122,20 +122,39 @@ def test_fields_stand_upright(make_case, fields):
     ) + len(("default", "answer"))
 
 
+def calibration(key):
+    """A calibration of the computing time that compares a key."""
+    return Calibration(
+        study=load_study("full"), metric="return_time", key=key, node="controller",
+        parameter="return_time", modelled="modelled", measured="measured", grid={}, repeats=2,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("key", "words"), [("return_time_p50", "the study limits return_time_p99"), ("", "median.")]
 )
 def test_calibration_compares_by_a_line(key, words):
-    given = Calibration(
-        study=load_study("full"), metric="return_time", key=key, node="controller",
-        parameter="return_time", modelled="modelled", measured="measured", grid={}, repeats=2,
-    )  # fmt: skip
+    given = calibration(key)
     points = [{"modelled": x, "measured": [1.0 + 0.25 * x, 9.0]} for x in (1.0, 2.0, 4.0)]
     points.append({"modelled": None, "measured": [1.0]})
     figure, text = figures.calibration(given, {"points": points})
     assert text.startswith("Measured = 1 s + 0.25 × modelled, over 3 settings; correlation 1.000.")
     assert "4.0 times as long" in text
     assert figure.caption.rstrip(".").endswith(words.rstrip("."))
+
+
+@pytest.mark.parametrize(
+    ("points", "count"),
+    [
+        ([{"modelled": None, "measured": [None]}] * 2, "0 of 2"),
+        ([{"modelled": 1.0, "measured": [1.0]}] * 2, "2 of 2"),
+    ],
+)
+def test_calibration_without_a_line_says_so(points, count):
+    """As where the key of the measured figure is misspelt."""
+    figure, text = figures.calibration(calibration("typo"), {"points": points})
+    assert figure is None
+    assert text.startswith(f"No line: {count} settings have a modelled and a measured typo")
 
 
 def cost_figure(seconds):

@@ -1,6 +1,8 @@
 """The page of an experiment, from records that are written out here."""
 
-from tuning_benchmark.experiments.experiment import Experiment, Row
+import dataclasses
+
+from tuning_benchmark.experiments.experiment import Cost, Experiment, Row
 from tuning_benchmark.pages import page
 
 
@@ -47,3 +49,15 @@ def test_a_page_tells_protocols_and_marks_remarks(make_case, record, answer):
     alone = text(make_case(rows={"A": rows["A"]}, runs=1))
     for words in ("*Random*", "*Worst case*", "Remarks", "separates"):
         assert words not in alone
+
+
+def test_every_task_that_failed_is_listed_once(make_case, record, answer):
+    case = make_case(rows={"A": Row(name="A", algorithm="IV")}, runs=2)
+    failed = record(None) | {"failed": "ValueError: odd", "result": None}
+    names = ["run/c/A/2", "cost/2/1"]
+    done = {"run/c/A/1": record(answer())} | dict.fromkeys(names, failed)
+    experiment = Experiment(name="e", judge="valley:Judge", cases={"c": case})
+    experiment = dataclasses.replace(experiment, cost=Cost(dimensions=(2,), seeds=1))
+    text = page.markdown(page.sections(experiment, done), "Results", "Introduction.")
+    for name in names:
+        assert text.count(f"- {name}: ValueError: odd") == 1

@@ -170,20 +170,28 @@ def _medians(found: Sequence[Sequence[float]]) -> Array:
     return np.array([np.percentile(f, QUARTILES) if f else empty for f in found]).T
 
 
-def calibration(given: Calibration, result: Record) -> tuple[Figure, str]:
-    """Modelled against measured metric, and the line that calibrates the one to the other."""
+def calibration(given: Calibration, result: Record) -> tuple[Figure | None, str]:
+    """Modelled against measured metric, and the line that calibrates the one to the other.
+
+    Without two settings that have both there is no line, and no figure.
+    """
     whole = [
         (point["modelled"], point["measured"])
         for point in result["points"]
         if point["modelled"] is not None and None not in point["measured"]
     ]
+    shown_key = given.key or given.metric
+    if len({m for m, _ in whole}) < 2:
+        return None, (
+            f"No line: {len(whole)} of {len(result['points'])} settings have a modelled and a "
+            f"measured {shown_key}, and a line needs two that differ."
+        )
     modelled = np.array([m for m, _ in whole])
     # The clock is disturbed upwards only, so the fastest repetition is the least disturbed.
     measured = np.array([min(values) for _, values in whole])
     slope, offset = np.polyfit(modelled, measured, 1)
     correlation = float(np.corrcoef(modelled, measured)[0, 1])
     unit = given.study.metrics[given.metric].unit or ""
-    shown_key = given.key or given.metric
     shown, scale = ("ms", 1e3) if unit == "s" else (unit, 1.0)
     text = (
         f"Measured = {offset:.3g} {unit} + {slope:.3g} × modelled, over {len(whole)} settings; "

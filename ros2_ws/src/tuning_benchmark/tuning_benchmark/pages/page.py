@@ -104,7 +104,13 @@ def sections(
             parts.append(_fields(case, case.surrogates, done))
     if experiment.calibration is not None and not done[CALIBRATION]["failed"]:
         figure, text = figures.calibration(experiment.calibration, done[CALIBRATION]["result"])
-        parts.append(Section("The model of the computing time", _with(text, figure), (figure,)))
+        parts.append(
+            Section(
+                "The model of the computing time",
+                _with(text, figure) if figure else text,
+                (figure,) if figure else (),
+            )
+        )
     if experiment.cost is not None:
         figure, text = figures.cost_scaling(experiment.cost, done)
         text = f"{_with(text, figure)}\n\n{tables.cost_table(experiment.cost, done)}"
@@ -181,9 +187,6 @@ def _case(
         _with("Truly feasible incumbents during the runs, and their objective:", figure),
         tables.convergence_table(case, summaries),
     ]
-    failures = [f"- {s.row.name}: {reason}" for s in summaries for reason in s.failures]
-    if failures:
-        text += ["Runs that failed, counted as infeasible:", "\n".join(failures)]
     brief = findings.in_brief(case, summaries)
     return Section(case.title, "\n\n".join(text), (figure,), brief)
 
@@ -263,7 +266,7 @@ def _with(text: str, figure: Figure) -> str:
 def provenance(
     experiment: Experiment, done: Mapping[str, Record], missing: Sequence[str] = ()
 ) -> str:
-    """List commits, machines, seeds and durations."""
+    """List commits, machines, seeds and durations, what is missing and what failed."""
     lines = []
     runs = {name: _runs(case, done) for name, case in experiment.cases.items()}
     results = [r["result"] for records in runs.values() for r in records if r["result"]]
@@ -290,6 +293,10 @@ def provenance(
     lines.append(f"- Recorded from {dates[0]} to {dates[-1]}.")
     if missing:
         lines.append(f"- **Not on record yet**: {', '.join(missing)}.")
+    failed = {name: record["failed"] for name, record in done.items() if record["failed"]}
+    if failed:
+        lines.append("- **Failed tasks**; a run that failed counts as infeasible:")
+        lines += [f"  - {name}: {reason}" for name, reason in failed.items()]
     return "\n".join(lines)
 
 

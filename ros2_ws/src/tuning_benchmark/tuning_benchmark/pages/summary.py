@@ -37,8 +37,6 @@ class RowSummary:
         Objectives in the validation by seed, of the answers that have one.
     feasible_objectives
         True objectives of the truly feasible answers by seed.
-    failures
-        Reasons of the runs that failed.
     validated
         Runs whose answer held in the validation's draws.
     feasible
@@ -77,7 +75,6 @@ class RowSummary:
     held: Mapping[int, Record]
     validated_objectives: Mapping[int, float]
     feasible_objectives: Mapping[int, float]
-    failures: tuple[str, ...]
     validated: Share
     feasible: Share
     narrow: int
@@ -128,7 +125,6 @@ def summarise(
         held=held,
         validated_objectives=validated,
         feasible_objectives=feasible,
-        failures=tuple(r["failed"] for r in records.values() if r["failed"]),
         validated=share(len(held), case.runs),
         feasible=share(len(feasible), case.runs),
         narrow=sum(is_narrow(case.study, a["neighbours"]) for a in answers.values()),

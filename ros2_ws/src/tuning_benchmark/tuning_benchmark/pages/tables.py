@@ -72,7 +72,7 @@ def fair_table(case: Case, summaries: Sequence[RowSummary]) -> str:
                 _mean(mean(list(s.regrets.values())), digits=1),
                 f"{np.mean(kept):.3f}, lowest {min(kept):.3f}" if kept else "not judged",
                 f"{count} of {case.runs}" if s.distance else "",
-                f"{median:.0f}" if np.isfinite(median) else "never",
+                (f"{median:.0f}" if np.isfinite(median) else "never") if s.distance else "",
             ]
         )
     return markdown(header, rows)
