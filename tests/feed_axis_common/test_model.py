@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 from second_order import delayed_response, matrices
 
+from feed_axis_common.errors import SettingsError
 from feed_axis_common.model import (
+    MOST_PAST_INPUTS,
+    check_dead_time,
     delay_augmented,
     disturbance_augmented,
     feed_axis,
@@ -144,3 +147,13 @@ def test_a_whole_number_of_samples_is_not_split_by_rounding(d):
             found, tau = split_dead_time(dead_time, sample_time)
             assert found == d
             assert tau == pytest.approx(sample_time, rel=1e-7)
+
+
+def test_as_many_past_inputs_as_allowed_are_not_refused_for_rounding():
+    # 100 * 0.0007 is below 0.07 in floating point.
+    for sample_time in (0.0007, 0.02, 1 / 3):
+        most = MOST_PAST_INPUTS * sample_time
+        for dead_time in (most, round(most, 9), sum([sample_time] * MOST_PAST_INPUTS)):
+            check_dead_time(dead_time, sample_time)
+        with pytest.raises(SettingsError, match="above 100 sample times"):
+            check_dead_time(most + 0.01 * sample_time, sample_time)

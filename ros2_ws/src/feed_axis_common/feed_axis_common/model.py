@@ -83,7 +83,7 @@ def zero_order_hold(A: Array, B: Array, duration: float) -> tuple[Array, Array]:
 
 def check_dead_time(dead_time: float, sample_time: float) -> None:
     """Raise `SettingsError` if a dead time [s] takes more than `MOST_PAST_INPUTS` past inputs."""
-    if dead_time > MOST_PAST_INPUTS * sample_time:
+    if split_dead_time(dead_time, sample_time)[0] > MOST_PAST_INPUTS:
         raise SettingsError(
             f"dead_time: {dead_time} is above {MOST_PAST_INPUTS} sample times of {sample_time} s"
         )
