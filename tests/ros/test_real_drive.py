@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from feed_axis_common.ros.messages import cut_identifier
 from mpc_controller.controller import MpcController
+from mpc_controller.node import LONGEST_GAP
 
 pytestmark = pytest.mark.ros
 
@@ -148,6 +149,22 @@ def test_lost_measurements_are_bridged_by_the_model_and_counted(drive, t0):
     assert message == "sample 3: measurement is nan"
     assert values["fallbacks"] == "2"
     assert values["samples"] == "8"
+
+
+def test_as_many_measurements_as_allowed_can_be_lost_and_no_more(drive, t0):
+    drive.reference([0.5] * (LONGEST_GAP + 3), start=t0)
+    run(drive, [t0])
+    drive.state(t0 + (LONGEST_GAP + 2) * PERIOD, [0.5])
+    drive.peer.spin_for(0.1)
+    time = t0 + (LONGEST_GAP + 1) * PERIOD
+    drive.state(time, [0.5])
+    drive.command_for(time)
+    last = time + PERIOD
+    drive.state(last, [0.5])
+    drive.command_for(last)
+    values, _, _ = drive.result()
+    assert values["fallbacks"] == str(LONGEST_GAP)
+    assert values["ignored_messages"] == "1"
 
 
 def test_a_measurement_that_is_not_finite_is_left_out_and_counted(drive, t0):

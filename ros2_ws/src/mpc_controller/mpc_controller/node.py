@@ -103,7 +103,8 @@ class ControllerNode(Node):
             return
         controller = self._controller
         k = self._sample(message)
-        if not 0 <= k < min(controller.reference_length, controller.samples_done + LONGEST_GAP):
+        farthest = controller.samples_done + LONGEST_GAP
+        if not 0 <= k <= min(controller.reference_length - 1, farthest):
             self._ignored += 1
             self._early = message
             return
