@@ -94,7 +94,7 @@ def install(meter: Meter) -> list[subprocess.Popen]:
         for name in steps.intersection(vars(observer)):
             setattr(observer, name, meter.timed("calls", getattr(observer, name)))
     StopAdvisor.consider = meter.timed("advice", StopAdvisor.consider)
-    bo_tuner.cli.session.rank = meter.timed("incumbent", bo_tuner.cli.session.rank)
+    bo_tuner.cli.session.incumbent = meter.timed("incumbent", bo_tuner.cli.session.incumbent)
     enter, leave, draw_no_more = LiveNode.__init__, LiveNode.close, RunProgress.__exit__
 
     def start(self: LiveNode, *arguments: object) -> None:
