@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 from common import provenance, result_parser, table, write_result
-from scipy.stats import binomtest, norm
+from scipy.stats import norm
 from synthetic_responses import Response, largest, response
 from threadpoolctl import threadpool_limits
 
@@ -33,6 +33,7 @@ from bo_tuner.certificate.verdict import judge
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from tuning_benchmark.pages.statistics import share
 
 DRAWS = 300
 CONFIDENCE = 0.95
@@ -198,10 +199,10 @@ def _crossing(
     return float(steps[int(np.argmax(above))]) if above.any() else None
 
 
-def share(held: int, count: int) -> dict[str, float | int]:
-    """Return a share with its 95 % interval by Clopper and Pearson."""
-    interval = binomtest(held, count).proportion_ci(0.95, method="exact")
-    return {"held": held, "of": count, "low": interval.low, "high": interval.high}
+def counted(held: int, count: int) -> dict[str, float | int]:
+    """Return a share with its interval, as JSON takes it."""
+    found = share(held, count)
+    return {"held": found.count, "of": found.runs, "low": found.low, "high": found.high}
 
 
 def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
@@ -216,7 +217,7 @@ def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
                 continue
             held = sum(b["low"] <= b["truth"] <= b["high"] for _, b in chosen)
             widths = [b["high"] - b["low"] for _, b in chosen]
-            bands[f"{name}, {source}"] = share(held, len(chosen)) | {
+            bands[f"{name}, {source}"] = counted(held, len(chosen)) | {
                 "below": sum(b["truth"] < b["low"] for _, b in chosen),
                 "above": sum(b["truth"] > b["high"] for _, b in chosen),
                 "median_width": float(np.median(widths)),
@@ -228,12 +229,12 @@ def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
     for name in ("mean", "violation"):
         chosen = [c[name] for c in cases if name in c]
         if chosen:
-            bounds[name] = share(sum(b["truth"] <= b["bound"] for b in chosen), len(chosen))
+            bounds[name] = counted(sum(b["truth"] <= b["bound"] for b in chosen), len(chosen))
     verdicts = {}
     for name, keeps in (("keeps", True), ("violates", False)):
         chosen = [c["passed"] for c in cases if (c["margin"] > 0.0) is keeps]
         if chosen:
-            verdicts[name] = share(sum(chosen), len(chosen))
+            verdicts[name] = counted(sum(chosen), len(chosen))
     return {"bands": bands, "bounds": bounds, "passed": verdicts}
 
 

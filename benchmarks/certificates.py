@@ -12,7 +12,7 @@ import json
 import os
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 import numpy as np
 from common import BENCHMARKS, provenance, result_parser, table, write_result
-from scipy.stats import binomtest
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate.certification import Certification, Subject
@@ -32,6 +31,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 from tuning_benchmark.experiments.experiment_file import load_experiment
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Truth, truth_of
+from tuning_benchmark.pages.statistics import share
 
 CASES = (
     ("boundary", "mean"),
@@ -51,8 +51,10 @@ def answers(records: Path, experiment: str, case: str) -> list[tuple[int, dict[s
     found = []
     for record in map(json.loads, lines):
         kind, *where = record["task"].split("/")
-        if kind == "run" and where[:2] == [case, ROW] and record["result"]["answer"]:
-            found.append((int(where[2]), record["result"]["answer"]))
+        # A run that failed has no result.
+        answer = (record["result"] or {}).get("answer")
+        if kind == "run" and where[:2] == [case, ROW] and answer:
+            found.append((int(where[2]), answer))
     return found
 
 
@@ -106,10 +108,18 @@ def certify(
     }
 
 
-def interval(count: int, total: int) -> tuple[float, float]:
-    """Clopper-Pearson interval of a share, 95 %."""
-    found = binomtest(count, total).proportion_ci(method="exact")
-    return float(found.low), float(found.high)
+def summary(certified: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Sum up what `certify` returned of some parameter sets; None of none."""
+    if not certified:
+        return None
+    passed = share(sum(item["passed"] for item in certified), len(certified))
+    return {
+        "certified": passed.runs,
+        "passed": passed.count,
+        "interval": [passed.low, passed.high],
+        "median_evaluations": statistics.median(i["evaluations"] for i in certified),
+        "most_evaluations": max(i["evaluations"] for i in certified),
+    }
 
 
 def main() -> None:
@@ -144,27 +154,19 @@ def main() -> None:
             print(f"{case_name} {seed}: {run}", flush=True)
         counts: dict[str, Any] = {"title": case.title, "runs": runs}
         for which in ("answer", "infeasible"):
-            certified = [run[which] for run in runs if which in run]
-            passed = sum(item["passed"] for item in certified)
-            low, high = interval(passed, len(certified)) if certified else (0.0, 1.0)
-            counts[which] = {
-                "certified": len(certified),
-                "passed": passed,
-                "interval": [low, high],
-                "median_evaluations": statistics.median(i["evaluations"] for i in certified),
-                "most_evaluations": max(i["evaluations"] for i in certified),
-            }
-            rows.append(
-                [
-                    case_name,
-                    which,
-                    f"{passed} of {len(certified)}",
-                    f"{low:.0%} to {high:.0%}",
-                    counts[which]["median_evaluations"],
-                ]
-            )
+            found = counts[which] = summary([run[which] for run in runs if which in run])
+            if found:
+                rows.append(
+                    [
+                        case_name,
+                        which,
+                        f"{found['passed']} of {found['certified']}",
+                        "{:.0%} to {:.0%}".format(*found["interval"]),
+                        found["median_evaluations"],
+                    ]
+                )
         result["cases"][case_name] = counts
-    write_result(arguments.result, result)
+        write_result(arguments.result, result)
     print(table(["study", "parameter sets", "PASS", "95 %", "median evaluations"], rows))
 
 

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from certificates import BISECTIONS, answers, interval, just_infeasible
+from certificates import BISECTIONS, answers, just_infeasible, summary
 
 from bo_tuner.study.study_file import load_study
 
@@ -38,10 +38,18 @@ def test_answers_are_those_of_one_row_of_one_case(tmp_path):
         f'{{"task": "run/mean/IV/2", {answer}}}',
         f'{{"task": "run/other/boundary/2", {answer}}}',
         f'{{"task": "run/mean/boundary/3", {none}}}',
+        '{"task": "run/mean/boundary/4", "failed": "OSError: odd", "result": null}',
     ]
     (tmp_path / "x.jsonl").write_text("\n".join(lines))
     assert answers(tmp_path, "x", "mean") == [(2, {"trial": 7})]
 
 
-def test_interval_of_none_in_n_is_in_closed_form():
-    assert interval(0, 60) == pytest.approx((0.0, 1.0 - 0.025 ** (1.0 / 60.0)))
+def test_a_summary_counts_what_passed():
+    certified = [
+        {"passed": passed, "evaluations": k} for k, passed in enumerate((True, False, True))
+    ]
+    found = summary(certified)
+    assert (found["certified"], found["passed"]) == (3, 2)
+    assert (found["median_evaluations"], found["most_evaluations"]) == (1, 2)
+    assert found["interval"][0] < 2 / 3 < found["interval"][1]
+    assert summary([]) is None
