@@ -52,8 +52,7 @@ def command_kill(result: Result) -> str:
             f"{result['runs']} runs, seed {result['seed']}: {len(result['refused'])} times "
             f"`tune --resume`, `validate` or `report` refused to go on, and {result['wrong_rows']} "
             f"of {result['rows_compared']} evaluations differ from those of a run without a kill. "
-            "After summary, bundle and certificate means in the second after they have begun to "
-            "be there.",
+            "'After' means within one second of the file's first appearance.",
             table(["killed", "times"], result["kills"].items()),
         ]
     )
@@ -62,13 +61,19 @@ def command_kill(result: Result) -> str:
 def fuzz(result: Result) -> str:
     """Failures by hostile input."""
     kinds = ", ".join(f"{r['inputs']} of {kind}" for kind, r in result["hypothesis"].items())
+    guided = result["atheris_on_study_files"]
+    by_atheris = (
+        f", and {guided['inputs']} study files of a coverage-guided fuzzer"
+        if guided["inputs"]
+        else ""
+    )
+    mutated = result["mutated_records"]
     return "\n\n".join(
         [
             "## Hostile input",
             origin(result),
-            f"{result['inputs']} inputs ({kinds}), and "
-            f"{result['atheris_on_study_files']['inputs']} study files of a coverage-guided "
-            f"fuzzer: {result['failures']} tracebacks, crashes "
-            "or writes outside of the run folder.",
+            f"{result['inputs']} inputs ({kinds}){by_atheris}, and {mutated['records']} mutated "
+            f"records of a run that all readers were given: {result['failures']} tracebacks, "
+            "crashes or writes outside of the run folder.",
         ]
     )
