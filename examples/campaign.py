@@ -98,6 +98,8 @@ def main() -> None:
         "--rivals", type=int, metavar="N", help="try the classical rule beside so many runs only"
     )
     arguments, options = parser.parse_known_args()
+    if len(set(arguments.seeds)) < len(arguments.seeds):
+        parser.error("--seeds: expected different ones")
     folder = Path(__file__).parent / arguments.example
     if not (folder / "study.yaml").is_file() or not (folder / "judge.py").is_file():
         parser.error(f"{arguments.example}: expected a folder with study.yaml and judge.py")
@@ -105,6 +107,8 @@ def main() -> None:
     judge, classical = map(importlib.import_module, ("judge", "classical"))
     found = provenance()
     runs = [result(run) for run in arguments.runs or ()]
+    if len({run["seed"] for run in runs}) < len(runs):
+        parser.error("--runs: expected runs with different seeds, by which they are told apart")
     if not arguments.runs and not arguments.gains:
         for seed in arguments.seeds:
             seconds = tune(folder / "study.yaml", seed, arguments.output, options)

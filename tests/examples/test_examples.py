@@ -133,3 +133,14 @@ def test_a_rule_that_never_keeps_the_limits(compare, module_of):
     detune = module_of(".", "detuning").detune
     never = [Place(3.0)] * 3  # an overshoot of 3 whatever the gain
     assert detune(lambda _: {"k": 1.0}, 1, compare, [0], never, 60, seed=1) is None
+
+
+def test_runs_of_a_campaign_have_different_seeds(module_of, monkeypatch, capsys):
+    """By their seeds they are told apart."""
+    campaign = module_of(".", "campaign")
+    monkeypatch.setattr("sys.argv", ["campaign.py", "quadrotor", "--seeds", "1", "2", "1"])
+    monkeypatch.setattr(campaign, "command", lambda *_: pytest.fail("it ran"))
+    with pytest.raises(SystemExit) as stop:
+        campaign.main()
+    assert stop.value.code == 2
+    assert capsys.readouterr().err.endswith("error: --seeds: expected different ones\n")
