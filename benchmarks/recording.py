@@ -58,6 +58,7 @@ def main() -> None:
         "--evaluations", type=int, default=12, help="of a trial (default: %(default)s)"
     )
     arguments = parser.parse_args()
+    about = provenance()
     study = load_study("benchmark")
     plain: list[float] = []
     recorded: list[float] = []
@@ -83,7 +84,7 @@ def main() -> None:
     ratios = [a / b for a, b in zip(recorded, plain, strict=True)]
     quartiles = statistics.quantiles(ratios, n=4)
     result = {
-        "provenance": provenance(),
+        "provenance": about,
         "cuts_per_trial": arguments.evaluations,
         "seconds_per_cut_plain": plain,
         "seconds_per_cut_recorded": recorded,
