@@ -94,7 +94,7 @@ class Tuner:
         return 0
 
     def seconds_to_replace(self, evaluations: int) -> float:
-        """Add up what lost cuts took, of those after the first `cuts`, and the next whole one."""
+        """Add up what lost cuts took after so many evaluations, and the next whole one [s]."""
         total = 0.0
         for recorded in self.record().evaluations[evaluations:]:
             complete = recorded.outcome.state is EvaluationState.COMPLETE

@@ -159,7 +159,6 @@ class Aircraft:
             fdm["simulation/do_simple_trim"] = 1
         except jsbsim.TrimFailureError:
             raise ValueError(f"the aircraft cannot be trimmed in {conditions}") from None
-        self._start = 0.0
         fdm["ap/altitude_hold"] = fdm["ap/heading_hold"] = 1
         for _ in range(round(SETTLING / PERIOD)):
             fdm.run()

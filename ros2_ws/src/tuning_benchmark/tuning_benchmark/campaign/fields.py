@@ -27,9 +27,10 @@ def surrogate_fields(
     Returns
     -------
     dict
-        ``axes``; fields over them, one list for each value of the first: ``objective``, the
-        constrained responses in ``constraints``, ``feasibility``, ``failure`` and ``outlier``;
-        ``samples``, the trials; and the trial of the ``answer``.
+        ``names`` of the tuned parameters and their ``axes``; fields over these, one list for each
+        value of the first: ``objective``, the constrained responses in ``constraints``,
+        ``feasibility``, ``failure`` and ``outlier``; ``samples``, the trials; and the parameter
+        sets of the ``answer``, None without one, and the ``default``.
     """
     run = Run(study, row, figure.seed, size)
     for _ in run:
@@ -84,7 +85,7 @@ def true_fields(study: Study, judge: str, figure: SurrogateFigure, first: Value)
     Returns
     -------
     dict
-        Over the second parameter: ``objective``, ``worst``, ``feasible``, and each chance
+        Over the second parameter: ``objective``, ``worst``, and in ``constraints`` each chance
         constraint's metric in one evaluation in the nominal context.
     """
     truth = Truth(study, judge, EFFORT)
