@@ -305,7 +305,7 @@ def test_the_small_campaign_of_the_milling_axis(benchmark, tmp_path):
     code, tables, err = finish(benchmark("out", experiment=tmp_path / "small.yaml"), 500.0)
     assert code == 0, err
     records = records_of(tmp_path / "out", "small")
-    assert len(records) == 5
+    assert len(records) == 6
     assert not any(record["failed"] for record in records.values())
-    for name in ("I", "II", "III", "IV", "V"):
+    for name in ("I", "II", "III", "IV", "V", "boundary"):
         assert f"| {name} |" in tables
