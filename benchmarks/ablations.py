@@ -9,7 +9,6 @@ interval.
 Each case has the commit and machine that it was run with; `--cases` runs some of them again.
 """
 
-import json
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -23,7 +22,7 @@ from unittest.mock import patch
 # Before the libraries that read it.
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
-from common import provenance, result_parser, table, write_result
+from common import provenance, read_result, result_parser, table, write_result
 
 from bo_tuner.models import fitting, joint_process
 from bo_tuner.models.compression import Compression
@@ -184,8 +183,8 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", choices=EXPERIMENTS, default=list(EXPERIMENTS))
     arguments = parser.parse_args()
     about = provenance() | {"seeds": list(range(1, arguments.runs + 1))}
-    known = arguments.result
-    cases = json.loads(known.read_text(encoding="utf-8"))["cases"] if known.exists() else {}
+    known = read_result(arguments.result)
+    cases = known["cases"] if known else {}
     rows = []
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for case in arguments.cases:

@@ -252,7 +252,7 @@ def run(repetitions: int) -> None:
     rows = [
         [what, r["median"], r["lowest"], r["highest"], r["target"]] for what, r in ratios.items()
     ]
-    print(table(["ratio", "median", "lowest", "highest", "at most"], rows))
+    print(table(["ratio", "median", "lowest", "highest", "target"], rows))
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import version_of
@@ -55,6 +56,11 @@ def start_command(folder: Path, *arguments: str) -> subprocess.Popen:
             stdout=output,
             stderr=output,
         )
+
+
+def read_result(path: Path) -> dict[str, Any] | None:
+    """Read a result file; None if there is none."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
 def write_result(path: Path, result: Mapping[str, object]) -> None:

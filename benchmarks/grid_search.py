@@ -19,7 +19,6 @@ On two cores: about two minutes for `benchmark` and seven for `full`.
 
 import argparse
 import itertools
-import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -28,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import BENCHMARKS, provenance, table, write_result
+from common import BENCHMARKS, provenance, read_result, table, write_result
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.study.parameter import Parameter
@@ -401,7 +400,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     about = provenance() | {"effort": asdict(EFFORT), "truth_seed": SEED}
-    entries = read_entries(arguments.output)
+    entries = read_result(arguments.output) or {}
     for name in arguments.study or ["benchmark", "full"]:
         study = load_study(name)
         entry = search(study, arguments.jobs, arguments.starts)
@@ -413,14 +412,6 @@ def main() -> None:
         rows += [("default", entry["default"])]
         rows += [("next", other) for other in entry["next_best"]]
         print(_table(study, rows))
-
-
-def read_entries(path: Path) -> dict[str, Any]:
-    """Entries of a result file by study; none if it does not exist."""
-    if not path.exists():
-        return {}
-    entries: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return entries
 
 
 def _table(study: Study, rows: Sequence[tuple[str, dict[str, Any] | None]]) -> str:

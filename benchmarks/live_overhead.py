@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from common import provenance, result_parser, table, write_result
+from sections.cost import LIVE_PARTS
 
 import bo_tuner.cli.session
 from bo_tuner.cli.session import RunOptions, Session
@@ -47,13 +48,6 @@ executor.add_node(node)
 while True:
     executor.spin_once(timeout_sec=1.0)
 """
-PARTS = {
-    "calls": "status, terminal, publishing",
-    "advice": "stop advice",
-    "incumbent": "ranking after each trial",
-    "node_thread": "thread of the ROS node",
-    "display_thread": "thread of the terminal",
-}
 
 
 class Meter:
@@ -164,19 +158,22 @@ def main() -> None:
         elapsed = time.perf_counter() - start
     if code not in (0, 3):
         raise SystemExit(f"error: the run ended with exit code {code}")
-    shares = {part: meter.seconds[part] / elapsed for part in PARTS}
+    shares = {part: meter.seconds[part] / elapsed for part in LIVE_PARTS}
     result = {
         "provenance": about,
         "study": study.name,
         "seed": study.seed,
         "trials": study.budget.trials,
         "run_seconds": elapsed,
-        "seconds": {part: meter.seconds[part] for part in PARTS},
+        "seconds": {part: meter.seconds[part] for part in LIVE_PARTS},
         "shares": shares,
         "share": sum(shares.values()),
     }
     write_result(arguments.result, result)
-    rows = [(PARTS[part], meter.seconds[part], f"{100 * shares[part]:.2f} %") for part in PARTS]
+    rows = [
+        (words, meter.seconds[part], f"{100 * shares[part]:.2f} %")
+        for part, words in LIVE_PARTS.items()
+    ]
     rows.append(("together", sum(meter.seconds.values()), f"{100 * result['share']:.2f} %"))
     print(table(("part", "s", "share of the run"), rows))
     print(f"a run of {elapsed:.0f} s, {study.budget.trials} trials")

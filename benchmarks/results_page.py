@@ -5,11 +5,10 @@ that it was obtained with; a file that is missing is left out.
 """
 
 import argparse
-import json
 
-from common import RESULTS
+from common import RESULTS, read_result
 from sections import answers, cost, faults
-from sections.layout import Result
+from sections.layout import origin
 
 PAGE = RESULTS.parents[1] / "docs" / "performance.md"
 
@@ -22,37 +21,41 @@ paper and beside other optimizers, is in `docs/results.md`.
 """
 
 
-def load(name: str) -> Result | None:
-    """Read a result file, or None if there is none."""
-    path = RESULTS / name
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+SECTIONS = (
+    ("certificates.json", "Certificates", answers.certificates),
+    ("ablations.json", "Choices of the algorithm `boundary`", answers.ablations),
+    ("suggestion_time.json", "Time of a suggestion", cost.suggestion),
+    ("closed_loop.json", "Cost of a cut, as ratios", cost.closed_loop),
+    ("recording.json", "Cost of recording", cost.recording),
+    ("live_overhead.json", "Cost of live monitoring", cost.live),
+    ("web_overhead.json", "Cost of the live page", cost.web),
+    ("time_left.json", "Time left", cost.time_left),
+    ("band_coverage.json", "Bands and bounds of a certificate", answers.coverage),
+    ("stop_advice.json", "The advice to stop", answers.stop),
+    ("unchanged_system.json", "A system that knows nothing of the tuner", cost.unchanged),
+    ("report.json", "The report", cost.report),
+    ("soak.json", "Many cuts over ROS", faults.soak),
+    ("kill_soak.json", "Killed at random moments", faults.kill),
+    ("command_kills.json", "Commands killed, and begun again", faults.command_kill),
+    ("fuzz.json", "Hostile input", faults.fuzz),
+)
+"""File, heading, and what makes the paragraphs."""
 
 
 def main() -> None:
     """Write the page."""
     argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
-    sections = [INTRODUCTION]
-    for name, section in (
-        ("certificates.json", answers.certificates),
-        ("ablations.json", answers.ablations),
-        ("suggestion_time.json", cost.suggestion),
-        ("closed_loop.json", cost.closed_loop),
-        ("recording.json", cost.recording),
-        ("live_overhead.json", cost.live),
-        ("web_overhead.json", cost.web),
-        ("time_left.json", cost.time_left),
-        ("band_coverage.json", answers.coverage),
-        ("stop_advice.json", answers.stop),
-        ("unchanged_system.json", cost.unchanged),
-        ("report.json", cost.report),
-        ("soak.json", faults.soak),
-        ("kill_soak.json", faults.kill),
-        ("command_kills.json", faults.command_kill),
-        ("fuzz.json", faults.fuzz),
-    ):
-        if (result := load(name)) is not None:
-            sections.append(section(result))
-    PAGE.write_text("\n\n".join(part.strip() for part in sections) + "\n", encoding="utf-8")
+    parts = [INTRODUCTION.strip()]
+    for name, heading, paragraphs in SECTIONS:
+        result = read_result(RESULTS / name)
+        if result is None:
+            continue
+        parts.append(f"## {heading}")
+        # The parts of a result that came about one by one tell it themselves.
+        if "provenance" in result:
+            parts.append(origin(result))
+        parts += paragraphs(result)
+    PAGE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     print(f"wrote {PAGE}")
 
 

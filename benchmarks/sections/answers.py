@@ -1,9 +1,11 @@
 """Sections on what answers are worth: certificates, ablations, bands, and the advice to stop."""
 
-from sections.layout import Result, origin, table
+from sections.layout import Result, origin
+
+from tuning_benchmark.pages.tables import markdown
 
 
-def certificates(result: Result) -> str:
+def certificates(result: Result) -> list[str]:
     """How often a certificate passes what is feasible, and what is just not."""
     rows = [
         [
@@ -21,35 +23,30 @@ def certificates(result: Result) -> str:
     runs = [r for case in result["cases"].values() for r in case["runs"] if "answer" in r]
     wrong = [run for run in runs if not run["feasible"]]
     passed = sum(run["answer"]["passed"] for run in runs if run["feasible"])
-    return "\n\n".join(
-        [
-            "## Certificates",
-            origin(result),
-            "Answers that `boundary` called feasible in the campaigns of that commit, certified "
-            "by the study's default certificate, and beside each a parameter set that is truly "
-            "infeasible by as little as bisection finds. The interval is that of Clopper and "
-            f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
-            f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
-            f"{sum(run['answer']['passed'] for run in wrong)} pass.",
-            table(
-                [
-                    "problem",
-                    "parameter sets",
-                    "PASS",
-                    "interval",
-                    "evaluations, median",
-                    "largest",
-                ],
-                rows,
-            ),
-        ]
-    )
+    return [
+        "Answers that `boundary` called feasible in the campaigns of that commit, certified "
+        "by the study's default certificate, and beside each a parameter set that is truly "
+        "infeasible by as little as bisection finds. The interval is that of Clopper and "
+        f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
+        f"{passed} of these pass; of the {len(wrong)} truly infeasible, "
+        f"{sum(run['answer']['passed'] for run in wrong)} pass.",
+        markdown(
+            [
+                "problem",
+                "parameter sets",
+                "PASS",
+                "interval",
+                "evaluations, median",
+                "largest",
+            ],
+            rows,
+        ),
+    ]
 
 
-def ablations(result: Result) -> str:
+def ablations(result: Result) -> list[str]:
     """Say what each choice of `boundary` is worth."""
     parts = [
-        "## Choices of the algorithm `boundary`",
         "Each variant with the same seeds as the algorithm as shipped. *Only*: seeds with a truly "
         "feasible answer in the variant only, and as shipped only, with the exact test of McNemar. "
         "The difference is that of the true objective in pairs where both are feasible, with its "
@@ -81,11 +78,11 @@ def ablations(result: Result) -> str:
                     *(("", "") if title == "as shipped" else (pairs, shown)),
                 ]
             )
-        parts += [f"### {case['title']}", origin(case), table(header, rows)]
-    return "\n\n".join(parts)
+        parts += [f"### {case['title']}", origin(case), markdown(header, rows)]
+    return parts
 
 
-def coverage(result: Result) -> str:
+def coverage(result: Result) -> list[str]:
     """Lay out how often the bands and bounds of a certificate hold the truth."""
     summary = result["summary"]
     bands = [
@@ -100,24 +97,20 @@ def coverage(result: Result) -> str:
         [f"PASS of one that {name} its limit", _share(p), _interval(p)]
         for name, p in summary["passed"].items()
     ]
-    return "\n\n".join(
-        [
-            "## Bands and bounds of a certificate",
-            origin(result),
-            f"{len(result['cases'])} random metrics of one to three context variables with known "
-            "truth: samples of stationary processes, polynomials, kinks, resonances and "
-            "saturation, half of them with noise that depends on the context. How often a 90 % "
-            "band holds the truth, from all evaluations of a certificate and from few (25 draws "
-            "and 10 of the search), with 95 % intervals by Clopper and Pearson as if all bands of "
-            "a metric were independent, and the median width of the band in standard deviations of "
-            "a single run, of a drift as a part of the range:",
-            table(["90 % band", "holds the truth", "interval", "width"], bands),
-            "The verdicts, with 95 % confidence and limits that are kept or violated by 0.3 to 3 "
-            "standard deviations of a single run. The bounds are those of the contexts that the "
-            "search found; what they miss is a worse one that it did not find:",
-            table(["", "share", "interval"], [*bounds, *passed]),
-        ]
-    )
+    return [
+        f"{len(result['cases'])} random metrics of one to three context variables with known "
+        "truth: samples of stationary processes, polynomials, kinks, resonances and "
+        "saturation, half of them with noise that depends on the context. How often a 90 % "
+        "band holds the truth, from all evaluations of a certificate and from few (25 draws "
+        "and 10 of the search), with 95 % intervals by Clopper and Pearson as if all bands of "
+        "a metric were independent, and the median width of the band in standard deviations of "
+        "a single run, of a drift as a part of the range:",
+        markdown(["90 % band", "holds the truth", "interval", "width"], bands),
+        "The verdicts, with 95 % confidence and limits that are kept or violated by 0.3 to 3 "
+        "standard deviations of a single run. The bounds are those of the contexts that the "
+        "search found; what they miss is a worse one that it did not find:",
+        markdown(["", "share", "interval"], [*bounds, *passed]),
+    ]
 
 
 def _width(name: str, band: Result) -> str:
@@ -134,7 +127,7 @@ def _interval(count: Result) -> str:
     return f"{count['low']:.1%} … {count['high']:.1%}"
 
 
-def stop(result: Result) -> str:
+def stop(result: Result) -> list[str]:
     """Compare what the advice to stop expected with what the trials after it gained."""
     rows = []
     for name, s in result["summary"].items():
@@ -151,19 +144,15 @@ def stop(result: Result) -> str:
                     f"{s['feasible_stopped']} / {s['feasible_whole']}",
                 ]
             )
-    return "\n\n".join(
-        [
-            "## The advice to stop",
-            origin(result),
+    return [
             f"The problem `{result['problem']}`, whose optimum costs {result['optimum']:.4f}. "
             "Realised is the difference of the true costs of both answers, the one at the advice "
             "and the one after all trials; medians, and in brackets the largest.",
-            table(
+            markdown(
                 [
                     "algorithm", "advised", "after trials", "gain expected", "gain realised",
                     "standard error", "realised within expected", "truly feasible, stopped / whole",
                 ],
                 rows,
             ),
-        ]
-    )  # fmt: skip
+    ]  # fmt: skip

@@ -2,10 +2,21 @@
 
 import statistics
 
-from sections.layout import Result, origin, table
+from sections.layout import Result
+
+from tuning_benchmark.pages.tables import markdown
+
+LIVE_PARTS = {
+    "calls": "status, terminal, publishing",
+    "advice": "stop advice",
+    "incumbent": "ranking after each trial",
+    "node_thread": "thread of the ROS node",
+    "display_thread": "thread of the terminal",
+}
+"""What `live_overhead.py` measures."""
 
 
-def suggestion(result: Result) -> str:
+def suggestion(result: Result) -> list[str]:
     """Time of a suggestion against other optimizers, and its growth."""
     rows = [
         [count, contender, *(_ratio(s, base) for base in ("boundary", "IV"))]
@@ -14,22 +25,18 @@ def suggestion(result: Result) -> str:
     ]
     counts = list(result["counts"])
     growth = "; ".join(f"{name} as trials^{k:.2f}" for name, k in result["growth"].items())
-    return "\n\n".join(
-        [
-            "## Time of a suggestion",
-            origin(result),
-            "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
-            "that of `boundary` and of IV (median and range over the turns). The models of "
-            "`boundary` have three evaluations of each trial as their data, those of the others "
-            "means and worst cases; Optuna is also given every evaluation as a trial of its own, "
-            "the data of `boundary`. Beyond a hundred trials, hyperparameters are fitted whenever "
-            "the trials have grown by a tenth: the time is the mean over the trials between "
-            "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
-            table(["trials", "optimizer", "to boundary", "to IV"], rows),
-            f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
-            f"the medians: {growth}.",
-        ]
-    )
+    return [
+        "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
+        "that of `boundary` and of IV (median and range over the turns). The models of "
+        "`boundary` have three evaluations of each trial as their data, those of the others "
+        "means and worst cases; Optuna is also given every evaluation as a trial of its own, "
+        "the data of `boundary`. Beyond a hundred trials, hyperparameters are fitted whenever "
+        "the trials have grown by a tenth: the time is the mean over the trials between "
+        "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
+        markdown(["trials", "optimizer", "to boundary", "to IV"], rows),
+        f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
+        f"the medians: {growth}.",
+    ]
 
 
 def _ratio(summary: Result, base: str) -> str:
@@ -37,49 +44,42 @@ def _ratio(summary: Result, base: str) -> str:
     return f"{median:.2f} ({low:.2f} … {high:.2f})"
 
 
-def closed_loop(result: Result) -> str:
+def closed_loop(result: Result) -> list[str]:
     """Cost of a cut over that of its parts."""
     rows = [
-        [name, f"{r['median']:.2f}", f"{r['lowest']:.2f} … {r['highest']:.2f}", r["target"] or ""]
+        [name, f"{r['median']:.2f}", f"{r['lowest']:.2f} … {r['highest']:.2f}", _target(r)]
         for name, r in result["ratios"].items()
     ]
-    return "\n\n".join(
-        [
-            "## Cost of a cut, as ratios",
-            origin(result),
-            table(["ratio", "median", "range", "at most"], rows),
-        ]
-    )
+    return [markdown(["ratio", "median", "range", "target of the median"], rows)]
 
 
-def recording(result: Result) -> str:
+def _target(ratio: Result) -> str:
+    if ratio["target"] is None:
+        return ""
+    missed = ratio["median"] > ratio["target"]
+    return f"at most {ratio['target']}: {'missed' if missed else 'met'}"
+
+
+def recording(result: Result) -> list[str]:
     """Cost of recording a cut."""
     low, high = result["ratio_quartiles"]
-    return "\n\n".join(
-        [
-            "## Cost of recording",
-            origin(result),
-            f"Time of a cut with recording over one without: median {result['ratio_median']:.2f}, "
-            f"quartiles {low:.2f} to {high:.2f}; {result['missing_messages']} messages missing.",
-        ]
-    )
+    return [
+        f"Time of a cut with recording over one without: median {result['ratio_median']:.2f}, "
+        f"quartiles {low:.2f} to {high:.2f}; {result['missing_messages']} messages missing.",
+    ]
 
 
-def live(result: Result) -> str:
+def live(result: Result) -> list[str]:
     """Cost of live monitoring."""
-    rows = [[part, f"{share:.2%}"] for part, share in result["shares"].items()]
-    return "\n\n".join(
-        [
-            "## Cost of live monitoring",
-            origin(result),
-            f"Part of the time of a run over ROS with {result['trials']} trials: "
-            f"{result['share']:.1%}.",
-            table(["part", "share"], rows),
-        ]
-    )
+    rows = [[LIVE_PARTS[part], f"{share:.2%}"] for part, share in result["shares"].items()]
+    return [
+        f"Part of the time of a run over ROS with {result['trials']} trials: "
+        f"{result['share']:.1%}.",
+        markdown(["part", "share"], rows),
+    ]
 
 
-def web(result: Result) -> str:
+def web(result: Result) -> list[str]:
     """Cost of the live page, and how soon it shows a trial."""
     rows = [
         [
@@ -95,20 +95,16 @@ def web(result: Result) -> str:
             ("table", result["delay_of_table"]),
         )
     ]
-    return "\n\n".join(
-        [
-            "## Cost of the live page",
-            origin(result),
-            f"{len(result['pairs'])} pairs of runs in process with {result['trials']} trials of "
-            f"the study `{result['study']}`, with `--web` and a reader that follows it, and "
-            "without; mean and its standard error. The load average was "
-            f"{min(result['load_average']):.1f} to {max(result['load_average']):.1f}.",
-            table(["", ""], rows),
-        ]
-    )
+    return [
+        f"{len(result['pairs'])} pairs of runs in process with {result['trials']} trials of "
+        f"the study `{result['study']}`, with `--web` and a reader that follows it, and "
+        "without; mean and its standard error. The load average was "
+        f"{min(result['load_average']):.1f} to {max(result['load_average']):.1f}.",
+        markdown(["", ""], rows),
+    ]
 
 
-def time_left(result: Result) -> str:
+def time_left(result: Result) -> list[str]:
     """Errors of the announced time left."""
     rows = []
     for name, case in result["cases"].items():
@@ -126,20 +122,16 @@ def time_left(result: Result) -> str:
             ]
         )
     header = ["runs", "number", "load average", "within 20 %", "median", "largest", "bias"]
-    return "\n\n".join(
-        [
-            "## Time left",
-            origin(result),
-            f"Error of the time left, relative to what was left in truth: runs of the study "
-            f"`{result['study']}`, after each trial from a third on and at the beginning of check "
-            "and validation. Where the load comes or goes, two processes that compute all the time "
-            "begin or end after a quarter of the trials. The bias is the median with its sign.",
-            table(header, rows),
-        ]
-    )
+    return [
+        f"Error of the time left, relative to what was left in truth: runs of the study "
+        f"`{result['study']}`, after each trial from a third on and at the beginning of check "
+        "and validation. Where the load comes or goes, two processes that compute all the time "
+        "begin or end after a quarter of the trials. The bias is the median with its sign.",
+        markdown(header, rows),
+    ]
 
 
-def unchanged(result: Result) -> str:
+def unchanged(result: Result) -> list[str]:
     """Lay out what it takes to tune a system that knows nothing of the tuner."""
     runs, slowest = result["runs"], result["slowest_metric"]
     lost = ", ".join(
@@ -149,7 +141,10 @@ def unchanged(result: Result) -> str:
     rows = [
         ["lines of the study", result["study_lines"]],
         ["lines of an adapter", result["adapter_lines"]],
-        ["from the start of the command to the first finished trial", _seconds(result)],
+        [
+            "from the start of the command to the first finished trial",
+            f"{result['first_trial_seconds']:.1f} s",
+        ],
         [
             "time of a run beyond the procedure's own, median",
             f"{1e3 * runs['overhead_median']:.0f} ms",
@@ -161,22 +156,14 @@ def unchanged(result: Result) -> str:
             f"{1e3 * result['metric_seconds'][slowest]:.0f} ms",
         ],
     ]
-    return "\n\n".join(
-        [
-            "## A system that knows nothing of the tuner",
-            origin(result),
-            "The nodes of `examples/unchanged_system`; two signals have their own times. The load "
-            f"average of the machine was {result['load_average']:.1f}.",
-            table(["figure", "value"], rows),
-        ]
-    )
+    return [
+        "The nodes of `examples/unchanged_system`; two signals have their own times. The load "
+        f"average of the machine was {result['load_average']:.1f}.",
+        markdown(["figure", "value"], rows),
+    ]
 
 
-def _seconds(result: Result) -> str:
-    return f"{result['first_trial_seconds']:.1f} s"
-
-
-def report(result: Result) -> str:
+def report(result: Result) -> list[str]:
     """Size and speed of the report."""
     rows = [
         [name, f"{statistics.median(result[key]):.2f}", f"{min(result[key]):.2f}",
@@ -203,14 +190,10 @@ def report(result: Result) -> str:
             for what, key in (("state", "delay_of_state"), ("table", "delay_of_table"))
             if live[key]
         ]  # fmt: skip
-    return "\n\n".join(
-        [
-            "## The report",
-            origin(result),
-            f"{result['trials']} trials of the study `{result['study']}`: "
-            f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
-            f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes "
-            "before the end: other programs stretch all times by the clock.",
-            table(["", "median [s]", "least", "most"], rows),
-        ]
-    )
+    return [
+        f"{result['trials']} trials of the study `{result['study']}`: "
+        f"{result['size_bytes'] / 1e6:.1f} MB, {len(result['axe_findings'])} findings of "
+        f"axe-core. The load average was {result['load_average'][2]:.1f} in the 15 minutes "
+        "before the end: other programs stretch all times by the clock.",
+        markdown(["", "median [s]", "least", "most"], rows),
+    ]

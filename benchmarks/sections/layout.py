@@ -1,15 +1,9 @@
-"""What the sections of docs/performance.md share: the origin of a result, and tables."""
+"""What the sections of docs/performance.md share: where a result comes from."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 Result = Mapping[str, Any]
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Lay out a Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
 def origin(result: Result) -> str:

@@ -20,10 +20,10 @@ SKEWED = 0.05
 """Where mean and median differ by more than this part of the mean, the median is shown too."""
 
 
-def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Lay out a Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
 def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
