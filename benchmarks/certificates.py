@@ -20,7 +20,7 @@ from typing import Any
 os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 import numpy as np
-from common import BENCHMARKS, provenance, result_parser, table, write_result
+from common import BENCHMARKS, opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate.certification import Certification, Subject
@@ -88,17 +88,13 @@ def certify(
     study: Study, parameters: Mapping[str, Value], suspected: tuple[Mapping[str, float], ...]
 ) -> dict[str, Any]:
     """Certify a parameter set by the study's own certificate, and return its verdict and cost."""
-    backend = InProcessBackend(study)
-    backend.open()
     confidence = spent(study.certificate.confidence, 1)
-    begin = time.process_time()
-    try:
+    with opened(InProcessBackend(study)) as backend:
+        begin = time.process_time()
         (evidence,) = Certification(study, backend, confidence=confidence).collect(
             [Subject("tuned", parameters, suspected)],
             required_draws(study, study.certificate.confidence),
         )
-    finally:
-        backend.close()
     findings = judge(study, evidence, confidence)
     return {
         "passed": findings.passed,

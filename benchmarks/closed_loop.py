@@ -12,8 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import numpy as np
 import osqp
 import rclpy
-from common import RESULTS, provenance, table, write_result
+from common import opened, provenance, result_parser, table, write_result
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 from scipy import sparse
@@ -130,16 +129,6 @@ class BareSteps:
         return seconds(steps)
 
 
-@contextmanager
-def opened(backend: Any) -> Iterator[Any]:
-    """Open a backend and close it whatever happens."""
-    try:
-        backend.open()
-        yield backend
-    finally:
-        backend.close()
-
-
 class Echo:
     """A process that sends each message back; ``--echo`` runs it."""
 
@@ -210,7 +199,7 @@ def spread(ratios: list[float], target: float | None = None) -> dict[str, float 
     }
 
 
-def run(repetitions: int) -> None:
+def run(repetitions: int, path: Path) -> None:
     """Measure, write the result file and print."""
     about = provenance()
     bare = BareSteps()
@@ -248,7 +237,7 @@ def run(repetitions: int) -> None:
             f"{SAMPLES} round trips / cut in process": spread(laps),
             "cut over ROS / cut in process": spread(shares),
         }
-    write_result(RESULTS / "closed_loop.json", {"provenance": about, "ratios": ratios})
+    write_result(path, {"provenance": about, "ratios": ratios})
     rows = [
         [what, r["median"], r["lowest"], r["highest"], r["target"]] for what, r in ratios.items()
     ]
@@ -257,14 +246,14 @@ def run(repetitions: int) -> None:
 
 def main() -> None:
     """Read the options and run."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = result_parser(__doc__, "closed_loop.json")
     parser.add_argument("--repetitions", type=int, default=30, help="default: %(default)s")
     parser.add_argument("--echo", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.echo:
         echo()
     else:
-        run(arguments.repetitions)
+        run(arguments.repetitions, arguments.result)
 
 
 if __name__ == "__main__":

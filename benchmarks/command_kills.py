@@ -26,7 +26,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
-from common import provenance, result_parser, start_command, table, write_result
+from common import A_RESULT, provenance, result_parser, start_command, table, write_result
 
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study import Study
@@ -59,7 +59,6 @@ LIFE = (
 LONGEST_DELAY = 1.0
 """Longest time [s] between what is awaited and the kill."""
 LONGEST_WAIT = 180.0
-A_RESULT = (0, 3)
 
 
 class Run:

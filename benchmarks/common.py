@@ -1,16 +1,18 @@
 """What the benchmark scripts share: options, provenance of a result, result files, tables."""
 
 import argparse
+import contextlib
 import json
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from bo_tuner.backends.protocol import Backend
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.provenance import version_of
 from tuning_benchmark.campaign.provenance import commit, digest, processor
@@ -19,7 +21,11 @@ BENCHMARKS = Path(__file__).resolve().parent
 RESULTS = BENCHMARKS / "results"
 STARTED = ("milling_plant.node", "mpc_controller.node", "bo_tuner.cli.tune", "bo_tuner.cli.report")
 """What scripts start as processes, beside the modules that they import."""
+A_RESULT = (0, 3)
+"""Exit codes of `tune` and `validate` with an answer, whether it is feasible or not."""
 OTHER_PACKAGES = ("numpy", "scipy", "osqp", "filterpy", "scikit-learn", "daqp")
+
+OpenBackend = TypeVar("OpenBackend", bound=Backend)
 
 
 def result_parser(documentation: str, result: str) -> argparse.ArgumentParser:
@@ -56,6 +62,36 @@ def start_command(folder: Path, *arguments: str) -> subprocess.Popen:
             stdout=output,
             stderr=output,
         )
+
+
+def start_tuning(*arguments: str) -> subprocess.Popen[str]:
+    """Start ``tune --json-lines``, whose `events` are to be read."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "bo_tuner", "tune", "--json-lines", *arguments],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def events(process: subprocess.Popen[str]) -> Iterator[dict[str, Any]]:
+    """Yield what a run tells, as it comes."""
+    return map(json.loads, process.stdout or ())
+
+
+def check_end(code: int) -> None:
+    """End the script, too, if a run ended without a result."""
+    if code not in A_RESULT:
+        raise SystemExit(f"error: the run ended with exit code {code}")
+
+
+@contextlib.contextmanager
+def opened(backend: OpenBackend) -> Iterator[OpenBackend]:
+    """Open a backend and close it whatever happens."""
+    try:
+        backend.open()
+        yield backend
+    finally:
+        backend.close()
 
 
 def read_result(path: Path) -> dict[str, Any] | None:

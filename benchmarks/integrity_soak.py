@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from common import provenance, result_parser, table, write_result
+from common import opened, provenance, result_parser, table, write_result
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -191,9 +191,7 @@ class Soak:
 def wrong_rows(study: Study, evaluations: tuple[Evaluation, ...]) -> list[str]:
     """Run complete rows again in process; those that differ."""
     wrong = []
-    backend = InProcessBackend(study)
-    with threadpool_limits(1):
-        backend.open()
+    with threadpool_limits(1), opened(InProcessBackend(study)) as backend:
         for row in evaluations:
             if row.outcome.state is EvaluationState.COMPLETE:
                 expected = backend.outcome(row).metrics
@@ -216,23 +214,22 @@ def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
     backend = RosBackend(study, folder, attach=True, ros_arguments=ROS_ARGUMENTS)
     states: Counter[str] = Counter()
     begin = time.perf_counter()
-    backend.open()
-    trial = Soak(study, domain, changes)
-    stranger = threading.Thread(target=trial.run)
-    try:
-        stranger.start()
-        with Journal(folder / "journal.sqlite", {"study": study.name}) as journal:
-            for plan in planned(study, np.random.default_rng(SEED)):
-                if trial.done.is_set():
-                    break
-                (evaluation,) = backend.run([plan])
-                journal.record_evaluation(evaluation)
-                states[str(evaluation.outcome.state)] += 1
-                trial.outcomes.append((evaluation.outcome.state, evaluation.outcome.reason))
-    finally:
-        stranger.join()
-        backend.close()
-        trial.close()
+    with opened(backend):
+        changer = Soak(study, domain, changes)
+        stranger = threading.Thread(target=changer.run)
+        try:
+            stranger.start()
+            with Journal(folder / "journal.sqlite", {"study": study.name}) as journal:
+                for plan in planned(study, np.random.default_rng(SEED)):
+                    if changer.done.is_set():
+                        break
+                    (evaluation,) = backend.run([plan])
+                    journal.record_evaluation(evaluation)
+                    states[str(evaluation.outcome.state)] += 1
+                    changer.outcomes.append((evaluation.outcome.state, evaluation.outcome.reason))
+        finally:
+            stranger.join()
+            changer.close()
     wrong = wrong_rows(study, read_journal(folder / "journal.sqlite").evaluations)
     settings: Mapping[str, Mapping[str, object]] = {
         "milling_plant": asdict(plant_defaults()),
@@ -241,16 +238,16 @@ def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
     own = {f"{node}.{name}" for node, values in settings.items() for name in values}
     return {
         "seed": SEED,
-        "changes": sum(trial.changed.values()),
-        "refused_by_the_nodes": trial.refused,
-        "parameters_changed": len(trial.changed),
+        "changes": sum(changer.changed.values()),
+        "refused_by_the_nodes": changer.refused,
+        "parameters_changed": len(changer.changed),
         "parameters_of_the_nodes": len(own),
-        "changes_by_parameter": dict(sorted(trial.changed.items())),
+        "changes_by_parameter": dict(sorted(changer.changed.items())),
         "evaluations": dict(states),
         "wrong_rows": len(wrong),
-        "undetected_changes": len(trial.undetected),
+        "undetected_changes": len(changer.undetected),
         "wrong": wrong,
-        "undetected": trial.undetected,
+        "undetected": changer.undetected,
         "seconds": time.perf_counter() - begin,
         "load_average": os.getloadavg(),
     }

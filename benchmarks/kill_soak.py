@@ -25,7 +25,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from common import provenance, result_parser, start_command, table, write_result
+from common import A_RESULT, provenance, result_parser, start_command, table, write_result
 
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.study_file import load_study, study_to_yaml
@@ -66,7 +66,7 @@ class Tuner:
             return
         if code >= 0:
             self.ended[f"exit code {code}"] += 1
-        if code in (0, 3):
+        if code in A_RESULT:
             self._run = None
         self.start()
 

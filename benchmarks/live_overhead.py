@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from common import provenance, result_parser, table, write_result
+from common import check_end, provenance, result_parser, table, write_result
 from sections.cost import LIVE_PARTS
 
 import bo_tuner.cli.session
@@ -156,8 +156,7 @@ def main() -> None:
                 listener.kill()
                 listener.wait()
         elapsed = time.perf_counter() - start
-    if code not in (0, 3):
-        raise SystemExit(f"error: the run ended with exit code {code}")
+    check_end(code)
     shares = {part: meter.seconds[part] / elapsed for part in LIVE_PARTS}
     result = {
         "provenance": about,

@@ -5,9 +5,7 @@ they mean, and neither nodes nor proposals take time. The last trials are run by
 of any interrupted run, with a page that a browser and a client look at.
 """
 
-import json
 import os
-import subprocess
 import sys
 import tempfile
 import threading
@@ -17,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import BENCHMARKS
+from common import BENCHMARKS, check_end, events, start_tuning
 from web_overhead import ADDRESS, Follower
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -94,15 +92,13 @@ def finish_live(run: Path, trials: int) -> Mapping[str, object]:
     Returns the seconds until the page is loaded, has the table of trials, and the answer, all since
     it was asked for; and the seconds from the end of each further trial until the client has it.
     """
-    command = [sys.executable, "-m", "bo_tuner", "tune", "--resume", str(run), "--web"]
-    process = subprocess.Popen([*command, "--json-lines"], stdout=subprocess.PIPE, text=True)
+    process = start_tuning("--resume", str(run), "--web")
     times: dict[int, float] = {}
     recalled, found = threading.Event(), []
     address: list[tuple[int, str]] = []
 
     def read() -> None:
-        for line in process.stdout or ():
-            event = json.loads(line)
+        for event in events(process):
             if event["event"] == "message" and (seen := ADDRESS.search(event["text"])):
                 address.append((int(seen[1]), seen[2]))
             elif event["event"] == "trial" and event["recalled"]:
@@ -132,8 +128,7 @@ def finish_live(run: Path, trials: int) -> Mapping[str, object]:
         process.wait()
         follower.join(120.0)
     reader.join(10.0)
-    if process.returncode not in (0, 3):
-        raise SystemExit(f"error: the run ended with exit code {process.returncode}")
+    check_end(process.returncode)
     loaded, table, answer = found
     return {
         "seconds_to_load": loaded,

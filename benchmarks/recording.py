@@ -11,7 +11,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from common import provenance, result_parser, table, write_result
+from common import opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.retention import Policy, RecordOptions
@@ -66,9 +66,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "log").mkdir()
-        backend = RosBackend(study, folder / "log")
-        try:
-            backend.open()
+        with opened(RosBackend(study, folder / "log")) as backend:
             run_trial(study, backend, 0, arguments.evaluations, None)
             for k in range(arguments.rounds):
                 for with_bag in (False, True) if k % 2 else (True, False):
@@ -79,8 +77,6 @@ def main() -> None:
                     (recorded if with_bag else plain).append(time_per_evaluation)
                     if with_bag:
                         missing += said["dropped_messages"] + said["lost_messages"]
-        finally:
-            backend.close()
     ratios = [a / b for a, b in zip(recorded, plain, strict=True)]
     quartiles = statistics.quantiles(ratios, n=4)
     result = {

@@ -6,7 +6,6 @@ follow. Times are those of the browser's own clock, from the start of the naviga
 report is written, the run finishes with a live page (`long_run`).
 """
 
-import argparse
 import importlib.util
 import os
 import re
@@ -15,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from common import RESULTS, provenance, table, write_result
+from common import provenance, result_parser, table, write_result
 from long_run import Chromium, finish_live, make_run
 from threadpoolctl import threadpool_limits
 
@@ -76,14 +75,13 @@ def axe_findings(page: Path, axe: str) -> list[dict[str, object]]:
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = result_parser(__doc__, "report.json")
     parser.add_argument("--study", default="full", help="(default: %(default)s)")
     parser.add_argument("--trials", type=int, default=1000, help="(default: %(default)s)")
     parser.add_argument(
         "--updates", type=int, default=5, help="trials with a live page (default: %(default)s)"
     )
     parser.add_argument("--opens", type=int, default=10, help="(default: %(default)s)")
-    parser.add_argument("--result", type=Path, default=RESULTS / "report.json")
     arguments = parser.parse_args()
     spec = importlib.util.find_spec("axe_core_python")
     if spec is None or spec.origin is None:

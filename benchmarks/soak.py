@@ -15,7 +15,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from common import provenance, result_parser, table, write_result
+from common import opened, provenance, result_parser, table, write_result
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.recording.recorder import Recorder
@@ -86,8 +86,7 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
             for quantity, value in look(pid).items():
                 seen.setdefault(name, {}).setdefault(quantity, []).append(value)
 
-    try:
-        backend.open()
+    with opened(backend):
         pids = [process.pid for process in backend.processes.values()]
         recording = RunRecording(folder, study, RecordOptions(), listen, print)
         with Journal(folder / "journal.sqlite", {"study": study.name}) as journal, recording:
@@ -118,8 +117,6 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
                 journal.record_trial(trial)
                 recording.trial(trial, None)
         same = pids == [process.pid for process in backend.processes.values()]
-    finally:
-        backend.close()
     return {
         "seed": SEED,
         "cuts": done,

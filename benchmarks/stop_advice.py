@@ -13,7 +13,7 @@ docs/performance.md.
 from dataclasses import asdict, replace
 
 import numpy as np
-from common import provenance, result_parser, table, write_result
+from common import opened, provenance, result_parser, table, write_result
 from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -31,10 +31,8 @@ TRIALS = 40
 
 def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str, object] | None:
     """Settle the answer from trials, and return its true cost and worst mean; None without one."""
-    backend = InProcessBackend(study)
-    backend.open()
-    found = choose_answer(study, backend, algorithm, trials)
-    backend.close()
+    with opened(InProcessBackend(study)) as backend:
+        found = choose_answer(study, backend, algorithm, trials)
     if found is None:
         return None
     point = PROBLEM.point(found.candidate.trial.parameters)
@@ -51,12 +49,11 @@ def run(name: str, seed: int) -> dict[str, object]:
     """Optimize once, and compare the answers with and without the advice."""
     study, algorithm = PROBLEM.study(), ALGORITHMS[name]
     study = replace(study, seed=seed, budget=replace(study.budget, trials=TRIALS))
-    backend = InProcessBackend(study)
-    backend.open()
-    advisor, tuning = StopAdvisor(study, algorithm), Tuning(study, backend, algorithm)
-    for _ in tuning:
-        advisor.consider(tuning.trials)
-    backend.close()
+    advisor = StopAdvisor(study, algorithm)
+    with opened(InProcessBackend(study)) as backend:
+        tuning = Tuning(study, backend, algorithm)
+        for _ in tuning:
+            advisor.consider(tuning.trials)
     whole = answer(study, algorithm, tuning.trials)
     result: dict[str, object] = {"seed": seed, "algorithm": name, "whole": whole, "advice": None}
     if advisor.advice is not None:

@@ -33,13 +33,11 @@ Needs requirements/benchmarks.txt, in an environment of its own:
       -r requirements/benchmarks.txt ros2_ws/src/*
 """
 
-import argparse
 import os
 import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from unittest.mock import patch
 
 # Before the libraries that read them.
@@ -55,7 +53,7 @@ from botorch.fit import fit_gpytorch_mll
 from botorch.models import ModelListGP, SingleTaskGP
 from botorch.optim import optimize_acqf
 from botorch.sampling.normal import SobolQMCNormalSampler
-from common import OTHER_PACKAGES, RESULTS, provenance, table, write_result
+from common import OTHER_PACKAGES, opened, provenance, result_parser, table, write_result
 from gpytorch.mlls import SumMarginalLogLikelihood
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -66,6 +64,7 @@ from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
+from tuning_benchmark.peers.optuna_samplers import distribution
 
 SEED = 20_201_116
 REPLICATES = 5
@@ -96,33 +95,33 @@ def make_trials(study: Study, count: int) -> list[Trial]:
     design = space.latin_hypercube(count, rng)
     around = space.to_cube(GOOD_POINT) + rng.normal(0.0, SPREAD, (count, space.dimension))
     points = np.where((np.arange(count) % 2 == 0)[:, None], design, space.repair(around))
-    backend = InProcessBackend(study)
-    backend.open()
     trials: list[Trial] = []
-    for point in points:
-        parameters = space.to_parameters(point)
-        rows = [contexts.to_dict(row) for row in contexts.draw_stratified(REPLICATES, rng)]
-        evaluations = []
-        for index, context in enumerate([*rows, WORST_CONTEXT]):
-            seed = int(rng.integers(2**31))
-            stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
-            planned = Evaluation(len(trials), index, stage, parameters, context, seed)
-            evaluations.append(evaluate(study, backend, planned, NOBODY))
-        if any(
-            evaluation.outcome.state is not EvaluationState.COMPLETE for evaluation in evaluations
-        ):
-            continue
-        worst = evaluations[-1].outcome.metrics["overshoot"]
-        trials.append(
-            Trial(
-                number=len(trials),
-                parameters=parameters,
-                origin="initial",
-                state=TrialState.COMPLETE,
-                evaluations=tuple(evaluations),
-                worst_cases={"overshoot": WorstCase(worst, WORST_CONTEXT, worst, 0.01)},
+    with opened(InProcessBackend(study)) as backend:
+        for point in points:
+            parameters = space.to_parameters(point)
+            rows = [contexts.to_dict(row) for row in contexts.draw_stratified(REPLICATES, rng)]
+            evaluations = []
+            for index, context in enumerate([*rows, WORST_CONTEXT]):
+                seed = int(rng.integers(2**31))
+                stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
+                planned = Evaluation(len(trials), index, stage, parameters, context, seed)
+                evaluations.append(evaluate(study, backend, planned, NOBODY))
+            if any(
+                evaluation.outcome.state is not EvaluationState.COMPLETE
+                for evaluation in evaluations
+            ):
+                continue
+            worst = evaluations[-1].outcome.metrics["overshoot"]
+            trials.append(
+                Trial(
+                    number=len(trials),
+                    parameters=parameters,
+                    origin="initial",
+                    state=TrialState.COMPLETE,
+                    evaluations=tuple(evaluations),
+                    worst_cases={"overshoot": WorstCase(worst, WORST_CONTEXT, worst, 0.01)},
+                )
             )
-        )
     return trials
 
 
@@ -193,15 +192,9 @@ class Problem:
 
     def optuna(self, every: bool) -> Callable[[], object]:
         """Make ready an Optuna study, of means or of all evaluations, that has suggested before."""
-        distributions: dict[str, optuna.distributions.BaseDistribution] = {}
-        for name in self._space.names:
-            parameter = self._study.parameters[name]
-            low, high = parameter.bounds or (0, 0)
-            distributions[name] = (
-                optuna.distributions.IntDistribution(int(low), int(high), log=True)
-                if parameter.is_integer
-                else optuna.distributions.FloatDistribution(low, high)
-            )
+        distributions = {
+            name: distribution(self._study.parameters[name]) for name in self._space.names
+        }
         study = optuna.create_study(
             sampler=optuna.samplers.GPSampler(seed=self._seed, n_startup_trials=1)
         )
@@ -296,12 +289,9 @@ def growth(summaries: dict[int, dict[str, dict[str, float]]]) -> dict[str, float
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = result_parser(__doc__, "suggestion_time.json")
     parser.add_argument("--counts", type=int, nargs="+", default=[50, 150, 300, 1000])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--output", type=Path, default=RESULTS / "suggestion_time.json")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)
@@ -329,7 +319,7 @@ def main() -> None:
         },
         "growth": exponents,
     }
-    write_result(arguments.output, result)
+    write_result(arguments.result, result)
     rows = [
         [count, name, item["median_seconds"], item["median_to_boundary"], item["median_to_IV"]]
         for count, summary in summaries.items()

@@ -8,7 +8,6 @@ begin there, or have computed until there.
 """
 
 import contextlib
-import json
 import os
 import statistics
 import subprocess
@@ -17,7 +16,15 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from common import provenance, result_parser, table, write_result
+from common import (
+    check_end,
+    events,
+    provenance,
+    result_parser,
+    start_tuning,
+    table,
+    write_result,
+)
 
 BURN = "import time\nend = time.monotonic() + 900.0\nwhile time.monotonic() < end: pass"
 """Computes until it is ended, and never for longer than a run takes."""
@@ -60,25 +67,20 @@ def load(wanted: bool) -> Iterator[None]:
             burner.wait()
 
 
-def events(command: Sequence[str], loaded: tuple[bool, bool]) -> list[dict[str, object]]:
+def run(arguments: Sequence[str], loaded: tuple[bool, bool]) -> list[dict[str, object]]:
     """Run a study, with a change of the load after a quarter of its trials; return its events."""
     found: list[dict[str, object]] = []
-    with (
-        contextlib.ExitStack() as now,
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process,
-    ):
+    with contextlib.ExitStack() as now, start_tuning(*arguments) as process:
         now.enter_context(load(loaded[0]))
         total = 0
-        for line in process.stdout or ():
-            event = json.loads(line)
+        for event in events(process):
             found.append(event)
             if event["event"] == "run":
                 total = event["trials"]
             elif event["event"] == "trial" and event["trial"] + 1 == total // 4:
                 now.close()
                 now.enter_context(load(loaded[1]))
-    if process.returncode not in (0, 3):
-        raise SystemExit(f"error: the run ended with exit code {process.returncode}")
+    check_end(process.returncode)
     return found
 
 
@@ -116,9 +118,8 @@ def main() -> None:
         for seed in range(1, arguments.seeds + 1):
             before = os.getloadavg()[0]
             with tempfile.TemporaryDirectory() as folder:
-                command = [sys.executable, "-m", "bo_tuner", "tune", "--json-lines"]
-                command += ["--study", arguments.study, "--seed", str(seed), "--output", folder]
-                found = points(events([*command, *case.arguments], case.loaded))
+                where = ("--study", arguments.study, "--seed", str(seed), "--output", folder)
+                found = points(run([*where, *case.arguments], case.loaded))
             runs.append(
                 {"seed": seed, "load_average": [before, os.getloadavg()[0]], "points": found}
             )

@@ -7,7 +7,7 @@ procedure's own, messages that were lost, and the time of each measure on a long
 """
 
 import contextlib
-import json
+import math
 import os
 import subprocess
 import sys
@@ -18,7 +18,17 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from common import BENCHMARKS, provenance, result_parser, table, write_result
+from common import (
+    BENCHMARKS,
+    check_end,
+    events,
+    opened,
+    provenance,
+    result_parser,
+    start_tuning,
+    table,
+    write_result,
+)
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.metrics.recording import RecordedSignal, Recording
@@ -78,20 +88,15 @@ def adapter_lines() -> int:
 
 def first_trial(folder: Path) -> float:
     """Return the time [s] from the start of the command to its first finished trial."""
-    command = ["-m", "bo_tuner", "tune", "--study", str(STUDY), "--attach", "--trials", "1"]
     start = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, *command, "--json-lines", "--output", str(folder)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
+    process = start_tuning(
+        *("--study", str(STUDY), "--attach", "--trials", "1", "--output", str(folder))
     )
     elapsed = float("nan")
-    for line in process.stdout or ():
-        if json.loads(line)["event"] == "trial":
+    for event in events(process):
+        if event["event"] == "trial" and math.isnan(elapsed):
             elapsed = time.perf_counter() - start
-            break
-    process.communicate()
+    check_end(process.wait())
     return elapsed
 
 
@@ -115,9 +120,7 @@ def measure_runs(count: int, folder: Path) -> dict[str, object]:
     study = study_from_mapping(measured_study())
     defaults = study.search_space().defaults
     overheads, seen, missing = [], dict.fromkeys(RATES, 0), dict.fromkeys(RATES, 0)
-    backend = RosBackend(study, folder, attach=True)
-    backend.open()
-    try:
+    with opened(RosBackend(study, folder, attach=True)) as backend:
         for index in range(count):
             # Another value each time, which is set and read back as in a study.
             parameters = {**defaults, "kp": 0.5 + 0.001 * index}
@@ -132,8 +135,6 @@ def measure_runs(count: int, folder: Path) -> dict[str, object]:
                 value = signal.value[signal.time >= 0.0]
                 seen[name] += len(value)
                 missing[name] += int(value[-1] - value[0]) + 1 - len(value)
-    finally:
-        backend.close()
     return {
         "runs": count,
         "procedure_seconds": PROCEDURE,

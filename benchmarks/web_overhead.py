@@ -13,15 +13,21 @@ import math
 import os
 import re
 import statistics
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from common import provenance, result_parser, table, write_result
+from common import (
+    check_end,
+    events,
+    provenance,
+    result_parser,
+    start_tuning,
+    table,
+    write_result,
+)
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]+)")
 TRIALS = re.compile(r">(\d+) trials<")
@@ -74,17 +80,16 @@ def processor_seconds(pid: int) -> float:
 
 def run(study: str, trials: int, seed: int, folder: Path, *, web: bool) -> dict[str, object]:
     """Run a study; return its times, and the delays of the page's trials."""
-    command = [sys.executable, "-m", "bo_tuner", "tune", "--backend", "inprocess", "--json-lines"]
-    command += ["--study", study, "--trials", str(trials), "--seed", str(seed)]
-    command += ["--output", str(folder), *(["--web"] if web else [])]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = start_tuning(
+        *("--backend", "inprocess", "--study", study, "--trials", str(trials)),
+        *("--seed", str(seed), "--output", str(folder), *(["--web"] if web else [])),
+    )
     follower, times = None, {}
     begun = ended = began_with = ended_with = 0.0
-    for line in process.stdout or ():
-        event = json.loads(line)
+    for event in events(process):
         kind = event["event"]
-        if kind == "message" and (found := ADDRESS.search(event["text"])):
-            follower = Follower(int(found[1]), found[2])
+        if kind == "message" and (seen := ADDRESS.search(event["text"])):
+            follower = Follower(int(seen[1]), seen[2])
             follower.start()
         elif kind == "phase" and event["phase"] == "tuning":
             begun, began_with = event["time"], processor_seconds(process.pid)
@@ -92,8 +97,7 @@ def run(study: str, trials: int, seed: int, folder: Path, *, web: bool) -> dict[
             times[event["trial"] + 1] = event["time"]
         elif kind == "result":
             ended, ended_with = event["time"], processor_seconds(process.pid)
-    if process.wait() not in (0, 3):
-        raise SystemExit(f"error: the run ended with exit code {process.returncode}")
+    check_end(process.wait())
     found = {"clock": ended - begun, "processor": ended_with - began_with}
     if follower is None:
         return found
