@@ -81,13 +81,13 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
 
     def look_around() -> None:
         counts.append(done)
-        pids = {key: process.pid for key, process in backend.processes.items()}
+        pids = {key: process.pid for key, process in backend._started.processes.items()}
         for name, pid in ({"tuner": os.getpid()} | pids).items():
             for quantity, value in look(pid).items():
                 seen.setdefault(name, {}).setdefault(quantity, []).append(value)
 
     with opened(backend):
-        pids = [process.pid for process in backend.processes.values()]
+        pids = [process.pid for process in backend._started.processes.values()]
         recording = RunRecording(folder, study, RecordOptions(), listen, print)
         with Journal(folder / "journal.sqlite", {"study": study.name}) as journal, recording:
             for number in range(trials):
@@ -116,7 +116,7 @@ def run(evaluations: int, folder: Path) -> dict[str, object]:
                 trial = Trial(number, parameters, "soak", state, evaluations=tuple(record))
                 journal.record_trial(trial)
                 recording.trial(trial, None)
-        same = pids == [process.pid for process in backend.processes.values()]
+        same = pids == [process.pid for process in backend._started.processes.values()]
     return {
         "seed": SEED,
         "cuts": done,
