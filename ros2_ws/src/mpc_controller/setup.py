@@ -27,7 +27,6 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"lib/{NAME}", ["scripts/mpc_controller"]),
         *shared("config"),
-        *shared("launch"),
     ],
     # rclpy and the message packages are named in package.xml only: with a ROS installation they
     # are system packages, which pip does not see.

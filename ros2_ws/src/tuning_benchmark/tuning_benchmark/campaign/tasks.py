@@ -161,8 +161,8 @@ def _fields(case: Case, judge: str) -> list[Task]:
 def _costs(cost: Cost) -> list[Task]:
     tasks = []
     for dimension in cost.dimensions:
-        longest = dimension == min(cost.dimensions)
-        marks = sorted({cost.compared_trials, *(cost.trials if longest else ())})
+        smallest = dimension == min(cost.dimensions)
+        marks = sorted({cost.compared_trials, *(cost.trials if smallest else ())})
         for seed in range(1, cost.seeds + 1):
             arguments = (cost.algorithm, dimension, seed, marks)
             name = task_names.cost_task(dimension, seed)

@@ -1,6 +1,5 @@
 """Experiment files: from YAML to a checked `Experiment`."""
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, TypeVar
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.building import arguments, build
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import (
     load_study,
@@ -82,9 +82,11 @@ def load_experiment(name_or_path: str) -> Experiment:
 
 
 def _experiment(value: object, folder: Path) -> Experiment:
-    fields = _fields(Experiment, value, without=("optima",), also=("truth",))
-    if "truth" in fields:
-        fields["optima"] = read_optima(folder / checks.text(fields.pop("truth"), "truth"))
+    given = dict(_mapping(value))
+    optima = {}
+    if "truth" in given:
+        optima = read_optima(folder / checks.text(given.pop("truth"), "truth"))
+    fields = arguments(Experiment, given, skip=("optima",), also=("truth",))
     fields["cases"] = _named("cases", fields, lambda name, item: _case(name, item, folder))
     if "calibration" in fields:
         with _under("calibration"):
@@ -92,37 +94,39 @@ def _experiment(value: object, folder: Path) -> Experiment:
     if "cost" in fields:
         with _under("cost"):
             fields["cost"] = _cost(fields["cost"])
-    return Experiment(**fields)
+    return Experiment(optima=optima, **fields)
 
 
 def _case(name: str, value: object, folder: Path) -> Case:
-    fields = _fields(Case, value, without=("name",), also=("changes",))
+    given = dict(_mapping(value))
+    changes = given.pop("changes", {})
+    fields = arguments(Case, given, skip=("name",), also=("changes",))
     fields["study"] = _study(fields["study"], folder)
-    if "changes" in fields:
-        with _under("changes"):
-            fields["study"] = _changed(fields["study"], _mapping(fields.pop("changes")))
+    with _under("changes"):
+        if _mapping(changes):
+            fields["study"] = _changed(fields["study"], changes)
     fields["rows"] = _named("rows", fields, _row)
     if "surrogates" in fields:
         with _under("surrogates"):
-            fields["surrogates"] = SurrogateFigure(**_fields(SurrogateFigure, fields["surrogates"]))
+            fields["surrogates"] = build(SurrogateFigure, fields["surrogates"])
     if "points" in fields:
-        fields["points"] = _named("points", fields, lambda _, item: Point(**_fields(Point, item)))
+        fields["points"] = _named("points", fields, lambda _, item: build(Point, item))
     return Case(name=name, **fields)
 
 
 def _row(name: str, value: object) -> Row:
-    return Row(name=name, **_fields(Row, value, without=("name",)))
+    return build(Row, value, name=name)
 
 
 def _calibration(value: object, folder: Path) -> Calibration:
-    fields = _fields(Calibration, value)
+    fields = arguments(Calibration, value)
     fields["study"] = _study(fields["study"], folder)
     fields["grid"] = _named("grid", fields, lambda _, v: checks.sequence(v, "a list of values"))
     return Calibration(**fields)
 
 
 def _cost(value: object) -> Cost:
-    fields = _fields(Cost, value)
+    fields = arguments(Cost, value)
     for name in ("dimensions", "trials"):
         if name in fields:
             fields[name] = checks.sequence(fields[name], "a list of integers", name)
@@ -133,7 +137,7 @@ def _study(value: object, folder: Path) -> Study:
     """Read a study, shipped or beside the experiment file, or make that of a closed form."""
     if isinstance(value, dict):
         with _under("study"):
-            return ClosedForm(**_fields(ClosedForm, value)).study()
+            return build(ClosedForm, value).study()
     name = checks.text(value, "study")
     return load_study(name if name in shipped_studies() else folder / name)
 
@@ -178,20 +182,3 @@ def _mapping(value: object) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping, found {checks.show(value)}")
     return value
-
-
-def _fields(
-    cls: type[Any], value: object, without: tuple[str, ...] = (), also: tuple[str, ...] = ()
-) -> dict[str, Any]:
-    """Return the keys of a mapping if they are fields of `cls` and none is missing."""
-    fields = [item for item in dataclasses.fields(cls) if item.name not in without]
-    names = [*(item.name for item in fields), *also]
-    given = _mapping(value)
-    for key in given:
-        if key not in names:
-            raise StudyError(f"unknown key; {checks.suggestion(key, names)}", (key,))
-    for item in fields:
-        needed = item.default is item.default_factory is dataclasses.MISSING
-        if needed and item.name not in given:
-            raise StudyError("missing", (item.name,))
-    return dict(given)

@@ -1,9 +1,9 @@
 """Judges and optimizers, which an experiment file names by ``module:Class``."""
 
-import importlib
 from typing import Any
 
-from bo_tuner.errors import KeyPath, StudyError
+from bo_tuner.errors import StudyError
+from bo_tuner.study import named_code
 
 
 def load(name: str, *path: str | int) -> Any:
@@ -21,13 +21,8 @@ def load(name: str, *path: str | int) -> Any:
     StudyError
         If it cannot be imported; one line.
     """
-    module, _, attribute = name.partition(":")
-    where: KeyPath = path
     try:
-        target: Any = importlib.import_module(module)
-        for part in attribute.split("."):
-            target = getattr(target, part)
+        return named_code.load(name)
     except Exception as error:  # Foreign code, which may raise anything.
         problem = " ".join(f"{type(error).__name__}: {error}".split())
-        raise StudyError(f"cannot load {name}: {problem}", where) from error
-    return target
+        raise StudyError(f"cannot load {name}: {problem}", path) from error

@@ -129,9 +129,8 @@ class ClosedForm:
         checks.integer(self.parameters, "parameters", at_least=2)
         checks.integer(self.contexts, "contexts", at_least=1)
         checks.choice(self.noise, (NONE, CONSTANT, HETEROSCEDASTIC), "noise")
-        for name in ("crash", "steep"):
-            if not isinstance(getattr(self, name), bool):
-                raise StudyError("expected true or false", (name,))
+        checks.boolean(self.crash, "crash")
+        checks.boolean(self.steep, "steep")
         if self.steep and self.probability is not None:
             raise StudyError("expected false with a limit on single runs", ("steep",))
 
