@@ -93,7 +93,7 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
         the file, the line, the key path, what was expected and what was found; ``others`` are the
         errors of other parts, in the order of the file.
     """
-    if isinstance(name_or_path, str) and not _is_path(name_or_path):
+    if isinstance(name_or_path, str) and not is_path(name_or_path):
         names = shipped_studies()
         if name_or_path not in names:
             raise StudyError(
@@ -209,7 +209,8 @@ def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Desc
     complete(mapping, describe(names))
 
 
-def _is_path(text: str) -> bool:
+def is_path(text: str) -> bool:
+    """Whether a text is the path of a file, by a suffix or separator, and not what is shipped."""
     return "/" in text or "\\" in text or Path(text).suffix != ""
 
 

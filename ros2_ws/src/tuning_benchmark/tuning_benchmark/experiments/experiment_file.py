@@ -11,7 +11,9 @@ from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.building import arguments, build
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import (
+    is_path,
     load_study,
+    read_text,
     shipped_studies,
     study_from_mapping,
     study_to_mapping,
@@ -53,7 +55,7 @@ def load_experiment(name_or_path: str) -> Experiment:
         with the file, the line, the path of keys, what was expected and what was found.
     """
     path = Path(name_or_path)
-    if "/" not in name_or_path and not path.suffix:
+    if not is_path(name_or_path):
         names = shipped_experiments()
         if name_or_path not in names:
             raise StudyError(
@@ -61,10 +63,7 @@ def load_experiment(name_or_path: str) -> Experiment:
                 f"{', '.join(names)}; write a path with its suffix, such as ./mine.yaml"
             )
         path = config_directory("tuning_benchmark") / "experiments" / f"{name_or_path}.yaml"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise StudyError(f"cannot be read: {error}", source=name_or_path) from None
+    text = read_text(path, name_or_path)
     lines: Mapping[KeyPath, int] = {}
     try:
         document = strict_yaml.parse(text)
