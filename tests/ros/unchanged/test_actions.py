@@ -204,10 +204,8 @@ def test_a_node_that_takes_no_parameters_while_it_executes_a_goal(backend, count
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
     move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
     home = {"publish": {"topic": "setpoint", "message": {"data": 0.0}}}
-    made = backend(
-        run={**TO_ITS_RESULT, "start": [long, move], "abort_when": "angle > 0.5", "recover": [home]},
-        park={"parameters": {"gain": 0.25}},
-    )
+    steps = {"start": [long, move], "abort_when": "angle > 0.5", "recover": [home]}
+    made = backend(run=TO_ITS_RESULT | steps, park={"parameters": {"gain": 0.25}})
     system.accepts = lambda: len(counter.orders) == len(counter.ends)
     reason = failure(run(made))
     assert reason.startswith("aborted at ")

@@ -89,7 +89,7 @@ def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
     both = tmp_path / "both.py"
     both.write_text(
         "import signal, subprocess, sys\n"
-        f"nodes = [subprocess.Popen([sys.executable, '{FOLDER}/' + name])\n"
+        f"nodes = [subprocess.Popen([sys.executable, '{UNCHANGED}/' + name])\n"
         "         for name in ('pid_node.py', 'motor_node.py')]\n"
         "signal.signal(signal.SIGTERM, lambda *_: [node.terminate() for node in nodes])\n"
         "signal.signal(signal.SIGINT, lambda *_: [node.terminate() for node in nodes])\n"

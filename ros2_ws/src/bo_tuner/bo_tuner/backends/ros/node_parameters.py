@@ -186,9 +186,7 @@ class NodeParameters:
         """
         self.clients[key].set({})
 
-    def _tell(
-        self, key: str, values: Mapping[str, object], kept: Collection[str]
-    ) -> list[str]:
+    def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
         before = dict(self._known.get(key, {}))
         try:
             return self.assign(key, values)
