@@ -9,6 +9,7 @@ import yaml
 from commands import Fork, environment
 from in_process import call
 from made_runs import INITIAL, make_run, write_certificate
+from rclpy.node import Node
 from terminals import converse, gone
 from waiting import DEADLINE
 
@@ -170,6 +171,46 @@ def test_one_node_refuses_and_both_stay_as_they_were(client, record, now, capsys
     assert "; previous values of milling_plant restored; " in line
     assert now() == before
     assert rollback_file(record) == before
+
+
+def test_the_way_back_from_an_apply_that_was_killed(client, record, now, capsys, monkeypatch):
+    """The next one finds a mixture on the nodes, which is not what they had."""
+    before = now()
+
+    def killed(nodes, now, new):
+        node = next(iter(new))
+        nodes.set(node, new[node])
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bo_tuner.cli.apply.set_values", killed)
+        with pytest.raises(KeyboardInterrupt):
+            apply(capsys, record, "--yes")
+    assert now() not in (before, tuned(record))
+    code, _, err = apply(capsys, record, "--yes")
+    assert code == 0
+    rollback = record.path / "deploy" / "rollback.yaml"
+    assert err == (
+        f"warning: an earlier apply did not finish; {rollback} keeps what the nodes had before it\n"
+    )
+    assert now() == tuned(record)
+    assert rollback_file(record) == before
+    code, _, err = apply(capsys, record, "--rollback", "--yes")
+    assert (code, err) == (0, "")
+    assert now() == before
+
+
+def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys):
+    """Its lock is not here, but its node is in the graph."""
+    before = now()
+    tuner = Node("bo_tuner", context=peer.node.context)
+    try:
+        code, out, err = apply(capsys, record, "--yes")
+    finally:
+        tuner.destroy_node()
+    assert (code, out) == (2, "")
+    assert err.startswith("error: another tuner is at work as /bo_tuner; wait for it, or use ")
+    assert now() == before
 
 
 @pytest.mark.parametrize("rollback", [False, True])

@@ -55,6 +55,19 @@ class TestSetValues:
         set_values(nodes, read_values(nodes, NEW), NEW)
         assert nodes.values == NEW
 
+    def test_a_node_is_told_what_changes(self):
+        """One may refuse to be told a read-only value that it has."""
+        told = []
+
+        class Watched(FakeNodes):
+            def set(self, node, values):
+                told.append((node, values))
+                super().set(node, values)
+
+        new = {"drive": {"gain": 2.5, "taps": 3}, "axis": {"load": [0.5, 1]}}
+        set_values(Watched(), OLD, new)
+        assert told == [("drive", {"gain": 2.5})]
+
     def test_only_what_is_to_be_set_is_read(self):
         assert read_values(FakeNodes(), {"drive": {"taps": 4}}) == {"drive": {"taps": 3}}
 

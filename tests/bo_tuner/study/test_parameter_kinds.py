@@ -79,6 +79,15 @@ def test_an_item_is_set_as_its_whole_array(study):
     assert not any("[" in name for name in values)
 
 
+def test_an_array_of_doubles_may_be_written_with_integers(make_study):
+    """A ROS array has one type."""
+    axis = AXIS | {"parameters": {"covariance": [1, 0, 0, 1]}}
+    made = make_study(nodes={"axis": axis}, parameters=PARAMETERS)
+    values = made.node_parameters({"covariance[0]": 0.5})["axis"]["covariance"]
+    assert values == (0.5, 0.0, 0.0, 1.0)
+    assert {type(value) for value in values} == {float}
+
+
 def test_a_parameter_file_holds_them(study):
     """As ROS reads it: text stays text, and an integer does not become a double."""
     defaults = study.search_space().defaults

@@ -28,6 +28,7 @@ from bo_tuner.deploy.apply import (
 from bo_tuner.deploy.bundle import (
     DEPLOY,
     ROLLBACK,
+    UNFINISHED,
     Difference,
     differences,
     read_rollback,
@@ -38,6 +39,7 @@ from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
@@ -164,16 +166,24 @@ def _set(
     # Resolved, since `latest` will point to another run later.
     folder = record.path.resolve()
     rollback = folder / DEPLOY / ROLLBACK
-    if not is_rollback:
+    unfinished = folder / DEPLOY / UNFINISHED
+    was_unfinished = unfinished.exists()
+    if was_unfinished and not is_rollback:
+        _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
+    elif not is_rollback:
         write_bundle(record, rollback=now)
     interruption.check()
     # From here on it is all or nothing.
     interruption.ignore()
+    write_atomically(unfinished, f"nodes may have values of an apply that did not finish: {new}\n")
     try:
         set_values(nodes, now, new)
     except ApplyError as error:
+        if error.restored and not was_unfinished:
+            unfinished.unlink()
         saved = "" if is_rollback else f"; the previous values are in {rollback}"
         return _refuse(f"{error}{saved}", EXIT_FAULT)
+    unfinished.unlink()
     say(f"set and read back on {', '.join(new)}")
     if not is_rollback:
         say(f"previous values: {rollback}; restore them with: apply {folder} --rollback")

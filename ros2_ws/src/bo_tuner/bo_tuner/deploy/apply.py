@@ -10,7 +10,17 @@ from bo_tuner.text import brief
 
 
 class ApplyError(BoTunerError, RuntimeError):
-    """The values could not be set; the text says which values the nodes have now."""
+    """The values could not be set; the text says which values the nodes have now.
+
+    Attributes
+    ----------
+    restored
+        Whether all nodes have their previous values.
+    """
+
+    def __init__(self, text: str, *, restored: bool) -> None:
+        super().__init__(text)
+        self.restored = restored
 
 
 class NodeError(BoTunerError, RuntimeError):
@@ -57,7 +67,7 @@ def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
 
 
 def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
-    """Set values on live nodes, and read them back.
+    """Set on live nodes what they have otherwise, and read all values back.
 
     If a node refuses, does not answer or reads back another value, the previous values of all are
     restored.
@@ -79,9 +89,12 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
     touched: list[str] = []
     try:
         for node, values in new.items():
+            changes = _changes(before[node], values)
+            if not changes:
+                continue
             touched.append(node)
             try:
-                nodes.set(node, values)
+                nodes.set(node, changes)
             except RefusedError:
                 touched.remove(node)
                 raise
@@ -92,17 +105,24 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
                     shown = brief(str(found[name]))
                     raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
     except NodeError as error:
-        raise ApplyError(f"{error}; {_set_back(nodes, before, touched)}") from error
+        changed = {node: _changes(new[node], before[node]) for node in touched}
+        failed = _set_back(nodes, changed)
+        done = f"previous values of {', '.join(touched)} restored"
+        outcome = "; ".join(failed) or (done if touched else "nothing was changed")
+        raise ApplyError(f"{error}; {outcome}", restored=not failed) from error
 
 
-def _set_back(nodes: Nodes, before: NodeValues, touched: list[str]) -> str:
-    """Restore the previous values of nodes; return the outcome in words."""
+def _set_back(nodes: Nodes, before: NodeValues) -> list[str]:
+    """Restore values of nodes; return what failed, a line for each node."""
     failed = []
-    for node in touched:
+    for node, values in before.items():
         try:
-            nodes.set(node, before[node])
+            nodes.set(node, values)
         except NodeError as error:
             failed.append(f"{node} could not be restored: {error}")
-    if failed:
-        return "; ".join(failed)
-    return f"previous values of {', '.join(touched)} restored" if touched else "nothing was changed"
+    return failed
+
+
+def _changes(before: Mapping[str, object], new: Mapping[str, object]) -> dict[str, object]:
+    """Return the values that differ; a node may refuse to be told others, as read-only ones."""
+    return {name: v for name, v in new.items() if not checks.same_value(before[name], v)}

@@ -29,6 +29,8 @@ from bo_tuner.trials import Trial
 DEPLOY = "deploy"
 PARAMETERS = "parameters.yaml"
 ROLLBACK = "rollback.yaml"
+UNFINISHED = "unfinished.txt"
+"""Is there while `apply` sets values, and stays if nodes may have some of them and not others."""
 DIFFERENCE = "difference.csv"
 PROVENANCE = "provenance.json"
 

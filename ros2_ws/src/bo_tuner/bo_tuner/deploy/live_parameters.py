@@ -24,7 +24,7 @@ class LiveParameters:
     """A ROS node that reads and sets the parameters of others.
 
     Domain and discovery are those of the environment. Meanwhile no tuner on this machine uses the
-    domain.
+    domain; one on another machine is refused if it is there before.
 
     Parameters
     ----------
@@ -56,6 +56,7 @@ class LiveParameters:
             }
             with self._tuner.watched_by(watch):
                 self._wait_for_nodes()
+            self._tuner.refuse_other_tuner()
         except BaseException:
             self.close()
             raise

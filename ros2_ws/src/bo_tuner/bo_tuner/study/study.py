@@ -288,7 +288,11 @@ class Study:
                 continue
             items = of_node.get(item.array, self.nodes[item.node].parameters[item.array])
             if isinstance(items, tuple):
-                of_node[item.array] = (*items[: item.item], value, *items[item.item + 1 :])
+                items = (*items[: item.item], value, *items[item.item + 1 :])
+                # A node has an array of doubles, however its constant items are written.
+                of_node[item.array] = (
+                    tuple(map(float, items)) if isinstance(value, float) else items
+                )
         return values
 
     def replace(

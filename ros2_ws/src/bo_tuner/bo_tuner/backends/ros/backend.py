@@ -148,7 +148,7 @@ class RosBackend(SequentialBackend):
             if self._attach:
                 # That the nodes are discovered does not mean that another tuner is, too.
                 tuner.spin_for(LOOK_AROUND)
-            _refuse_second_tuner(tuner)
+            tuner.refuse_other_tuner()
             if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
             found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
@@ -546,11 +546,3 @@ class RosBackend(SequentialBackend):
             # The next evaluation will be lost in turn; three lost trials end the run.
             return f"not recovered: {error}"
         return ""
-
-
-def _refuse_second_tuner(tuner: TunerNode) -> None:
-    if not tuner.is_alone():
-        raise BackendError(
-            f"another tuner is at work as {tuner.full_name}; wait for it, or "
-            "use another namespace or ROS_DOMAIN_ID"
-        )

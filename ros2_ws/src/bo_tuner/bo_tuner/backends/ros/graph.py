@@ -62,6 +62,7 @@ def opened_node(
         claim = DomainClaim(tuner.node.get_namespace(), tuner.domain)
         try:
             tuner.spin_for(LOOK_AROUND)
+            tuner.refuse_other_tuner()
             yield tuner
         finally:
             claim.release()

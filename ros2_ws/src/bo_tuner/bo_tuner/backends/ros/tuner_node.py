@@ -77,15 +77,22 @@ class TunerNode:
         """The ROS domain."""
         return self.context.get_domain_id()
 
-    @property
-    def full_name(self) -> str:
-        """Name of the node, with its namespace."""
-        return self.node.get_fully_qualified_name()
+    def refuse_other_tuner(self) -> None:
+        """Refuse to work beside a tuner in this namespace, on whatever machine it runs.
 
-    def is_alone(self) -> bool:
-        """Whether no other node has this one's name."""
-        me = (self.node.get_name(), self.node.get_namespace())
-        return self.node.get_node_names_and_namespaces().count(me) <= 1
+        Raises
+        ------
+        BackendError
+            If one has been discovered.
+        """
+        namespace = self.node.get_namespace()
+        found = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
+        if found > (self.node.get_name() == NODE_NAME):
+            name = f"{namespace.rstrip('/')}/{NODE_NAME}"
+            raise BackendError(
+                f"another tuner is at work as {name}; wait for it, or "
+                "use another namespace or ROS_DOMAIN_ID"
+            )
 
     def warn(self, text: str) -> None:
         """Say something on the log of the node."""
