@@ -10,7 +10,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+import scipy.linalg  # noqa: F401  (its threads are limited, too)
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 
 # The test folders are no packages (tests/mpc_controller must not shadow mpc_controller), so the
 # independent implementations that several test modules compare with, and what they share of
@@ -40,6 +42,13 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Compute as the commands and nodes do: with several threads, sums differ in the last bits."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture(autouse=True)

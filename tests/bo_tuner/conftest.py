@@ -5,5 +5,4 @@ from functions import (  # noqa: F401  (fixtures)
     _function_backend,
     _make_study,
     _make_trial,
-    one_thread,
 )

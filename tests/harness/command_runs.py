@@ -1,6 +1,7 @@
 """Runs of the command `tune` on a small object, which are killed, resumed and compared."""
 
 import shutil
+from pathlib import Path
 
 from axis import write_study
 from commands import Fork, finish
@@ -16,9 +17,16 @@ class Runs:
         self.folder = folder
         self.study = write_study(folder, study, **expressions)
 
-    def start(self, name, *arguments, kill=0):
-        environment = {"CUTS": str(self.folder / f"{name}.evaluations"), "KILL": str(kill)}
+    def start(self, name, *arguments, kill=0, hold=0):
+        environment = {"CUTS": str(self._counter(name)), "KILL": str(kill), "HOLD": str(hold)}
         return Fork("tune", *arguments, folder=self.folder, env=environment)
+
+    def go_on(self, name):
+        """Let the evaluation end that is held."""
+        Path(f"{self._counter(name)}.go").touch()
+
+    def _counter(self, name):
+        return self.folder / f"{name}.evaluations"
 
     def run(self, name, *arguments, kill=0):
         return finish(self.start(name, *arguments, kill=kill))
@@ -39,7 +47,7 @@ class Runs:
         self.latest(new).symlink_to("run")
 
     def evaluations(self, name):
-        return count_in(self.folder / f"{name}.evaluations")
+        return count_in(self._counter(name))
 
     def results(self, name):
         return [(self.latest(name) / file).read_bytes() for file in RESULTS]

@@ -3,8 +3,6 @@
 from collections import defaultdict
 from dataclasses import dataclass
 
-from threadpoolctl import threadpool_limits
-
 from milling_plant.cut import MillingPlant
 from mpc_controller.controller import MpcController
 
@@ -56,7 +54,5 @@ def cut_in_process(plant_values, controller_values):
     plant, tap = MillingPlant(), Tap(MpcController())
     plant.set_parameters(plant_values)
     tap.controller.set_parameters(controller_values)
-    # As the nodes and the command: products are summed in another order by several threads.
-    with threadpool_limits(1):
-        result = plant.run_cut(tap)
+    result = plant.run_cut(tap)
     return TappedCut(result, tap.controller.cut_result(), tap.kept)

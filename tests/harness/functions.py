@@ -1,7 +1,6 @@
 """Studies of plain functions, and a backend that evaluates them."""
 
 import pytest
-from threadpoolctl import threadpool_limits
 
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.metrics.collect import Collector
@@ -81,13 +80,6 @@ class FunctionBackend(SequentialBackend):
         if isinstance(said, Outcome):
             return said
         return self._collector.outcome({"axis": {"status": "ok", "reason": ""} | said})
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_thread():
-    """As the command does: threads only slow down small matrices."""
-    with threadpool_limits(1):
-        yield
 
 
 def failed(reason, state=EvaluationState.FAILED):

@@ -52,7 +52,7 @@ class Run:
 
     def ask(self, path, *, method="GET", token=True, **headers):
         """Status, headers and text of an answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=100.0)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=DEADLINE)
         cookie = {"Cookie": f"bo_tuner_{self.port}={self.token}"} if token else {}
         connection.request(method, path, headers=cookie | headers)
         answer = connection.getresponse()

@@ -38,6 +38,15 @@ def ros_environment(tmp_path_factory):
 
 
 @pytest.fixture
+def empty_domain(ros_environment, monkeypatch):
+    """Work in a domain without nodes: those that a module shares may run in that of the worker."""
+    domain, lock = claim_domain(os.environ.get("PYTEST_XDIST_WORKER", "gw"))
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    with lock:
+        yield domain
+
+
+@pytest.fixture
 def start_node(tmp_path, ros_environment):
     """Function that starts a node: package, then ROS arguments."""
     starter = Starter(tmp_path)

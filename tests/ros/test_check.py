@@ -151,16 +151,14 @@ def test_a_run_that_sends_nothing(servo, tmp_path):
     assert "note: run.start: missing, so nothing sends a reference" in out
 
 
-def test_nodes_that_were_not_started(tmp_path):
+def test_nodes_that_were_not_started(empty_domain, tmp_path):
     """In a domain without others, one line for each node says what to do."""
     write_study(tmp_path)
-    code, _, err = finish(
-        Fork("tune", "--check", "servo.yaml", folder=tmp_path, env={"ROS_DOMAIN_ID": "99"})
-    )
+    code, _, err = finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
     assert code == 2
     assert err.splitlines() == [
-        "error: servo: no such node; no other node runs in ROS domain 99: start yours, or set "
-        "their ROS_DOMAIN_ID"
+        f"error: servo: no such node; no other node runs in ROS domain {empty_domain}: start "
+        "yours, or set their ROS_DOMAIN_ID"
     ]
 
 

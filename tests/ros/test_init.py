@@ -30,8 +30,7 @@ def servo():
         yield node
 
 
-def test_no_node_is_told_in_a_line(tmp_path):
-    """Ahead of the tests with nodes."""
+def test_no_node_is_told_in_a_line(empty_domain, tmp_path):
     code, out, err = run("tune", "--init", folder=tmp_path)
     assert (code, out) == (2, "")
     assert err.startswith("error: no node with parameters found in 5 s in domain ")
@@ -39,7 +38,7 @@ def test_no_node_is_told_in_a_line(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_an_idle_node_is_told_in_a_line(tmp_path):
+def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
     """The items of an array are known from messages only."""
 
     def idle(context):

@@ -11,7 +11,6 @@ from cuts import cut_in_process
 from in_process import Uninterrupted, call
 from made_runs import make_run
 from short_cuts import small_study
-from threadpoolctl import threadpool_limits
 from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -41,8 +40,7 @@ def attached(shared_pair, tmp_path_factory):
     """A run, and what the command says of its trial 1 on nodes that run already."""
     study = study_of()
     folder = tmp_path_factory.mktemp("replay") / "run"
-    with threadpool_limits(1):
-        record = make_run(folder, study, InProcessBackend(study))
+    record = make_run(folder, study, InProcessBackend(study))
     with pytest.MonkeyPatch.context() as patch:
         lines = []
         patch.setattr(command, "say", lines.append)

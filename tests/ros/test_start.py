@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import DEADLINE
 
 pytestmark = pytest.mark.ros
 
@@ -54,7 +55,7 @@ def test_a_bad_start_ends_with_one_line_and_code_2(bad_starts, index):
 def run_node(package, *arguments):
     """Run a node's executable that ends by itself."""
     command = [Path(sys.prefix) / "lib" / package / package, *arguments]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=DEADLINE)
 
 
 @pytest.mark.parametrize("argument", ["--params-file", "gain:=2.0"])

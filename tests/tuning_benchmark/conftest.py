@@ -6,7 +6,6 @@ from functions import (  # noqa: F401  (fixtures)
     _function_backend,
     _make_study,
     _make_trial,
-    one_thread,
 )
 
 from bo_tuner.study.study_file import study_to_yaml

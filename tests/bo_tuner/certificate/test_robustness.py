@@ -10,8 +10,6 @@ from scipy import stats
 
 from bo_tuner.certificate.context_tolerance import CREDIBLE, MOST_CONTEXTS, context_tolerances
 from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
-from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.kernel import latent_covariance
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.study.study_file import load_study
@@ -223,25 +221,6 @@ class TestDrift:
 def make_evaluation(context):
     outcome = Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": 0.5})
     return Evaluation(0, 0, Stage.SEARCH, {}, context, 0, outcome)
-
-
-def test_posterior_samples_have_the_moments_of_the_posterior():
-    rng = np.random.default_rng(2)
-    x = rng.random((15, 2))
-    model = GaussianProcess.fit(x, np.sin(4 * x[:, 0]) + 0.1 * rng.normal(size=15), rng=rng)
-    at = np.vstack([rng.random((6, 2)), x[:2]])
-    mean, variance = model.predict(at)
-    sampled = model.sample(at, 20_000, rng)
-    assert np.abs(sampled.mean(axis=0) - mean).max() < 5 * np.sqrt(variance.max() / 20_000)
-    assert sampled.var(axis=0) == pytest.approx(variance, rel=0.06)
-    # The covariances by conditioning a normal vector with a plain inverse.
-    theta = model.hyperparameters
-    prior = latent_covariance(theta, np.vstack([x, at]), np.vstack([x, at]))
-    noisy = prior[:15, :15] + theta.noise**2 * np.eye(15)
-    expected = prior[15:, 15:] - prior[15:, :15] @ np.linalg.inv(noisy) @ prior[:15, 15:]
-    found = np.cov(sampled.T) / model.standardisation.scale**2
-    spread = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs(found - expected).max() < 0.05 * spread.max()
 
 
 def trial(number, parameters, objective, worst):

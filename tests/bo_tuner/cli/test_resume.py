@@ -387,20 +387,20 @@ class TestDamage:
 
 class TestRecordOfARunInProgress:
     def test_is_a_prefix_of_what_it_will_be(self, runs, whole):
-        process = runs.start(
-            "progress", "--study", runs.study, "--backend", "inprocess", "--output", "progress"
-        )
-        seen = []
+        new = ("--study", runs.study, "--backend", "inprocess", "--output", "progress")
+        process = runs.start("progress", *new, hold=9)
+        wait_until(lambda: runs.evaluations("progress") == 9, "its ninth evaluation", process)
+        seen = [read_run(runs.latest("progress"))]
+        assert len(seen[0].evaluations) == 8
+        runs.go_on("progress")
 
         def ended():
-            if (runs.latest("progress") / "journal.sqlite").exists():
-                seen.append(read_run(runs.latest("progress")))
+            seen.append(read_run(runs.latest("progress")))
             return process.poll() is not None
 
         wait_until(ended, "its end")
         finish(process)
         final = read_run(runs.latest(whole))
-        assert len(seen) > 3
         for record in seen:
             assert record.damage == ""
             assert record.trials == final.trials[: len(record.trials)]

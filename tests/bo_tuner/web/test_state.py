@@ -5,6 +5,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from waiting import DEADLINE
 
 from bo_tuner.errors import BoTunerError
 from bo_tuner.web import state as state_module
@@ -27,7 +28,7 @@ class Sections:
     def parts(self, *, ended):
         trials = self.trials
         self.made.append(("result" if ended else "all", trials))
-        assert self.fitted.wait(30.0)
+        assert self.fitted.wait(DEADLINE)
         yield self.table(trials)
         yield Part("answer", 0, f"{'result' if ended else 'best'} of {trials}", trials)
         if trials < 3:
@@ -53,7 +54,7 @@ class Page:
         return {name: part.html for name, (_, part) in self.state.parts.items()}
 
     async def until(self, condition):
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(DEADLINE):
             while not condition():
                 await asyncio.sleep(0.001)
 

@@ -6,7 +6,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from functions import planned
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
-from threadpoolctl import threadpool_limits
+from rclpy.duration import Duration
+from waiting import DEADLINE
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.backends.ros.backend import RosBackend
@@ -88,7 +89,7 @@ def attach(client, tmp_path):
 def in_process(study, seed=3, **parameters):
     backend = InProcessBackend(study)
     values = dict(study.search_space().defaults) | parameters
-    with threadpool_limits(1), contextlib.closing(backend):
+    with contextlib.closing(backend):
         backend.open()
         return backend.outcome(planned(values, CONTEXT, seed)).metrics
 
@@ -232,7 +233,7 @@ class TestOthers:
 
         def say(data):
             publisher.publish(data)
-            peer.spin_for(0.3)
+            assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
 
         for data, complaint in (
             (too_large, "has 10000001 bytes, expected at most 10000000"),
@@ -256,7 +257,7 @@ class TestOthers:
             value = ParameterValue(type=42)
             changed = [Parameter(name=name, value=value)]
             publisher.publish(ParameterEvent(node="/mpc_controller", changed_parameters=changed))
-            peer.spin_for(0.1)
+            assert publisher.wait_for_all_acked(Duration(seconds=DEADLINE))
 
         attached.meanwhile = lambda: say("of_no_use")
         assert attached.run().metrics == before.metrics

@@ -13,7 +13,6 @@ import time
 import pytest
 from commands import Fork, environment, python_path, start
 from short_cuts import small_study
-from threadpoolctl import threadpool_limits
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -46,9 +45,7 @@ def uninterrupted(trials=7):
     study = study_from_mapping(study_of(trials))
     backend = InProcessBackend(study)
     backend.open()
-    # As the command does: with another number of threads the last bits differ.
-    with threadpool_limits(1):
-        return tuple(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
+    return tuple(Tuning(study, backend, ALGORITHMS[DEFAULT_ALGORITHM]))
 
 
 def figures(trials):
@@ -153,7 +150,6 @@ def starts_with(record, before):
     )
 
 
-@pytest.mark.timeout(400)
 def test_a_tuner_killed_again_and_again_comes_to_the_same_trials(make_run):
     """Killed at any moment, in an evaluation or in thought; nothing on record is lost."""
     study = study_of()
@@ -181,7 +177,6 @@ def limit_file_size(run):
     resource.prlimit(run.process.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
 
 
-@pytest.mark.timeout(400)
 def test_a_file_that_may_not_grow_ends_the_run_so_that_it_goes_on(make_run):
     study = study_of()
     run = make_run(study)
@@ -212,7 +207,6 @@ time.time_ns = lambda: int(time.time() * 1e9)
 """
 
 
-@pytest.mark.timeout(400)
 def test_no_wall_clock_decides_anything(make_run, tmp_path):
     folder = tmp_path / "site"
     folder.mkdir()

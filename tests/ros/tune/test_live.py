@@ -128,7 +128,7 @@ def test_pause_and_what_is_published(run, watch, shared_pair):
     command.wait_for(lambda: "paused; call ~/pause" in command.err, "the pause")
     cuts = count_in(command.folder / "cuts")
     watcher.diagnostics.clear()
-    watcher.peer.spin_for(1.5)
+    watcher.peer.spin_until(lambda: len(watcher.diagnostics) >= 2, "signs of life in the pause")
     # It tells of itself, and not faster than once a second; and no cut is run.
     assert count_in(command.folder / "cuts") == cuts
     times = [message.header.stamp.sec for message in watcher.diagnostics]

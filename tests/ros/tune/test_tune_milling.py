@@ -114,7 +114,7 @@ class TestRecovery:
     def test_a_frozen_controller_is_replaced(self, tune):
         """The plant misses its command and fails the cut, but it is the controller that is lost."""
         command = tune(
-            study=small_study(4, plant=SHORT | {"command_timeout": 3.0}), AMENT_PREFIX_PATH=""
+            study=small_study(4, plant=SHORT | {"command_timeout": 5.0}), AMENT_PREFIX_PATH=""
         )
         command.wait_for_trial(0)
         (pid,) = command.nodes("mpc_controller")

@@ -42,10 +42,9 @@ def test_attached_nodes_get_their_parameters_back(tune, start_node, peer, signum
 
 def test_what_the_tuner_slept_through_is_no_failure(tune, drive_study, tmp_path):
     """It is stopped in an evaluation, for longer than that may take."""
-    study = drive_study(trigger={"timeout": 3.0})
+    study = drive_study(trigger={"timeout": 5.0})
     command = tune(study=study, DRIVE="3:mute")
-    while count_in(tmp_path / "cuts") < 3:
-        time.sleep(0.01)
+    command.wait_for(lambda: count_in(tmp_path / "cuts") >= 3, "the third evaluation")
     command.popen.send_signal(signal.SIGSTOP)
     time.sleep(LONGEST + 2.0)
     command.popen.send_signal(signal.SIGCONT)

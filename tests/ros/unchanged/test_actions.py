@@ -168,6 +168,8 @@ def test_a_goal_that_is_accepted_too_late_is_cancelled(backend, counter, monkeyp
     outcome = run(made)
     assert outcome.state is EvaluationState.LOST
     assert outcome.reason.startswith("the server of /fibonacci does not answer within 0.3 s")
+    # The server may come to the goal only now.
+    wait_until(lambda: counter.asked, "the server")
     counter.delay, counter.accepts = 0.0, False
     wait_until(lambda: run(made) and counter.ends, "the goal has ended")
     assert (counter.orders, counter.ends) == ([10_000], ["cancelled"])

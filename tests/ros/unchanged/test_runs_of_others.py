@@ -42,6 +42,7 @@ def test_a_run_and_its_metrics(backend, system):
     assert fast.metrics["time"] == pytest.approx(1.0)
     assert fast.details["signals.setpoint"] == "1 messages, 0 lost, 0 late"
     # The steps after the run; the message has a stamp.
+    wait_until(lambda: len(system.received) == 2, "the messages after the runs")
     assert [m.name for m in system.received] == [["a"]] * 2
     assert all(m.header.stamp.sec > 0 for m in system.received)
     made.close()

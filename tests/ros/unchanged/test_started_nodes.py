@@ -124,7 +124,7 @@ def running(ros_environment, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM])
-def test_a_controller_that_restarts_in_mid_run(backend, running, in_run, signum):
+def test_a_controller_that_restarts_in_mid_run(running, backend, in_run, signum):
     """It has no result topic; with its own gains it goes on as if nothing had happened."""
     running("motor")
     pid = running("pid")
@@ -144,7 +144,7 @@ def test_a_controller_that_restarts_in_mid_run(backend, running, in_run, signum)
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
 
 
-def test_a_node_that_is_slow_to_hear_of_the_tuner_loses_no_message(backend, running, monkeypatch):
+def test_a_node_that_is_slow_to_hear_of_the_tuner_loses_no_message(running, backend, monkeypatch):
     """The tuner knows its publishers at once; the first run waits until it knows the tuner, too."""
     motor, _ = running("motor"), running("pid")
     connect, thawed = SignalRecorder.connect, threading.Event()
@@ -155,9 +155,8 @@ def test_a_node_that_is_slow_to_hear_of_the_tuner_loses_no_message(backend, runn
 
     def frozen(*arguments):
         motor.send_signal(signal.SIGSTOP)
-        threading.Timer(0.5, thaw).start()
         connect(*arguments)
-        assert not thawed.is_set()
+        threading.Timer(0.5, thaw).start()
 
     monkeypatch.setattr(SignalRecorder, "connect", frozen)
     made = backend(position(), attach=True)
@@ -202,7 +201,7 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
          "run.before[0].restart: pid is attached; only a node that the tuner has started can be"),
     ],
 )  # fmt: skip
-def test_nodes_that_cannot_be_started(backend, running, nodes, run_changes, attach, complaint):
+def test_nodes_that_cannot_be_started(running, backend, nodes, run_changes, attach, complaint):
     if attach:
         running("motor")
         running("pid")
