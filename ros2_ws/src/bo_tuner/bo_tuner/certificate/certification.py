@@ -4,7 +4,7 @@ They end as soon as the verdict is clear; `most_evaluations` says when at the la
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -205,18 +205,28 @@ class Certification:
                         candidates.append(context)
         except _FailedError:
             return Evidence(subject.parameters, tuple(drawn), tuple(search))
-        repeated: list[tuple[Evaluation, ...]] = []
-        for place, context in enumerate(candidates):
-            here: list[Evaluation] = []
-            holds: bool | None = None
-            while holds is None and len(here) < most:
-                k = len(here)
-                here.append(run(Stage.CHECK_WORST, context, k, REPEATED, place, k))
-                holds = self._holds(here, most)
-            repeated.append(tuple(here))
+        found = Evidence(
+            subject.parameters, tuple(drawn), tuple(search), repeated=((),) * len(candidates)
+        )
+        while (place := self._open_context(found, most)) is not None:
+            here, k = found.repeated[place], len(found.repeated[place])
+            new = run(Stage.CHECK_WORST, candidates[place], k, REPEATED, place, k)
+            found = replace(
+                found,
+                repeated=(*found.repeated[:place], (*here, new), *found.repeated[place + 1 :]),
+            )
+        return replace(found, repeated=tuple(here for here in found.repeated if here))
+
+    def _open_context(self, found: Evidence, most: int) -> int | None:
+        """Return the first context that takes more evaluations; None if the verdict is clear.
+
+        What was clear in a context may be open again after the runs in the next.
+        """
+        for place, here in enumerate(found.repeated):
+            holds = self._holds(found, place, most) if here else None
             if not holds:
-                break
-        return Evidence(subject.parameters, tuple(drawn), tuple(search), tuple(repeated))
+                return place if holds is None and len(here) < most else None
+        return None
 
     def _find(
         self,
@@ -246,15 +256,15 @@ class Certification:
             rng,
         )
 
-    def _holds(self, here: Sequence[Evaluation], most: int) -> bool | None:
+    def _holds(self, found: Evidence, place: int, most: int) -> bool | None:
         """Return whether every worst-case constraint holds in a context; None if open."""
-        found = [
-            decide_context(constraint, here, most, self._confidence)
+        decided = [
+            decide_context(constraint, found, place, most, self._confidence)
             for constraint in self._study.worst_case_constraints
         ]
-        if False in found:
+        if False in decided:
             return False
-        return None if None in found else True
+        return None if None in decided else True
 
     def _noise_seed(self, *key: int) -> int:
         return noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, self._attempt, *key)

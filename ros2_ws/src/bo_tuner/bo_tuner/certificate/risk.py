@@ -36,7 +36,7 @@ class Mean:
     lower: float
 
 
-def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
+def mean_of(values: Sequence[float] | Array, confidence: float, least: int = 1) -> Mean:
     """Return the mean of independent values, its standard error and its confidence bounds.
 
     Parameters
@@ -45,6 +45,8 @@ def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
         Shape (n,).
     confidence
         Of each bound, between 0 and 1.
+    least
+        As in `sequential.mean_bounds`.
     """
     sample = np.asarray(values, dtype=np.float64)
     count = len(sample)
@@ -53,8 +55,8 @@ def mean_of(values: Sequence[float] | Array, confidence: float) -> Mean:
     return Mean(
         value=float(sample.mean()),
         standard_error=float(sample.std(ddof=1)) / sqrt(count),
-        upper=float(mean_bounds(sample, confidence)[-1]),
-        lower=-float(mean_bounds(-sample, confidence)[-1]),
+        upper=float(mean_bounds(sample, confidence, least)[-1]),
+        lower=-float(mean_bounds(-sample, confidence, least)[-1]),
     )
 
 

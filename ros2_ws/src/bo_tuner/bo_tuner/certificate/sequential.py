@@ -115,7 +115,7 @@ def probability_bounds(events: ArrayLike, confidence: float) -> Array:
     return np.minimum.accumulate(found)
 
 
-def mean_bounds(values: ArrayLike, confidence: float) -> Array:
+def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     """Return upper confidence bounds of a normal mean after each value, shape (n,).
 
     All of them hold at once with `confidence`, so each is the lowest so far. The first ones can be
@@ -127,6 +127,8 @@ def mean_bounds(values: ArrayLike, confidence: float) -> Array:
         As in `log_mean_evidence`.
     confidence
         Between 0 and 1.
+    least
+        Values of the first bound that counts; those before it are infinite.
     """
     sample = np.asarray(values, dtype=np.float64)
     if not len(sample):
@@ -137,6 +139,7 @@ def mean_bounds(values: ArrayLike, confidence: float) -> Array:
     # With few values, or a high confidence, no mean at all is refuted.
     far = mean + 1e6 * np.maximum(spread, 1e-9 * np.maximum(np.abs(mean), 1.0))
     never = log_mean_evidence(sample, far) < log(1.0 / (1.0 - confidence))
+    never[: least - 1] = True
     found = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
     return np.minimum.accumulate(np.where(never, np.inf, found))
 
@@ -152,9 +155,12 @@ def is_refuted(events: ArrayLike, allowed: float, confidence: float) -> bool:
     return _reached(log_evidence(other, 1.0 - allowed), confidence)
 
 
-def is_mean_shown(values: ArrayLike, limit: float, confidence: float) -> bool:
-    """Return whether values show with `confidence` that their expectation is within `limit`."""
-    return _reached(log_mean_evidence(values, limit), confidence)
+def is_mean_shown(values: ArrayLike, limit: float, confidence: float, least: int = 1) -> bool:
+    """Return whether values show with `confidence` that their expectation is within `limit`.
+
+    The first `least` - 1 of them alone show nothing.
+    """
+    return _reached(log_mean_evidence(values, limit)[least - 1 :], confidence)
 
 
 def is_mean_refuted(values: ArrayLike, limit: float, confidence: float) -> bool:

@@ -7,7 +7,8 @@ show it with the stated confidence 1 - α; too few evaluations to show it are a 
   violates it is at most 1 - probability.
 - A worst-case constraint (Eq. 3e) is shown to hold if it is in every candidate for the worst
   context that a separate search finds: the upper bound of the mean over noise is within the limit,
-  or, for a limit on single runs, that of the probability of a violation is at most 1 - probability.
+  with at least `LEAST_RUNS` runs behind it, or, for a limit on single runs, that of the probability
+  of a violation is at most 1 - probability.
   Draws can only refute it: what holds in every context holds there.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
@@ -44,6 +45,10 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import EXPECTATION, MAXIMIZE, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
+
+LEAST_RUNS = 30
+"""Runs behind a mean that counts as shown. The bound of a mean takes the noise for normal: a few
+runs that agree tell nothing of rare large values."""
 
 
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
@@ -127,7 +132,7 @@ def decide_draws(
 
 
 def decide_context(
-    constraint: Constraint, repeated: Sequence[Evaluation], most: int, confidence: float
+    constraint: Constraint, evidence: Evidence, place: int, most: int, confidence: float
 ) -> bool | None:
     """Return whether a worst-case constraint holds in a context: True or False; None if open.
 
@@ -135,8 +140,10 @@ def decide_context(
     ----------
     constraint
         The constraint.
-    repeated
-        Evaluations in one context, in their order.
+    evidence
+        The evaluations so far, with one at least in the context.
+    place
+        Index of the context among those of ``evidence.repeated``.
     most, confidence
         As in `decide_draws`.
 
@@ -145,12 +152,13 @@ def decide_context(
     bool or None
         True if they show that it holds. False if a PASS is out of reach.
     """
+    repeated = evidence.repeated[place]
     if _failed(repeated):
         return False if is_failed(repeated) else None
     events, values = _events(constraint, repeated), _values(repeated, constraint.metric)
     if _refuted(constraint, events, values, confidence):
         return False
-    if _shown(constraint, events, values, confidence):
+    if _shown(constraint, evidence, events, values, confidence):
         return True
     hopeless = constraint.statistic != EXPECTATION and is_hopeless(
         events, most, constraint.allowed, confidence
@@ -176,7 +184,8 @@ def _judge(
     worst: tuple[WorstContext, ...] = ()
     if constraint.kind == WORST_CASE:
         found = [
-            _worst_context(evaluations, constraint, confidence) for evaluations in evidence.repeated
+            _worst_context(evaluations, constraint, evidence, confidence)
+            for evaluations in evidence.repeated
         ]
         # A context without a complete evaluation has no mean, and counts as the worst.
         sign = constraint.sign
@@ -254,6 +263,11 @@ def _worst_case(
         return passed, (
             f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
         )
+    if on_mean and not passed and not constraint.violations(_mean_bound(constraint, top)):
+        return False, (
+            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts tell too little "
+            "of the noise to show that the mean over it is within the limit"
+        )
     if on_mean:
         if passed and constraint.sign < 0.0:
             says = "at least"
@@ -273,28 +287,71 @@ def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:
 
 
 def _worst_context(
-    evaluations: Sequence[Evaluation], constraint: Constraint, confidence: float
+    evaluations: Sequence[Evaluation],
+    constraint: Constraint,
+    evidence: Evidence,
+    confidence: float,
 ) -> WorstContext:
     events, values = _events(constraint, evaluations), _values(evaluations, constraint.metric)
     return WorstContext(
         context=dict(evaluations[0].context),
-        mean=mean_of(values, confidence),
+        mean=mean_of(values, confidence, _least_runs(constraint, evidence, values)),
         extreme=constraint.farthest(values),
         evaluations=len(values),
         beyond=int(np.sum(constraint.violations(values))),
         failures=len(evaluations) - len(values),
         violation_bound=_bound(events, confidence),
-        shown=len(values) == len(evaluations) and _shown(constraint, events, values, confidence),
+        shown=len(values) == len(evaluations)
+        and _shown(constraint, evidence, events, values, confidence),
     )
 
 
 def _shown(
-    constraint: Constraint, events: Sequence[bool], values: Array, confidence: float
+    constraint: Constraint,
+    evidence: Evidence,
+    events: Sequence[bool],
+    values: Array,
+    confidence: float,
 ) -> bool:
-    if constraint.statistic == EXPECTATION:
-        sign = constraint.sign
-        return is_mean_shown(sign * values, sign * constraint.limit, confidence)
-    return is_shown(events, constraint.allowed, confidence)
+    if constraint.statistic != EXPECTATION:
+        return is_shown(events, constraint.allowed, confidence)
+    sign, least = constraint.sign, _least_runs(constraint, evidence, values)
+    return is_mean_shown(
+        sign * values, sign * constraint.limit, confidence, least
+    ) and _excludes_rare(constraint, evidence, values, confidence)
+
+
+def _least_runs(constraint: Constraint, evidence: Evidence, values: Array) -> int:
+    """Return the number of runs, of those with `values` in a context, that bound its mean first.
+
+    They are `LEAST_RUNS` once any run of the parameter set is beyond the limit, and the first one
+    that differs is among them. Before, runs in the other worst contexts count as well where the
+    noise is alike: there is some, or there is none.
+    """
+    if constraint.violations(_values(evidence.evaluations, constraint.metric)).any():
+        return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
+    contexts = [_values(evaluations, constraint.metric) for evaluations in evidence.repeated]
+    alike = sum(len(v) for v in contexts if _are_equal(v) == _are_equal(values))
+    return max(1, LEAST_RUNS + len(values) - alike)
+
+
+def _excludes_rare(
+    constraint: Constraint, evidence: Evidence, values: Array, confidence: float
+) -> bool:
+    """Return whether runs in a context exclude that rare others take its mean beyond the limit.
+
+    If all runs are equal, their mean bounds nothing that does not occur among them. A mean beyond
+    the limit needs runs as far as the worst one known with the probability that is tested here.
+    """
+    worst = constraint.farthest(_values(evidence.evaluations, constraint.metric))
+    if not _are_equal(values) or not constraint.violations(worst):
+        return True
+    rare = float((constraint.limit - values[0]) / (worst - values[0]))
+    return is_shown([False] * len(values), rare, confidence)
+
+
+def _are_equal(values: Array) -> bool:
+    return len(values) > 0 and float(np.ptp(values)) == 0.0
 
 
 def _refuted(
