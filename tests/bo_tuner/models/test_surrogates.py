@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from bo_tuner.models.fitting import ModelOptions, fitted_after
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome, Stage, TrialState
 
 COMPLETE = TrialState.COMPLETE
 NODE = {"node": "axis"}
@@ -93,6 +93,31 @@ def test_a_failed_trial_speaks_through_its_classifier_only(study, make_trial):
     assert len(models.objective.data.x) == len(trials)
     p_fail = models.failures.probability(np.array([[0.96], [0.1]]))
     assert p_fail[0] > 0.5 > p_fail[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "outcome", "learnt"),
+    [
+        ({}, {"state": EvaluationState.LOST}, True),
+        ({}, {"details": {DISTURBED: "somebody"}}, False),
+        ({"pooled": True}, {"state": EvaluationState.LOST}, False),
+        ({"pooled": True}, {"details": {DISTURBED: "somebody"}}, False),
+    ],
+    ids=str,
+)
+def test_what_is_no_failure_of_its_parameters_is_not_learnt_as_one(
+    study, make_trial, options, outcome, learnt
+):
+    spoilt = make_trial(9, {"x": 0.97})
+    (evaluation,) = spoilt.evaluations
+    told = replace(evaluation.outcome, **outcome)
+    spoilt = replace(spoilt, evaluations=(replace(evaluation, outcome=told),))
+    # A crash elsewhere, without which nothing is learnt of crashes at all.
+    trials = [*sloped(make_trial), make_trial(8, {"x": 0.0})]
+    x = np.array([[0.965]])
+    (before,) = fit(study, trials, **options).failures.probability(x)
+    (after,) = fit(study, [*trials, spoilt], **options).failures.probability(x)
+    assert (after > before + 0.3) if learnt else (after == before)
 
 
 def test_nothing_but_failures(study, make_trial):

@@ -8,11 +8,11 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.boundary import evaluations_ahead, searches
+from bo_tuner.optimizers.boundary import FAILING, BoundaryOptimization, evaluations_ahead, searches
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.trials import EvaluationState, Stage, TrialState, count_evaluations, pooled
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.tuning.settling import most_repetitions, settle
+from bo_tuner.tuning.settling import most_repetitions, settle, with_repetitions
 
 ALGORITHM = ALGORITHMS[BOUNDARY]
 NODE = {"node": "axis"}
@@ -242,6 +242,29 @@ class TestOtherStudies:
         assert best.checked
 
 
+def lost_trial(make_trial, number, x):
+    """A trial whose nodes were lost in its only evaluation."""
+    trial = make_trial(number, {"x": x})
+    (evaluation,) = trial.evaluations
+    outcome = dataclasses.replace(evaluation.outcome, state=EvaluationState.LOST)
+    return dataclasses.replace(
+        trial, evaluations=(dataclasses.replace(evaluation, outcome=outcome),)
+    )
+
+
+def test_lost_trials_do_not_change_the_largest_probability_of_a_failure(make_study, make_trial):
+    study = make_study(
+        parameters={"x": {"node": "axis", "type": "double", "bounds": [0.0, 1.0], "default": 0.5}},
+        budget={"trials": 30, "initial_trials": 3},
+    )
+    optimizer = BoundaryOptimization(study)
+    for number in range(3):
+        optimizer.tell(make_trial(number, {"x": number / 10}, [1.0]))
+    for number in range(3, 13):
+        optimizer.tell(lost_trial(make_trial, number, number / 20))
+    assert optimizer.avoid == FAILING
+
+
 class TestPooled:
     def test_joins_equal_parameter_sets(self, make_trial):
         first = make_trial(0, {"x": 0.5}, [1.0, 1.1], worst=0.4)
@@ -259,17 +282,32 @@ class TestPooled:
         assert joint.reason == "axis: stalled"
 
     def test_a_lost_node_does_not(self, make_trial):
-        lost = make_trial(1, {"x": 0.5})
-        (evaluation,) = lost.evaluations
-        outcome = dataclasses.replace(evaluation.outcome, state=EvaluationState.LOST)
-        lost = dataclasses.replace(
-            lost, evaluations=(dataclasses.replace(evaluation, outcome=outcome),)
-        )
+        lost = lost_trial(make_trial, 1, 0.5)
         good = make_trial(0, {"x": 0.5}, [1.0])
         assert pooled([good, lost]) == [good]
         (joint,) = pooled([dataclasses.replace(lost, number=0), make_trial(1, {"x": 0.5}, [1.0])])
         assert joint.state is TrialState.COMPLETE
         assert joint.number == 0
+
+    def test_runs_of_a_set_whose_first_trial_was_lost_are_kept(self, make_trial):
+        """Repetitions are added to the trial with the number of the joint one: the lost one."""
+        lost, good = lost_trial(make_trial, 0, 0.5), make_trial(3, {"x": 0.5}, [1.0, 1.1])
+        (run,) = make_trial(0, {"x": 0.5}, [1.3]).evaluations
+        run = dataclasses.replace(run, stage=Stage.CHECK_DRAWN, index=1)
+        (joint,) = pooled([with_repetitions(lost, [run]), good])
+        assert (joint.number, joint.state) == (0, TrialState.COMPLETE)
+        assert joint.evaluations == (run, *good.evaluations)
+        crash = dataclasses.replace(run, outcome=make_trial(0, {"x": 0.5}).evaluations[0].outcome)
+        (joint,) = pooled([with_repetitions(lost, [run, crash]), good])
+        assert (joint.state, joint.reason) == (TrialState.FAILED, "axis: stalled")
+        assert joint.evaluations == (run, crash, *good.evaluations)
+
+    def test_a_lost_repetition_leaves_the_other_runs(self, make_trial):
+        good, again = make_trial(0, {"x": 0.5}, [1.0]), make_trial(2, {"x": 0.5}, [1.2])
+        repeated = with_repetitions(good, lost_trial(make_trial, 0, 0.5).evaluations)
+        (joint,) = pooled([repeated, again])
+        assert joint.state is TrialState.COMPLETE
+        assert joint.observations("error") == [1.0, 1.2]
 
     def test_one_candidate_for_each_set(self, run):
         study, trials, _ = run

@@ -1,6 +1,6 @@
 """Evaluations and trials: the record of a run."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -200,8 +200,19 @@ class Trial:
 
     @property
     def spoilt(self) -> bool:
-        """Whether it failed for a reason that tells nothing of its parameters."""
-        return any(evaluation.outcome.spoilt for evaluation in self.evaluations)
+        """Whether it failed for reasons alone that tell nothing of its parameters."""
+        return self.state is TrialState.FAILED and all(
+            evaluation.outcome.spoilt
+            for evaluation in self.evaluations
+            if evaluation.outcome.state is not EvaluationState.COMPLETE
+        )
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether it is spoilt, and not because its nodes were lost, as by what they crashed of."""
+        return self.spoilt and all(
+            evaluation.outcome.state is not EvaluationState.LOST for evaluation in self.evaluations
+        )
 
     @property
     def unchecked(self) -> "Trial":
@@ -222,27 +233,32 @@ def count_checks(trials: Iterable[Trial]) -> int:
 def pooled(trials: Iterable[Trial]) -> list[Trial]:
     """Join the trials of each parameter set, such as its repetitions, into its first one.
 
-    The joint trial has all evaluations and the latest estimate of the worst case. It is failed if
-    one of its trials is, unless that was spoilt.
+    The joint trial has all evaluations that are not spoilt and the latest estimate of the worst
+    case. It is failed if one of its trials is, unless that was spoilt.
 
     Parameters
     ----------
     trials
         In the order of the run.
     """
-    sets: dict[tuple[tuple[str, Value], ...], Trial] = {}
+    sets: dict[tuple[tuple[str, Value], ...], list[Trial]] = {}
     for trial in trials:
-        key = tuple(sorted(trial.parameters.items()))
-        first = sets.get(key)
-        if first is None or (first.spoilt and not trial.spoilt):
-            sets[key] = trial if first is None else replace(trial, number=first.number)
-        elif not trial.spoilt:
-            failed = trial if trial.state is TrialState.FAILED else first
-            sets[key] = replace(
-                first,
-                state=failed.state,
-                reason=failed.reason,
-                evaluations=first.evaluations + trial.evaluations,
-                worst_cases={**first.worst_cases, **trial.worst_cases},
-            )
-    return list(sets.values())
+        sets.setdefault(tuple(sorted(trial.parameters.items())), []).append(trial)
+    return [_joint(of_set) for of_set in sets.values()]
+
+
+def _joint(trials: Sequence[Trial]) -> Trial:
+    first, *others = trials
+    telling = [trial for trial in trials if not trial.spoilt]
+    if not others or not telling:
+        return first
+    failed = [trial for trial in telling if trial.state is TrialState.FAILED]
+    latest = failed[-1] if failed else telling[0]
+    return replace(
+        telling[0],
+        number=first.number,
+        state=latest.state,
+        reason=latest.reason,
+        evaluations=tuple(e for t in trials for e in t.evaluations if not e.outcome.spoilt),
+        worst_cases={name: worst for t in trials for name, worst in t.worst_cases.items()},
+    )

@@ -265,8 +265,8 @@ def _worst_case(
         )
     if on_mean and not passed and not constraint.violations(_mean_bound(constraint, top)):
         return False, (
-            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts tell too little "
-            "of the noise to show that the mean over it is within the limit"
+            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts tell too "
+            "little of the noise to show that the mean over it is within the limit"
         )
     if on_mean:
         if passed and constraint.sign < 0.0:

@@ -264,7 +264,9 @@ class Fitting:
             np.array([e.outcome.state is not EvaluationState.COMPLETE for _, e in runs], bool),
             coding=self._coding,
             contexts=contexts.candidates(),
-            neighbours=self.classifier(trials, lambda t: t.state is TrialState.FAILED),
+            neighbours=self.classifier(
+                [t for t in trials if not t.spoilt], lambda t: t.state is TrialState.FAILED
+            ),
             rng=self._rng,
             start=self._start.get(FAILURES) if self._keep else None,
         )

@@ -127,7 +127,9 @@ class Surrogates:
         if options.pooled:
             failures = fitting.crashes(trials)
         else:
-            failures = fitting.classifier(trials, lambda t: t.state is TrialState.FAILED)
+            # A node that was lost may have died of its parameters.
+            telling = [t for t in trials if not t.disturbed]
+            failures = fitting.classifier(telling, lambda t: t.state is TrialState.FAILED)
         outlying = None
         if options.reject_outliers and complete:
             outlying = fitting.classifier(complete, lambda t: t.number in outliers)

@@ -78,13 +78,15 @@ class BoundaryOptimization(BayesianOptimization):
 
         A model of crashes is too sure of itself where proposals go, to the edge of the region where
         runs fail, and far from all trials. So each failure lowers the largest probability, which is
-        `FAILING` at first, and each trial that ends raises it, as much as keeps the share of
+        `FAILING` at first, and each that ends without one raises it, as much as keeps the share of
         failures there (as in the adaptive conformal inference of Gibbs and Candès, 2021, on the
         logarithm).
         """
         level, highest = 0.0, np.log2(DOOMED / FAILING)
         for trial in self.trials[self.study.budget.initial_trials :]:
-            failed = trial.state is TrialState.FAILED and not trial.spoilt
+            if trial.spoilt:
+                continue
+            failed = trial.state is TrialState.FAILED
             level += ADAPTATION * (-1.0 if failed else FAILING / (1.0 - FAILING))
             level = min(level, highest)
         return float(FAILING * 2.0**level)
