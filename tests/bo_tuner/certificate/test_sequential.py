@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from draws_needed import draws_needed_without_event, evidence_by_quadrature
 from markdown_tables import columns_of
-from scipy import integrate, stats
+from scipy import integrate, optimize, stats
 
 from bo_tuner.certificate.sequential import (
     draws_needed,
@@ -55,6 +55,15 @@ def ever_crossed(shown, p, most):
         crossed += alive[now].sum()
         alive[now] = 0.0
     return crossed
+
+
+def draws_times_probability(error):
+    """The a = n p at which the mean over u in (0, 1) of exp(a (1 - u²)) reaches 1 / error."""
+
+    def excess(a):
+        return integrate.quad(lambda u: math.exp(a * (1.0 - u**2)), 0.0, 1.0)[0] - 1.0 / error
+
+    return optimize.brentq(excess, 0.1, 50.0)
 
 
 class TestProbability:
@@ -142,6 +151,12 @@ class TestProbability:
         assert is_shown([False] * needed, allowed, confidence)
         assert not is_shown([False] * (needed - 1), allowed, confidence)
         assert needed >= math.log(1.0 - confidence) / math.log(1.0 - allowed)
+
+    @pytest.mark.parametrize("allowed", [1e-5, 1e-8, 1.2e-16])
+    def test_draws_needed_for_almost_certainty(self, allowed):
+        """For small p and no event, E_n is a function of n p alone: needed is as 1 / p."""
+        needed = draws_needed(allowed, 0.975)
+        assert needed * allowed == pytest.approx(draws_times_probability(0.025), rel=1e-3)
 
     def test_hopeless_is_what_no_further_luck_can_show(self):
         events = [True] * 4

@@ -171,6 +171,7 @@ class TestVerdict:
 
     def test_the_next_in_rank_if_the_result_fails(self, here, folder, monkeypatch):
         monkeypatch.setenv("PEAK", "2")
+        monkeypatch.setattr(validate_command, "required_draws", lambda *_: 1)
         code, out, _ = here(folder, "--until-pass", "3")
         assert code == 3
         # As many as there are that are believed feasible.
@@ -180,6 +181,8 @@ class TestVerdict:
         assert len(set(tried)) == count
         assert tried[0] == json.loads((folder / "summary.json").read_text())["trial"]
         assert [certificate(folder, n)["attempt"] for n in (1, 2)] == [1, 2]
+        # Each takes what its own share of the error probability needs.
+        assert [certificate(folder, n)["draws"] for n in (1, 2)] == [112, 142]
         monkeypatch.delenv("PEAK")
         code, out, _ = here(folder, "--until-pass", "3")
         assert (code, out.count("PASS: the tuned parameter set")) == (0, 1)
@@ -390,6 +393,8 @@ class TestBadInput:
             (["--until-pass", "0"], "--until-pass: expected at least 1, found 0"),
             (["--until-pass", "20000"], "--until-pass: expected at most 10000, found 20000"),
             (["--draws", "-1"], f"--draws: expected at least {NEEDED}"),
+            # The second attempt has a smaller share of the error probability.
+            (["--draws", "112", "--until-pass", "2"], "--draws: expected at least 142 to show"),
             (["--draws", "many"], "argument --draws: many: expected a whole number"),
             (["--draws", "300", "--confidence", "0.999999"], "--draws: expected at least 3"),
             (["--confidence", "95"], "argument --confidence: 95: expected a number between 0 and"),

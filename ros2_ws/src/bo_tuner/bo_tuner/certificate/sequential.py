@@ -34,6 +34,7 @@ Wang and Ramdas (2025). Anytime-valid t-tests and confidence sequences for Gauss
 unknown variance. Sequential Analysis 44(1).
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from math import log
 
@@ -59,8 +60,12 @@ def log_evidence(events: ArrayLike, probability: ArrayLike) -> Array:
     """
     happened = np.asarray(events, dtype=bool)
     n = np.arange(1.0, len(happened) + 1.0)
-    k = np.cumsum(happened)
-    p = np.asarray(probability, dtype=np.float64)
+    return _evidence_of(np.cumsum(happened), n, probability)
+
+
+def _evidence_of(k: ArrayLike, n: ArrayLike, probability: ArrayLike) -> Array:
+    """Return log E_n of k events among n draws; all of one shape, or scalar."""
+    k, n, p = np.asarray(k), np.asarray(n), np.asarray(probability, dtype=np.float64)
     with np.errstate(divide="ignore"):
         mixture = betaln(k + 0.5, n - k + 1.0) + np.log(betainc(k + 0.5, n - k + 1.0, p))
         evidence: Array = mixture - np.log(2.0 * np.sqrt(p)) - xlogy(k, p) - xlog1py(n - k, -p)
@@ -187,12 +192,15 @@ def draws_needed(allowed: float, confidence: float) -> int:
     confidence
         As in `probability_bounds`.
     """
-    size = 64
-    while True:
-        shown = _at_least(log_evidence(np.zeros(size, dtype=bool), allowed), confidence)
-        if shown.any():
-            return int(np.argmax(shown)) + 1
-        size *= 2
+
+    def shown(draws: int) -> bool:
+        return _reached(_evidence_of(0, float(draws), allowed), confidence)
+
+    # Without any event the evidence increases with the number of draws.
+    low, high = 0, 1
+    while not shown(high):
+        low, high = high, 2 * high
+    return bisect_left(range(low, high), True, key=shown) + low
 
 
 def spent(confidence: float, attempt: int) -> float:

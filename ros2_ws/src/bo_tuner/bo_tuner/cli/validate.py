@@ -153,11 +153,13 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     backend = arguments.backend or recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
-    draws = _draws(arguments, parser, record, confidence)
     most = arguments.until_pass
     if not 1 <= most <= maxima.TRIALS:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
+    # Each attempt takes more draws than the one before, so the last one needs the most.
+    attempt, attempts = next_attempt(record.path), min(most, len(record.trials))
+    _draws(arguments, parser, record, confidence, attempt + attempts - 1)
     trial, is_result = _trial(record, arguments.trial)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
@@ -177,6 +179,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 ros_arguments=ros_arguments,
                 interrupted=interruption.check,
             )
+            attempt = next_attempt(folder.path)
+            draws = _draws(arguments, parser, record, confidence, attempt)
             try:
                 certificate, path = _certify(
                     record,
@@ -185,6 +189,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     nodes,
                     draws,
                     confidence,
+                    attempt,
                     digest if candidate is trial else None,
                     interruption,
                     console,
@@ -215,12 +220,19 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
 
 
 def _draws(
-    arguments: argparse.Namespace, parser: Parser, record: RunRecord, confidence: float
+    arguments: argparse.Namespace,
+    parser: Parser,
+    record: RunRecord,
+    confidence: float,
+    attempt: int,
 ) -> int:
     """Return the largest number of draws, which must be able to show every chance constraint."""
-    needed, constraint = most_draws_needed(
-        record.study, spent(confidence, next_attempt(record.path))
-    )
+    needed, constraint = most_draws_needed(record.study, spent(confidence, attempt))
+    if needed > maxima.DRAWS:
+        parser.error(
+            f"constraints.{constraint}: expected a probability that {maxima.DRAWS} draws can show, "
+            f"found one that takes {needed}"
+        )
     draws: int | None = arguments.draws
     if draws is None:
         draws = max(required_draws(record.study, confidence), needed)
@@ -252,6 +264,7 @@ def _certify(
     nodes: Backend,
     draws: int,
     confidence: float,
+    attempt: int,
     best_sha256: str | None,
     interruption: Interruption,
     console: Console,
@@ -266,7 +279,6 @@ def _certify(
     if with_default:
         subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))
     _tell_most(study, subjects, draws, console)
-    attempt = next_attempt(folder.path)
     unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
     if unfinished.evaluations:
         done = len(unfinished.evaluations)
