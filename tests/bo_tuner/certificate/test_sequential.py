@@ -216,3 +216,4 @@ def test_all_attempts_together_spend_what_one_may():
     shares = [1.0 - spent(0.95, attempt) for attempt in range(1, 2001)]
     assert shares[0] == pytest.approx(0.025)
     assert sum(shares) == pytest.approx(0.05 * (1.0 - 1.0 / 2001))
+    assert 2.0 * (1.0 - spent(0.95, 3, subjects=2)) == pytest.approx(shares[2])

@@ -139,8 +139,10 @@ class TestVerdict:
 
     def test_the_numbers(self, here, folder):
         """The file has what the object gives: error 25 (gain - 0.3)^2 + load, load on [1, 2]."""
-        assert here(folder, "--draws", "120", "--with-default")[0] == 0
+        assert here(folder, "--draws", "150", "--with-default")[0] == 0
         found = certificate(folder)
+        # Each of the two has half of the share of the first attempt.
+        assert found["bound_confidence"] == pytest.approx(1.0 - 0.05 / 2 / 2)
         for side, gain in (("default", 0.5), ("tuned", found["parameters"]["gain"])):
             mean = found[side]["objective"]
             expected = 25 * (gain - 0.3) ** 2 + 1.5

@@ -89,6 +89,11 @@ class Certificate:
         return self.tuned.passed
 
     @property
+    def bound_confidence(self) -> float:
+        """Confidence of each bound: the share of this attempt and of one of its parameter sets."""
+        return spent(self.confidence, self.attempt, 1 if self.default is None else 2)
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings that do not affect the verdict."""
         narrow = self.sensitivity.warning if self.sensitivity is not None else ""
@@ -130,7 +135,7 @@ class Certificate:
             "drawn": self.drawn,
             "confidence": self.confidence,
             "attempt": self.attempt,
-            "bound_confidence": spent(self.confidence, self.attempt),
+            "bound_confidence": self.bound_confidence,
             "tail_level": TAIL,
             "credible": CREDIBLE,
             "objective": {
@@ -184,7 +189,7 @@ def make_certificate(
     """
     study, models = record.study, ALGORITHMS[record.algorithm].models
     tuned = evidence[TUNED]
-    level = spent(confidence, attempt)
+    level = spent(confidence, attempt, len(evidence))
     findings = judge(study, tuned, level)
     surrogates = ranking_models(study, record.trials, models)
     in_training = [e for e in record.evaluations if e.parameters == trial.parameters]

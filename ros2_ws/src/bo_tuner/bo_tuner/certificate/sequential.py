@@ -203,12 +203,13 @@ def draws_needed(allowed: float, confidence: float) -> int:
     return bisect_left(range(low, high), True, key=shown) + low
 
 
-def spent(confidence: float, attempt: int) -> float:
+def spent(confidence: float, attempt: int, subjects: int = 1) -> float:
     """Return the confidence for one attempt of many, counted from 1, that have `confidence` in all.
 
-    Attempt j gets the share 1 / (j (j + 1)) of the error probability; the shares sum to one.
+    Attempt j gets the share 1 / (j (j + 1)) of the error probability; the shares sum to one. The
+    parameter sets that an attempt judges, `subjects`, divide its share.
     """
-    return 1.0 - (1.0 - confidence) / (attempt * (attempt + 1))
+    return 1.0 - (1.0 - confidence) / (attempt * (attempt + 1) * subjects)
 
 
 def _reached(evidence: Array, confidence: float) -> bool:

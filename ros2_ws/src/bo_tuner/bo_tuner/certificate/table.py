@@ -20,7 +20,6 @@ from bo_tuner.certificate.evidence import (
     widest,
 )
 from bo_tuner.certificate.risk import Mean
-from bo_tuner.certificate.sequential import spent
 from bo_tuner.study.parts import CHANCE, SINGLE_RUN, UPPER
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
@@ -46,7 +45,7 @@ def certificate_table(certificate: Certificate) -> Table:
     metric = study.metrics[study.objective.metric]
     table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])
     table.add_row(_tail(), metric.unit, *[f"{f.tail:.4g}" for f in both])
-    level = spent(certificate.confidence, certificate.attempt)
+    level = certificate.bound_confidence
     for constraints in zip(*[f.constraints for f in both], strict=True):
         table.add_section()
         for row in _constraint_rows(study, constraints, level):

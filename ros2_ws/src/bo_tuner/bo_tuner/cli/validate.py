@@ -74,7 +74,8 @@ PASS requires all of these; a constraint not shown to hold counts as violated:
                       the probability of a violation at most 1 - probability
   failed evaluations  none
 The bounds hold after each evaluation, and over all certificates of the run: the
-j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability.
+j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability,
+which --with-default divides between the two parameter sets.
 
 writes RUN/certificates/0001.json, or the next number, and the evaluations as
 CSV beside it; earlier certificates stay. For `apply` a certificate needs the
@@ -227,7 +228,8 @@ def _draws(
     attempt: int,
 ) -> int:
     """Return the largest number of draws, which must be able to show every chance constraint."""
-    needed, constraint = most_draws_needed(record.study, spent(confidence, attempt))
+    level = spent(confidence, attempt, 2 if arguments.with_default else 1)
+    needed, constraint = most_draws_needed(record.study, level)
     if needed > maxima.DRAWS:
         parser.error(
             f"constraints.{constraint}: expected a probability that {maxima.DRAWS} draws can show, "
@@ -292,7 +294,7 @@ def _certify(
         certification = Certification(
             study,
             backend,
-            confidence=spent(confidence, attempt),
+            confidence=spent(confidence, attempt, len(subjects)),
             attempt=attempt,
             observer=observers,
         )
