@@ -161,6 +161,12 @@ class TestMapping:
         assert key != space.key({"h_u": 3, "l_mpc": -2.0 + 1e-4})
         assert len({key, key}) == 1
 
+    def test_key_tells_decades_of_a_log_scale_apart(self):
+        space = SearchSpace([double("w", (1e-8, 1e2), 1e-7, scale="log")])
+        values = [1e-8, 1.01e-8, 1e-7, 1.86e-7, 4e-6, 1.0, 99.0]
+        assert len({space.key({"w": value}) for value in values}) == len(values)
+        assert space.key({"w": 1e-7}) == space.key({"w": 1e-7 * (1.0 + 1e-9)})
+
 
 class TestRepair:
     def test_nearest_integers(self):
@@ -206,6 +212,20 @@ class TestLatinHypercube:
         design = space.latin_hypercube(50, np.random.default_rng(0))
         counts = np.bincount(np.rint(design[:, 0] * 4).astype(int))
         np.testing.assert_array_equal(counts, [10] * 5)
+
+    @pytest.mark.parametrize(
+        ("item", "values"),
+        [
+            (integer("k", (0, 10), 0, step=5), [0, 5, 10]),
+            (integer("k", (1, 10), 1, step=4), [1, 5, 9]),
+            (double("k", (0.0, 1.0), 0.0, step=0.5), [0.0, 0.5, 1.0]),
+        ],
+    )
+    def test_every_value_of_a_grid_equally_often(self, item, values):
+        space = SearchSpace([item, double("x", (0.0, 1.0))])
+        design = space.latin_hypercube(60, np.random.default_rng(0))
+        drawn = [space.to_parameters(point)["k"] for point in design]
+        assert [drawn.count(value) for value in values] == [20, 20, 20]
 
     @each_space
     def test_permitted_and_reproducible(self, space):

@@ -88,10 +88,10 @@ class SearchSpace:
         self._order = self._space.partial_order
         # The bounds, tightened by the order.
         self._low, self._high = self._space.permitted
-        # The decimal place to which a double tells two parameter sets apart.
+        # The decimal place, on its scale, to which a double tells two parameter sets apart.
         self._places = [
             None if discrete else -math.floor(math.log10(RESOLUTION * width))
-            for discrete, width in zip(self.discrete, self._width.tolist(), strict=True)
+            for discrete, width in zip(self.discrete, self._scaled_width.tolist(), strict=True)
         ]
 
     @property
@@ -164,13 +164,15 @@ class SearchSpace:
     def key(self, parameters: Mapping[str, Value]) -> tuple[Value, ...]:
         """Return a hashable key that equal parameter sets share.
 
-        The tuned values in own units: integers unchanged, doubles rounded to the decimal place at
-        or below `RESOLUTION` times their range.
+        The tuned values: integers unchanged, doubles on their scale, rounded to the decimal place
+        at or below `RESOLUTION` times their range there.
         """
-        row = self._space.row(parameters).tolist()
+        row = self._space.row(parameters)
         return tuple(
-            int(value) if places is None else round(value, places)
-            for value, places in zip(row, self._places, strict=True)
+            int(value) if places is None else round(scaled, places)
+            for value, scaled, places in zip(
+                row.tolist(), self._scaled(row).tolist(), self._places, strict=True
+            )
         )
 
     def latin_hypercube(
@@ -182,10 +184,10 @@ class SearchSpace:
         """Draw a space-filling design (McKay, Beckman and Conover 1979).
 
         Each parameter's permitted range is divided into n strata with one point in each, equal on
-        its scale; all integers are equally likely on any scale, including the outermost, as long as
-        no order is to be kept. Values in the wrong order are swapped, so of two in order the lower
-        one tends to be low and the upper one high; repeated parameter sets are moved to the nearest
-        free integers.
+        its scale; all integers, and all values of a grid with a step, are equally likely on any
+        scale, including the outermost, as long as no order is to be kept. Values in the wrong order
+        are swapped, so of two in order the lower one tends to be low and the upper one high;
+        repeated parameter sets are moved to the nearest free integers.
 
         Parameters
         ----------
@@ -209,6 +211,11 @@ class SearchSpace:
         choices = self._high - self._low + 1.0
         integers = np.minimum(self._low + np.floor(uniform * choices), self._high)
         values = np.where(self.discrete, integers, values)
+        for column in self._stepped:
+            lowest, step = self.lower[column], float(self._tuned[column].step or 0.0)
+            steps = round((self._tuned[column].on_grid(self.upper[column]) - lowest) / step)
+            chosen = np.floor(uniform[:, column] * (steps + 1))
+            values[:, column] = lowest + np.minimum(chosen, steps) * step
         points = self._to_unit(self._values_of(self._order.swap(values)))
         return self._distinct(points, {self.key(parameters) for parameters in taken})
 
