@@ -143,6 +143,18 @@ class TestFeasibility:
         violations = [candidate.violation for candidate in ranked]
         assert violations == sorted(violations)
 
+    def test_a_limit_of_0_is_exceeded_by_the_unit(self, make_study, make_trial):
+        """As much as a limit of 1 is, which nothing is divided by either."""
+        found = []
+        for limit in (0.0, 1.0):
+            peak = {"kind": "worst_case", "metric": "peak", "upper": limit}
+            study = make_study(parameters={"x": DOUBLE}, constraints={"peak": peak})
+            trials = along(make_trial, GRID, bowl, lambda x, at=limit: at + 0.5 + (x - 0.8) ** 2)
+            ranked = rank(study, trials)
+            assert ranked[0].trial.parameters["x"] == pytest.approx(0.8, abs=0.1)
+            found.append([candidate.violation for candidate in ranked])
+        assert found[0] == pytest.approx(found[1], rel=1e-3)
+
     def test_all_feasible_without_constraints(self, make_study, make_trial):
         study = make_study(parameters={"x": DOUBLE}, constraints={})
         assert all(c.believed_feasible for c in rank(study, along(make_trial, GRID, bowl)))

@@ -338,7 +338,8 @@ def _repetitions(trial: Trial) -> int:
 def required_of(trial: Trial) -> float:
     """Return the probability with which a parameter set counts as feasible if runs are pooled.
 
-    What is lacking to 1 is divided by the number of judgements (Bonferroni, each as the last).
+    What is lacking to 1 is divided by the number of judgements, each as if it were the last: with
+    1, 2, 3 of them the shares are 1, 1/2, 1/3, whose sum is not bounded.
     """
     return required_after(looks(trial))
 
@@ -354,11 +355,12 @@ def intolerable(loss: Array) -> Array:
 
 
 def relative_excess(models: Surrogates, x: Array) -> Array:
-    """Return the largest predicted excess (m,) over a limit at x (m, d), relative to |limit|."""
+    """Return the largest predicted excess (m,) over a limit at x (m, d).
+
+    Relative to the limit's size, as `Constraint.excess`; not relative to a limit of 0.
+    """
     if not models.constraints:
         return np.full(len(x), -np.inf)
-    excess = [
-        c.excess(x) / max(abs(c.limit), np.finfo(float).tiny) for c in models.constraints.values()
-    ]
+    excess = [c.excess(x) / (abs(c.limit) or 1.0) for c in models.constraints.values()]
     largest: Array = np.max(excess, axis=0)
     return largest
