@@ -34,7 +34,9 @@ def quantities(
         _of_constraint(study, constraint, default, tuned, holds[name], remarks.get(name, ""))
         for name, constraint in study.constraints.items()
     ]
-    compared = {q.metric for q in found if q.difference is not None}
+    objectives = {objective.metric for objective in study.objectives}
+    # The worst case of an objective says nothing of its mean.
+    compared = {q.metric for q in found if q.difference is not None} - objectives
     signs = {constraint.metric: constraint.sign for constraint in study.constraints.values()}
     both = {
         constraint.metric
@@ -64,7 +66,7 @@ def quantities(
                 holds=None,
                 remark="",
                 draws=_draws(default, tuned, name, difference),
-                objective=any(objective.metric == name for objective in study.objectives),
+                objective=name in objectives,
             )
         )
     return ordered(found, study.objective.metric)

@@ -188,8 +188,10 @@ def _doubts(study: Study, found: Validation) -> list[str]:
     """Return the worst-case limits that draws exceeded, but too few to refute them.
 
     Nobody searched for the worst context of the default, nor of the result of an algorithm with
-    nominal evaluations alone, so nothing else speaks for them.
+    nominal evaluations alone, so nothing else speaks for them. Without contexts there is none.
     """
+    if not study.contexts:
+        return []
     return [
         f"{_broken(study, sample)} (its worst context was not searched)"
         for sample in found.constraints.values()
