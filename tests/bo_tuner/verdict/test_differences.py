@@ -34,6 +34,13 @@ def test_independent_means_are_as_in_welchs_test(default, tuned):
     assert (found.low, found.high) == pytest.approx(tuple(interval), rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.parametrize("scale", [1e-85, 1e78])
+def test_standard_errors_of_any_size(scale):
+    one = unpaired((1.0, 0.5, 9), (3.0, 0.25, 20))
+    found = unpaired((scale, 0.5 * scale, 9), (3.0 * scale, 0.25 * scale, 20))
+    assert (found.low, found.high) == pytest.approx((one.low * scale, one.high * scale))
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_too_few_pairs_show_nothing(count):
     found = paired([1.0] * count, [0.0] * count)

@@ -15,7 +15,7 @@ are involved. Biometrika 34.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from math import inf, isfinite, nan, sqrt
+from math import frexp, inf, isfinite, ldexp, nan, sqrt
 
 import numpy as np
 from scipy.special import stdtrit
@@ -92,11 +92,14 @@ def unpaired(default: tuple[float, float, int], tuned: tuple[float, float, int])
     mean, count = ours - theirs, min(m, n)
     if count < 2:
         return Difference(mean, -inf, inf, count)
+    # As parts of the same power of two, whose fourth powers are numbers, too.
+    exponent = frexp(max(their_error, our_error))[1]
+    their_error, our_error = ldexp(their_error, -exponent), ldexp(our_error, -exponent)
     variance = their_error**2 + our_error**2
     freedom = (
         variance**2 / (their_error**4 / (m - 1) + our_error**4 / (n - 1))
         if variance > 0.0
         else float(m + n - 2)
     )
-    half = float(stdtrit(freedom, 0.5 * (1.0 + CONFIDENCE))) * sqrt(variance)
+    half = ldexp(float(stdtrit(freedom, 0.5 * (1.0 + CONFIDENCE))) * sqrt(variance), exponent)
     return Difference(mean, mean - half, mean + half, count)
