@@ -141,6 +141,16 @@ class TestPoorData:
         worst = found.worst_case(np.random.default_rng(0))
         assert worst == WorstCase(0.5, {}, 0.5, worst.noise)
 
+    @pytest.mark.parametrize(
+        ("estimate", "value", "noise"), [(POSTERIOR, 0.5, 0.2), (OBSERVED, 0.7, 0.0)]
+    )
+    def test_mean_and_noise_without_contexts(self, estimate, value, noise):
+        found = ReinterpolationSearch(ContextSpace({}), 1.0, 10, estimate)
+        for observed in (0.3, 0.7, 0.5):
+            found.tell({}, observed)
+        worst = found.worst_case(np.random.default_rng(0))
+        assert worst == WorstCase(pytest.approx(value), {}, 0.7, pytest.approx(noise))
+
     @pytest.mark.parametrize("value", [0.0, 0.5, -1e6, 1e-300])
     def test_constant(self, plane, value):
         found, asked = search(plane, lambda _: value)

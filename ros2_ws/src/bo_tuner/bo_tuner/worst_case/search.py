@@ -103,8 +103,12 @@ class ReinterpolationSearch:
         """Estimate the worst case from all evaluations so far."""
         top = int(np.argmax(self._values))
         observed = self._values[top]
-        if self._estimate == OBSERVED or self._space.dimension == 0:
+        if self._estimate == OBSERVED:
             return WorstCase(observed, self._space.to_dict(self._contexts[top]), observed)
+        if self._space.dimension == 0:
+            # The only context there is: its mean and noise are those of the sample.
+            noise = float(np.std(self._values, ddof=1)) if len(self._values) > 1 else 0.0
+            return WorstCase(float(np.mean(self._values)), {}, observed, noise)
         model = self._fit(rng)
         context, value = self._maximise(model.predict_mean, rng)
         return WorstCase(value, context, observed, model.noise_variance**0.5)
