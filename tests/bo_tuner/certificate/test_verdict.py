@@ -385,6 +385,34 @@ class TestEvaluations:
         assert most_evaluations(study, both, 40) == MostEvaluations(80, 0, 80)
         assert most_evaluations(make_study(**CHANCE), both, 40) == MostEvaluations(80, 0, 0)
 
+    def test_the_suspected_context_of_each_constraint_is_looked_at(
+        self, make_study, function_backend
+    ):
+        names = ("error", "peak", "jerk")
+        study = make_study(
+            **PLANE,
+            metrics={name: {"node": "axis"} for name in names},
+            constraints={
+                name: {"kind": "worst_case", "metric": name, "upper": 10.0} for name in names
+            },
+        )
+        rng = np.random.default_rng(1)
+
+        def function(load, wear, **_):
+            """The highest point is none of the corners; the largest observation is elsewhere."""
+            bump = 2.0 * math.exp(-8.0 * ((load - 0.6) ** 2 + (wear - 0.5) ** 2))
+            return {name: bump + 0.6 * rng.normal() for name in names}
+
+        suspected = tuple(
+            {"load": load, "wear": wear} for load, wear in ((0.1, 0.2), (0.9, 0.1), (0.35, 0.65))
+        )
+        subject = Subject("tuned", {"gain": 0.5}, suspected)
+        backend = function_backend(study, function)
+        (found,) = Certification(study, backend, confidence=0.95).collect([subject], 60)
+        repeated = [here[0].context for here in found.repeated]
+        for context in suspected:
+            assert any(other == pytest.approx(context) for other in repeated)
+
     def test_a_failure_in_the_search_ends_it(self, make_study, function_backend, failed):
         study = make_study(**PLANE)
 

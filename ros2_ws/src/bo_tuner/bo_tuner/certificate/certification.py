@@ -44,7 +44,8 @@ class Subject:
     parameters
         The parameter set.
     suspected
-        Contexts that are already suspected to be its worst ones.
+        Contexts that are already suspected to be its worst ones, in the order of the worst-case
+        constraints.
     """
 
     name: str
@@ -198,9 +199,11 @@ class Certification:
         rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
         candidates: list[dict[str, float]] = []
         try:
-            for constraint in constraints:
+            for index, constraint in enumerate(constraints):
                 known = [*search, *drawn]
-                for context in self._find(constraint, evaluated, known, subject.suspected, rng):
+                # Not all of them may fit among the candidates; the constraint's own does.
+                suspected = [*subject.suspected[index:], *subject.suspected[:index]]
+                for context in self._find(constraint, evaluated, known, suspected, rng):
                     if context not in candidates:
                         candidates.append(context)
         except _FailedError:

@@ -276,7 +276,11 @@ def _certify(
 ) -> tuple[Certificate, Path]:
     """Run all evaluations of a trial's parameter set, and write its certificate."""
     study = record.study
-    suspected = tuple(worst.context for worst in trial.worst_cases.values())
+    suspected = tuple(
+        trial.worst_cases[constraint.name].context
+        for constraint in study.worst_case_constraints
+        if constraint.name in trial.worst_cases
+    )
     subjects = [Subject(TUNED, trial.parameters, suspected)]
     if with_default:
         subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))
