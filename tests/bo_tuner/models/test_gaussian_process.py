@@ -375,3 +375,9 @@ def test_queries_of_another_dimension_are_refused():
 def test_bad_priors_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         LogNormal(*arguments)
+
+
+def test_many_dimensions_have_a_prior_within_its_bounds():
+    """From 1600 on, the median 0.5 √d is beyond the upper bound."""
+    assert Hyperpriors.default(1600).length_scale.median == pytest.approx(20.0)
+    assert Hyperpriors.default(1700).length_scale.median == 20.0

@@ -100,13 +100,14 @@ class Hyperpriors:
         - Length scale: median 0.5 √d, because the typical distance of two points in the unit cube
           grows with √d (Hvarfner, Hellsten and Nardi 2024); a factor of e either way is one
           standard deviation. Lower bound 0.01: finer structure cannot be learnt from the few
-          hundred points of a study. Upper bound 20: the response is then linear in the cube.
+          hundred points of a study. Upper bound 20, of the median too: the response is then linear
+          in the cube.
         - Signal: median 1 (the responses are standardized); long length scales need more.
         - Noise: median 0.1 with a wide spread, because replicates determine it well. Its lower
           bound of 1e-4 keeps covariance matrices of exact responses well conditioned.
         """
         return cls(
-            length_scale=LogNormal(0.5 * dimension**0.5, 1.0, 0.01, 20.0),
+            length_scale=LogNormal(min(0.5 * dimension**0.5, 20.0), 1.0, 0.01, 20.0),
             signal=LogNormal(1.0, 1.0, 0.05, 20.0),
             noise=LogNormal(0.1, 1.5, 1e-4, 3.0),
         )
