@@ -138,8 +138,12 @@ class TestEvidence:
             [Subject("tuned", {"gain": gain})], 300
         )
         found = judge(study, evidence, 0.95)
-        assert {c.name for c in found.constraints if not c.passed} == broken
+        # A certificate ends with the first limit that is not kept: the other may have few runs.
+        assert {c.name for c in found.constraints if not c.passed} >= broken
+        assert found.passed is (not broken)
         peak, force = found.constraints
+        assert {"peak"} & broken == ({"peak"} if peak.extreme > peak.limit else set())
+        assert {"force"} & broken == ({"force"} if force.extreme < force.limit else set())
         assert (peak.side, force.side) == ("upper", "lower")
         assert peak.extreme == max(e.outcome.metrics["peak"] for e in evidence.drawn)
         assert force.extreme == min(e.outcome.metrics["force"] for e in evidence.drawn)
@@ -161,7 +165,12 @@ class TestEvidence:
                 [Subject("tuned", {"gain": gain})], 300
             )
             found = judge(study, evidence, 0.95)
-            assert {c.name for c in found.constraints if not c.passed} == broken
+            assert found.passed is (not broken)
+            assert {c.name for c in found.constraints if not c.passed} >= broken
+            lower, upper = sorted(found.constraints, key=lambda c: c.name)
+            beyond = {lower.name} if lower.extreme < lower.limit else set()
+            beyond |= {upper.name} if upper.extreme > upper.limit else set()
+            assert beyond == broken
 
     def test_a_chance_constraint_with_a_lower_limit(self, make_study, function_backend):
         """A force of 0.4 / load keeps 0.22 up to load 1.82: in 82 % of the draws."""

@@ -242,7 +242,7 @@ def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(backend, system, jo
     leave(sensor)
     found = run(made)
     assert found.state is EvaluationState.LOST
-    assert found.reason == "nothing publishes /sensed any more"
+    assert found.reason == "/sensed has no publisher any more"
     join(Sensor)
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
 

@@ -108,7 +108,7 @@ class SignalRecorder:
         """Tell in a line of a topic that nobody publishes any more; empty if none."""
         for heard in self._heard.values():
             if heard.publishers == 0:
-                return f"nothing publishes {heard.name} any more"
+                return f"{heard.name} has no publisher any more"
         return ""
 
     def begin(self, in_run: bool = True) -> None:
