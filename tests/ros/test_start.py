@@ -37,7 +37,10 @@ def bad_starts(start_shared_node):
     nodes = [start_shared_node(package, *arguments) for package, arguments, _ in BAD]
     for node in nodes:
         node.expected_code = 2
-    return nodes
+    yield nodes
+    # Another worker may have taken the tests of some, which are about to end by themselves.
+    for node in nodes:
+        node.wait()
 
 
 @pytest.mark.parametrize("index", range(len(BAD)), ids=[" ".join(case[1]) for case in BAD])
