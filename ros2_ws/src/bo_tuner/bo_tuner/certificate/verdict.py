@@ -192,8 +192,21 @@ def _judge(
         worst = tuple(
             sorted(found, key=lambda w: (w.shown, -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
         )
-        refuted = _refuted(constraint, events, values, confidence)
-        passed, reason = _worst_case(constraint, events, worst, unit, refuted_by_draws=refuted)
+        refuting = [
+            context
+            for context, runs in zip(found, evidence.repeated, strict=True)
+            if _refuted(
+                constraint, _events(constraint, runs), _values(runs, constraint.metric), confidence
+            )
+        ]
+        passed, reason = _worst_case(
+            constraint,
+            events,
+            worst,
+            unit,
+            refuted_by_draws=_refuted(constraint, events, values, confidence),
+            refuting=refuting,
+        )
     else:
         passed, reason = _chance(constraint, events, confidence)
     return ConstraintVerdict(
@@ -236,6 +249,7 @@ def _worst_case(
     unit: str,
     *,
     refuted_by_draws: bool,
+    refuting: Sequence[WorstContext],
 ) -> tuple[bool, str]:
     if refuted_by_draws:
         return False, (
@@ -259,6 +273,15 @@ def _worst_case(
     which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
     where = f"in {which} ({context}) " if context else ""
     says = "at most" if passed else "may be"
+    if on_mean and refuting and not np.isfinite(_mean_bound(constraint, top)):
+        # It ends the evaluations before the bound of a mean has its runs.
+        by = refuting[0]
+        inside = text.values(by.context)
+        limit = f"limit {constraint.limit:g} {unit}".rstrip()
+        return False, (
+            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is "
+            f"{by.mean.value:.4g}, {limit}: {by.evaluations} evaluations show that it is not kept"
+        )
     if on_mean and not np.isfinite(_mean_bound(constraint, top)):
         return passed, (
             f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
