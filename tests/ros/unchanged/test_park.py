@@ -1,5 +1,8 @@
 """Between runs, in a pause and at the end the machine runs with safe parameters, and comes home."""
 
+import json
+import os
+
 import pytest
 from servo import failure, run, study
 from waiting import DEADLINE, wait_until
@@ -7,6 +10,7 @@ from waiting import DEADLINE, wait_until
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
+from bo_tuner.storage.state import state_folder
 from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
@@ -186,6 +190,41 @@ def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(ba
             made.close()
     backend(run={"before": []}).close()
     assert gain(system) == 0.375
+
+
+def test_what_a_killed_tuner_has_left_and_the_node_does_not_take_back(backend, system, killed):
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    complaint = "^servo is not set back: servo refused its parameters: the key is out"
+    with system.refusing("the key is out"), pytest.raises(BackendError, match=complaint):
+        backend(run={"before": []})
+
+
+def test_what_nodes_of_other_studies_had_stays_noted(backend, system):
+    """The command that works on them may come later."""
+    note = state_folder() / "attached" / f"domain{os.environ['ROS_DOMAIN_ID']}.json"
+    note.parent.mkdir(parents=True, exist_ok=True)
+    other = {"arm": {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}}}
+    note.write_text(json.dumps(other))
+    try:
+        made = backend(run={"before": []})
+        assert json.loads(note.read_text()).keys() == {"arm", "servo"}
+        made.close()
+        assert json.loads(note.read_text()) == other
+    finally:
+        note.unlink()
+
+
+def test_a_run_goes_on_where_nothing_can_be_noted(backend, system, tmp_path, monkeypatch, capfd):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    made = backend(run={"before": []})
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    made.close()
+    assert gain(system) == 0.5
+    warning = "cannot be written: Not a directory; after a kill the nodes cannot be set back"
+    assert warning in capfd.readouterr().err
 
 
 @pytest.fixture

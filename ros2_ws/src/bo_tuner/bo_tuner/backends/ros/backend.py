@@ -12,8 +12,8 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.graph import describe
 from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
+from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.isolation import (
     LEASE,
     DomainClaim,
@@ -37,7 +37,6 @@ from bo_tuner.metrics.recording import (
     signal_sources,
 )
 from bo_tuner.metrics.source import MetricSource
-from bo_tuner.study.descriptors import node_problems
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -102,7 +101,6 @@ class RosBackend(SequentialBackend):
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
-        self._found: dict[str, dict[str, object]] = {}
         self._held: dict[str, dict[str, object]] = {}
         self._suspension = Suspension()
         self._unfinished: list[str] = []
@@ -152,16 +150,15 @@ class RosBackend(SequentialBackend):
             if twins := client.presence.twins(LEASE):
                 raise BackendError(f"{twins}; end all but one")
             found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
-            previous = PreviousParameters(tuner.domain, tuner.node.get_namespace())
             if self._attach:
-                self._undo_killed(client, previous, found)
+                self._previous = PreviousParameters(self._study, tuner, client.parameters)
+                self._previous.undo_killed(found)
             own, others = divide(self._study, found)
             self._safe = safe_parameters(self._study)
-            if self._attach:
-                self._found = own
-                previous.begin(self._by_name(own), self._by_name(self._safe))
-                self._previous = previous
-            self._set_constants(client)
+            if self._previous is not None:
+                self._previous.begin(own, self._safe)
+            initial = InitialParameters(self._study, tuner, client.parameters)
+            initial.set_constants()
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
             is_first = compare_with_earlier(
@@ -171,11 +168,11 @@ class RosBackend(SequentialBackend):
                 note=self._run_log is None,
             )
             if is_first:
-                self._refuse_ranges()
-            self._set_undeclared(client, found)
+                initial.refuse_ranges()
+            initial.set_undeclared(found)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
-                self._set_safe(client)
+                initial.set_safe(self._safe)
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
         except LostError as loss:
@@ -246,7 +243,7 @@ class RosBackend(SequentialBackend):
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
             if self._previous is not None:
-                self._previous.tell(self._by_name(wanted))
+                self._previous.tell(wanted)
             run = None
             if self._procedure is not None:
                 self._procedure.forget()
@@ -375,7 +372,10 @@ class RosBackend(SequentialBackend):
                 if self._procedure is not None:
                     for problem in self.park() + self._procedure.leave():
                         self._tuner.warn(problem)
-                problems = self._restore(self._client)
+                if self._previous is not None:
+                    self._client.parameters.forget_all()
+                    problems = self._previous.restore(self._restore_timeout)
+                    self._previous = None
         self._started.stop()
         if self._procedure is not None:
             self._procedure.close()
@@ -389,52 +389,11 @@ class RosBackend(SequentialBackend):
         if problems:
             raise BackendError(f"{'; '.join(problems)}; the next command with --attach does that")
 
-    def _restore(self, client: StudyClient) -> list[str]:
-        """Restore attached nodes: a live one must not keep what an evaluation was run with.
-
-        Returns what went wrong, each in a line.
-        """
-        found, self._found = self._found, {}
-        client.parameters.forget_all()
-        chosen = [self._study.parameters[name] for name in self._study.park.parameters]
-        # A node may be busy with the evaluation that was interrupted, and answer only then.
+    @property
+    def _restore_timeout(self) -> float:
+        """Time [s] that a node has to answer in the end: an interrupted evaluation may go on."""
         trigger = self._study.trigger
-        timeout = PARK_TIMEOUT if trigger is None else max(PARK_TIMEOUT, trigger.timeout)
-        problems = []
-        for key, values in found.items():
-            node = self._study.nodes[key].node
-            names = {item.array or item.parameter for item in chosen if item.node == key}
-            kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
-            try:
-                client.parameters.assign_and_read_back(key, {**values, **kept}, timeout)
-            except (RefusedError, LostError) as error:
-                problems.append(f"{node} is not set back: {error}")
-                continue
-            if self._previous is not None:
-                self._previous.end([node])
-        return problems
-
-    def _undo_killed(
-        self,
-        client: StudyClient,
-        previous: PreviousParameters,
-        found: dict[str, dict[str, object]],
-    ) -> None:
-        """Set back what a killed tuner has left on the nodes; `found` is what they have."""
-        left = previous.left_behind(self._by_name(found))
-        for key, spec in self._study.nodes.items():
-            if values := left.get(spec.node):
-                changes = ", ".join(
-                    f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
-                    for name, value in values.items()
-                )
-                self._opened[0].warn(f"{spec.node} is set back after a killed run: {changes}")
-                client.parameters.assign_and_read_back(key, values)
-                found[key] = client.parameters.read_anew(key)
-
-    def _by_name(self, values: Mapping[str, Mapping[str, object]]) -> dict[str, dict[str, object]]:
-        """Return by the nodes' names what is given by their keys."""
-        return {self._study.nodes[key].node: dict(item) for key, item in values.items()}
+        return PARK_TIMEOUT if trigger is None else max(PARK_TIMEOUT, trigger.timeout)
 
     def _watch(self) -> None:
         self._look()
@@ -476,55 +435,6 @@ class RosBackend(SequentialBackend):
                 "use --attach, or leave ROS_DOMAIN_ID unset"
             )
 
-    def _set_constants(self, client: StudyClient) -> None:
-        for key, spec in self._study.nodes.items():
-            try:
-                client.parameters.assign_and_read_back(key, spec.parameters)
-            except RefusedError as refusal:
-                problem = StudyError(str(refusal), ("nodes", key, "parameters"))
-                raise self._named(key, problem) from refusal
-
-    def _set_undeclared(
-        self, client: StudyClient, found: Mapping[str, Mapping[str, object]]
-    ) -> None:
-        """Set safe values of what nodes have not declared: what is never taken costs all trials."""
-        safe = self._study.nominal_assignments(self._study.safe_parameters)
-        for key, values in safe.items():
-            undeclared = {name: v for name, v in values.items() if name not in found[key]}
-            try:
-                client.parameters.assign(key, undeclared)
-            except RefusedError as refusal:
-                problem = StudyError(str(refusal), ("nodes", key))
-                raise self._named(key, problem) from refusal
-
-    def _set_safe(self, client: StudyClient) -> None:
-        for key, values in self._safe.items():
-            try:
-                client.parameters.assign_and_read_back(key, values)
-            except RefusedError as refusal:
-                section = "park" if self._study.park.parameters else "parameters"
-                problem = StudyError(f"as safe values: {refusal}", (section,))
-                raise self._named(key, problem) from refusal
-
-    def _refuse_ranges(self) -> None:
-        """Refuse a study with values that a node says it does not take: they would fail runs."""
-        for key in self._study.nodes:
-            for problem in self._problems(key, declared=True):
-                raise problem
-
-    def _named(self, key: str, refusal: StudyError) -> StudyError:
-        """Return what the study sets that the node cannot take, or the node's refusal itself."""
-        return next(iter(self._problems(key)), refusal)
-
-    def _problems(self, key: str, *, declared: bool = False) -> list[StudyError]:
-        """Return as `node_problems`; none of a node that does not describe its parameters."""
-        tuner, _ = self._opened
-        try:
-            known = describe(tuner, self._study.nodes[key].node)
-        except BackendError:
-            return []
-        return node_problems(self._study, key, known, declared=declared)
-
     def _get_back(self, tuner: TunerNode, client: StudyClient) -> str:
         """Get the nodes back; returns in a line why that failed."""
         client.parameters.forget_all()
@@ -541,7 +451,7 @@ class RosBackend(SequentialBackend):
                 tuner.spin_for(LOOK_AROUND)
                 anew += client.restarted()
             client.renew(anew)
-            self._set_constants(client)
+            InitialParameters(self._study, tuner, client.parameters).set_constants()
         except (LostError, BackendError, StudyError) as error:
             # The next evaluation will be lost in turn; three lost trials end the run.
             return f"not recovered: {error}"

@@ -129,8 +129,13 @@ def _has_participant(domain: int) -> bool:
     return False
 
 
+def place_name(domain: int, namespace: str) -> str:
+    """Return a name for files of a domain and namespace."""
+    return f"domain{domain}{namespace.rstrip('/').replace('/', '-')}"
+
+
 def _lock(domain: int, namespace: str) -> IO[str] | None:
-    name = f"bo_tuner-{os.getuid()}-domain{domain}{namespace.rstrip('/').replace('/', '-')}.lock"
+    name = f"bo_tuner-{os.getuid()}-{place_name(domain, namespace)}.lock"
     path = Path(tempfile.gettempdir()) / name
     try:
         # Not what anybody may have put there instead: the folder is open to all.

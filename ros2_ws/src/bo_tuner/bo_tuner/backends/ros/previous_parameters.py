@@ -1,111 +1,172 @@
-"""What attached nodes had before a tuner came, on disk until they have it again.
+"""What attached nodes had before a tuner came, and have again in the end.
 
-A tuner that is killed leaves nodes with the parameters of its last evaluation. The next one that is
-attached to them must not take these for the nodes' own, and set them back to them in the end.
+It is on disk meanwhile. A tuner that is killed leaves nodes with the parameters of its last
+evaluation, and the next one that is attached to them must not take these for the nodes' own.
 """
 
 import contextlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from bo_tuner.errors import OutputError
+from bo_tuner.backends.ros.errors import LostError, RefusedError
+from bo_tuner.backends.ros.isolation import place_name
+from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
+from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.state import state_folder
 from bo_tuner.study.checks import same_value
-
-Values = Mapping[str, Mapping[str, object]]
-"""Parameters by node, then by name."""
+from bo_tuner.study.study import Study
+from bo_tuner.text import brief
 
 
 class PreviousParameters:
-    """The note of one domain and namespace, in which one tuner works at a time.
+    """Notes what the nodes of a study have, tells what they are told, and sets them back.
 
     Parameters
     ----------
-    domain
-        The ROS domain.
-    namespace
-        The tuner's.
+    study
+        The study.
+    tuner
+        The tuner's node, alone in its domain and namespace.
+    parameters
+        Sets and reads those of the nodes.
     """
 
-    def __init__(self, domain: int, namespace: str) -> None:
-        name = f"domain{domain}{namespace.rstrip('/').replace('/', '-')}.json"
-        self._path = state_folder() / "attached" / name
+    def __init__(self, study: Study, tuner: TunerNode, parameters: NodeParameters) -> None:
+        self._study = study
+        self._tuner = tuner
+        self._parameters = parameters
+        self._note = _Note(tuner.domain, tuner.node.get_namespace())
         self._previous: dict[str, dict[str, object]] = {}
         self._safe: Values = {}
 
-    def left_behind(self, present: Values) -> dict[str, dict[str, object]]:
-        """Return what nodes had before a tuner that was killed, of what they still have from it.
+    def undo_killed(self, found: dict[str, dict[str, object]]) -> None:
+        """Set back what a killed tuner has left on the nodes.
 
         A parameter that has another value by now, since the node was started anew or somebody has
         set it, stays as it is.
 
         Parameters
         ----------
-        present
-            What the nodes have.
-
-        Returns
-        -------
-        dict
-            By node and name the values before; without nodes of which nothing is left.
-        """
-        found: dict[str, dict[str, object]] = {}
-        for node, noted in self._noted().items():
-            now = present.get(node, {})
-            for name, value in noted["previous"].items():
-                told = noted["told"].get(name, [])
-                is_told = name in now and any(same_value(now[name], item) for item in told)
-                if is_told and not same_value(now[name], value):
-                    found.setdefault(node, {})[name] = value
-        return found
-
-    def begin(self, previous: Values, safe: Values) -> None:
-        """Note what nodes have, and what they will have between evaluations.
+        found
+            What the nodes have, by key; changed along with them.
 
         Raises
         ------
-        OutputError
-            If it cannot be written.
+        BackendError
+            If a node refuses.
+        LostError
+            If it does not answer.
         """
-        self._previous = {node: dict(values) for node, values in previous.items()}
+        for key, spec in self._study.nodes.items():
+            left = _left_behind(self._note.content.get(spec.node, {}), found[key])
+            if not left:
+                continue
+            changes = ", ".join(
+                f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
+                for name, value in left.items()
+            )
+            self._tuner.warn(f"{spec.node} is set back after a killed run: {changes}")
+            try:
+                self._parameters.assign_and_read_back(key, left)
+            except RefusedError as refusal:
+                raise BackendError(f"{spec.node} is not set back: {refusal}") from refusal
+            found[key] = self._parameters.read_anew(key)
+
+    def begin(self, previous: Values, safe: Values) -> None:
+        """Note what nodes have, by key, and what they will have between evaluations."""
+        self._previous = {key: dict(values) for key, values in previous.items()}
         self._safe = safe
         self.tell({})
 
     def tell(self, told: Values) -> None:
-        """Note what nodes are about to have, ahead of telling them; raises as `begin`."""
-        if not self._previous:
-            return
-        content = {}
-        for node, values in self._previous.items():
-            sets = (self._safe.get(node, {}), told.get(node, {}))
+        """Note what nodes, by key, are about to have, ahead of telling them."""
+        for key, values in self._previous.items():
+            sets = (self._safe.get(key, {}), told.get(key, {}))
             by_name = {name: [s[name] for s in sets if name in s] for name in values}
-            content[node] = {"previous": values, "told": by_name}
+            node = self._study.nodes[key].node
+            self._note.content[node] = {"previous": values, "told": by_name}
+        self._write()
+
+    def restore(self, timeout: float) -> list[str]:
+        """Give the nodes back what they had, but for safe parameters that the study names.
+
+        Parameters
+        ----------
+        timeout
+            Time [s] that each has to answer.
+
+        Returns
+        -------
+        list of str
+            What went wrong, each in a line; the note keeps what these nodes had.
+        """
+        chosen = [self._study.parameters[name] for name in self._study.park.parameters]
+        problems = []
+        for key, values in self._previous.items():
+            names = {item.array or item.parameter for item in chosen if item.node == key}
+            kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
+            try:
+                self._parameters.assign_and_read_back(key, {**values, **kept}, timeout)
+            except (RefusedError, LostError) as error:
+                problems.append(f"{self._study.nodes[key].node} is not set back: {error}")
+            else:
+                self._note.content.pop(self._study.nodes[key].node, None)
+        self._write()
+        return problems
+
+    def _write(self) -> None:
+        """Write the note, without which a run goes on all the same."""
         try:
+            self._note.write()
+        except OutputError as error:
+            self._tuner.warn(f"{error}; after a kill the nodes cannot be set back")
+
+
+class _Note:
+    """The file of one domain and namespace, in which one tuner works at a time.
+
+    Attributes
+    ----------
+    content : dict
+        By the nodes' names what they had before, and by parameter the values that a tuner has told
+        them last. Nodes of other studies stay in it.
+    """
+
+    def __init__(self, domain: int, namespace: str) -> None:
+        self._path: Path = state_folder() / "attached" / f"{place_name(domain, namespace)}.json"
+        self.content: dict[str, Any] = {}
+        # What cannot be read is of no use, and replaced.
+        with contextlib.suppress(
+            OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
+        ):
+            self.content = {
+                node: {"previous": dict(item["previous"]), "told": dict(item["told"])}
+                for node, item in json.loads(read_text(self._path)).items()
+            }
+
+    def write(self) -> None:
+        """Write the content down, or no file of none; raises `OutputError`."""
+        try:
+            if not self.content:
+                self._path.unlink(missing_ok=True)
+                return
             self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError as error:
             raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
-        write_atomically(self._path, json.dumps(content, default=str))
+        write_atomically(self._path, json.dumps(self.content, default=str))
 
-    def end(self, nodes: Iterable[str]) -> None:
-        """Forget nodes, which have what they had before; what others had stays on disk."""
-        for node in nodes:
-            self._previous.pop(node, None)
-        with contextlib.suppress(OSError, OutputError):
-            if self._previous:
-                self.tell({})
-            else:
-                self._path.unlink(missing_ok=True)
 
-    def _noted(self) -> dict[str, Any]:
-        """Return the content of the file; nothing if there is none that can be used."""
-        try:
-            content = json.loads(read_text(self._path))
-            return {
-                str(node): {"previous": dict(item["previous"]), "told": dict(item["told"])}
-                for node, item in content.items()
-            }
-        except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            return {}
+def _left_behind(noted: Mapping[str, Any], now: Mapping[str, object]) -> dict[str, object]:
+    """Return what a node had before, of what it still has as a tuner has told it."""
+    found = {}
+    for name, value in noted.get("previous", {}).items():
+        told = noted["told"].get(name, [])
+        is_told = name in now and any(same_value(now[name], item) for item in told)
+        if is_told and not same_value(now[name], value):
+            found[name] = value
+    return found

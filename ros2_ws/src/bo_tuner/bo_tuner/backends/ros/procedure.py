@@ -302,15 +302,12 @@ class Procedure:
         elif step.restart and self._restart is not None:
             self._restart(step.restart)
         else:
-            judged = self._tuner.also_watched_by(self._judge_run)
+            judged = self._tuner.also_watched_by(self._judge)
             with judged if self._is_recording else contextlib.nullcontext():
                 if path in self._goals:
                     self._send(self._goals[path])
                 else:
                     self._steps[path].perform()
-
-    def _judge_run(self) -> None:
-        self._judge()
 
     def _send(self, goal: Goal) -> None:
         self._started.append(goal)

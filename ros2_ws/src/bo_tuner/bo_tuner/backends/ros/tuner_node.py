@@ -108,7 +108,7 @@ class TunerNode:
             self._watch = watch
 
     @contextlib.contextmanager
-    def also_watched_by(self, watch: Callable[[], None]) -> Iterator[None]:
+    def also_watched_by(self, watch: Callable[[], object]) -> Iterator[None]:
         """Ask another function besides `watch` within, at least every `POLL_PERIOD` seconds."""
         before, period = self._watch, self._period
 
