@@ -138,27 +138,29 @@ class TestSecurity:
         (tmp_path / "keystore" / "enclaves" / "axis").mkdir(parents=True)
         return tmp_path / "keystore"
 
+    @pytest.fixture
+    def refusal(self, start_node, monkeypatch, keystore):
+        """Function that starts a secured node, which does not start, and returns why."""
+
+        def reason(package, enclave, strategy):
+            monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+            monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
+            monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(keystore))
+            node = start_node(package, "--enclave", enclave)
+            node.expected_code = 2
+            assert node.wait() == 2
+            (line,) = [text for text in node.output.splitlines() if text.startswith("error: ")]
+            return line
+
+        return reason
+
     @pytest.mark.parametrize("strategy", ["Enforce", "Permissive"])
-    def test_a_node_with_an_enclave_does_not_start(
-        self, start_node, monkeypatch, keystore, strategy
-    ):
-        monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-        monkeypatch.setenv("ROS_SECURITY_STRATEGY", strategy)
-        monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(keystore))
-        node = start_node("milling_plant", "--enclave", "/axis")
-        node.expected_code = 2
-        assert node.wait() == 2
-        (line,) = [text for text in node.output.splitlines() if text.startswith("error: ")]
+    def test_a_node_with_an_enclave_does_not_start(self, refusal, strategy):
+        line = refusal("milling_plant", "/axis", strategy)
         assert "doesn't have the security libraries" in line
 
-    def test_a_node_without_its_enclave_does_not_start(self, start_node, monkeypatch, keystore):
-        monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-        monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
-        monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(keystore))
-        node = start_node("mpc_controller", "--enclave", "/other")
-        node.expected_code = 2
-        assert node.wait() == 2
-        (line,) = [text for text in node.output.splitlines() if text.startswith("error: ")]
+    def test_a_node_without_its_enclave_does_not_start(self, refusal):
+        line = refusal("mpc_controller", "/other", "Enforce")
         assert "SECURITY ERROR" in line
 
     def test_neither_does_the_tuner(self, tune, keystore):

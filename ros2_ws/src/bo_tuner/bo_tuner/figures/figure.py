@@ -187,8 +187,7 @@ class Points:
         )
         if (self.values is None) != (self.colors is None):
             raise ValueError("Points: values need colors, and colors values")
-        if (self.low is None) != (self.high is None):
-            raise ValueError("Points: error bars need low and high")
+        _both_ends(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,8 +217,7 @@ class Bars:
             high=self.high,
             hover=self.hover,
         )
-        if (self.low is None) != (self.high is None):
-            raise ValueError("Bars: error bars need low and high")
+        _both_ends(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,6 +367,11 @@ def _same_length(element: object, n: int, **series: Sequence[object] | Values | 
         if values is not None and len(values) not in ((n, 0) if name == "hover" else (n,)):
             kind = type(element).__name__
             raise ValueError(f"{kind}: expected {n} values in {name} as in x, found {len(values)}")
+
+
+def _both_ends(bars: Points | Bars) -> None:
+    if (bars.low is None) != (bars.high is None):
+        raise ValueError(f"{type(bars).__name__}: error bars need low and high")
 
 
 def _grid(element: object, x: Values, y: Values, z: Grid) -> None:
