@@ -1,0 +1,15 @@
+"""Evaluations for certificates, and the limits that they are held against."""
+
+from bo_tuner.certificate.certification import Certification, Subject
+
+LIMIT = 1.0
+CHANCE = {
+    "constraints": {
+        "peak": {"kind": "chance", "metric": "peak", "upper": LIMIT, "probability": 0.96}
+    }
+}
+
+
+def collect(study, backend, draws, **subjects):
+    items = [Subject(name, {"gain": gain}) for name, gain in subjects.items()]
+    return Certification(study, backend, confidence=0.95).collect(items, draws)
