@@ -155,6 +155,16 @@ class TestWorstCase:
         assert found.passed is passed is (worst.violation_bound <= 0.15)
         assert f"{above} of 60 runs violate the limit" in found.constraints[0].reason
 
+    def test_a_limit_on_single_runs_needs_none_for_a_bound_of_the_mean(self, make_study):
+        """That bound decides nothing there, in whatever context has the fewest runs."""
+        limit = {"kind": "worst_case", "metric": "peak", "upper": LIMIT, "probability": 0.5}
+        study = make_study(constraints={"peak": limit})
+        runs = [[0.5, 0.6] * 20, [0.5, 0.6] * 4]
+        (found,) = judge(study, evidence([0.5] * 30, runs), 0.95).constraints
+        assert all(math.isfinite(context.mean.upper) for context in found.worst)
+        (on_mean,) = judge(make_study(), evidence([0.5] * 29 + [1.1], runs), 0.95).constraints
+        assert [math.isfinite(context.mean.upper) for context in on_mean.worst] == [False, True]
+
     def test_few_runs_that_agree_do_not_show_a_mean(self, make_study):
         """A run in ten is 20, the others 0: a mean of 2 that five runs show as 0 in most cases."""
         draws = [0.0] * 29 + [20.0]

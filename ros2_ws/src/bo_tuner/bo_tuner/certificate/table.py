@@ -97,7 +97,8 @@ def _constraint_rows(
         yield [title, unit, *[_mean(w.mean) for w in worst]]
         # Of all contexts that the search found: the worst one need not have the widest bound.
         means = [[w.mean.upper if upper else w.mean.lower for w in c.worst] for c in both]
-        yield [f"  {bound}", unit, *[f"{widest(tuned.side, values):.4g}" for values in means]]
+        bounds = [widest(tuned.side, values) for values in means]
+        yield [f"  {bound}", unit, *[f"{b:.4g}" if math.isfinite(b) else "–" for b in bounds]]
         if tuned.statistic == SINGLE_RUN:
             there = [max(w.violation_bound for w in c.worst) for c in both]
             yield [f"  P(violation), {bound}", "", *[f"{value:.4f}" for value in there]]

@@ -351,6 +351,9 @@ def _least_runs(constraint: Constraint, evidence: Evidence, values: Array) -> in
     that differs is among them. Before, runs in the other worst contexts count as well where the
     noise is alike: there is some, or there is none.
     """
+    if constraint.statistic != EXPECTATION:
+        # The mean decides nothing; its bound is there for information.
+        return 1
     if constraint.violations(_values(evidence.evaluations, constraint.metric)).any():
         return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
     contexts = [_values(evaluations, constraint.metric) for evaluations in evidence.repeated]
