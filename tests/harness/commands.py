@@ -1,6 +1,7 @@
 """Commands and nodes of the packages as processes of their own."""
 
 import contextlib
+import faulthandler
 import json
 import multiprocessing
 import os
@@ -168,6 +169,7 @@ def _run_package(command, folder, variables, output, new_session):
         os.dup2(stream.descriptor, descriptor)
         os.close(stream.descriptor)
         setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8", closefd=False))
+    faulthandler.enable()
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(variables)

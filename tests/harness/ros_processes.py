@@ -75,8 +75,10 @@ class NodeProcess:
         try:
             code = self.wait()
         except subprocess.TimeoutExpired:
-            self.kill()
-            raise
+            # Where its threads are is in its log then, whatever lock they wait for.
+            self.send(signal.SIGABRT)
+            self.wait()
+            raise AssertionError(f"it does not end: {self.output}") from None
         assert code == self.expected_code, self.output
         assert "Traceback" not in self.output, self.output
 
