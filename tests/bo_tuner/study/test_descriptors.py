@@ -8,7 +8,7 @@ from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.check import most_runs, plot
 from bo_tuner.errors import StudyError
-from bo_tuner.study.descriptors import Described, complete, incomplete, problem
+from bo_tuner.study.descriptors import Described, complete, incomplete, node_problems, problem
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.study_file import parse_study
 from bo_tuner.tuning.recommendation import most_check_evaluations
@@ -124,6 +124,30 @@ def test_what_a_node_will_not_take(name, fields, expected):
     found = problem(item, NODE)
     assert expected in found
     assert bool(found) == bool(expected)
+
+
+@pytest.mark.parametrize(
+    ("type_", "value", "expected"),
+    [
+        ("double", "3", "'own' is of type double in the node; write 3.0"),
+        (
+            "double_array",
+            "[1, 2]",
+            "'own' is of type double_array in the node; write [1.0, 2.0]",
+        ),
+        ("double", "3.0", None),
+        ("integer", "3", None),
+        ("boolean", "true", None),
+        ("", "3", None),
+    ],
+)
+def test_an_integer_constant_is_no_double(type_, value, expected):
+    """A node that has 3.0 already would not be told of it, and one that has 2.0 refuse 3."""
+    text = TEXT.replace("{node: pid}\nparam", f"{{node: pid, parameters: {{own: {value}}}}}\nparam")
+    study = parse_study(text, describe=described)
+    known = NODE | {"own": Described(type_, None)}
+    found = [str(error) for error in node_problems(study, "pid", known, declared=True)]
+    assert found == ([f"nodes.pid.parameters: {expected}"] if expected else [])
 
 
 def test_a_plot_holds_each_value_until_the_next():

@@ -151,6 +151,10 @@ def node_problems(
     for path, node, name in _further_parameters(study):
         if node == key and name not in known and not declared:
             found.append(StudyError(_undeclared(name, known), path))
+    for name, value in study.nodes[key].parameters.items():
+        described = known.get(name)
+        if described is not None and (text := _integer_for_double(name, value, described)):
+            found.append(StudyError(text, ("nodes", key, "parameters")))
     for name, variable in study.contexts.items():
         described = known.get(variable.parameter)
         if variable.node != key or described is None:
@@ -207,6 +211,21 @@ def _outside(values: Iterable[float], name: str, described: Described) -> str:
                 f"[{described.lower:g}, {described.upper:g}]"
             )
     return ""
+
+
+def _integer_for_double(name: str, value: object, described: Described) -> str:
+    """Tell in a line that a constant is an integer where the node has a double; else empty.
+
+    It would pass where it equals what the node has, and be refused by a node that has another.
+    """
+    items = value if isinstance(value, (list, tuple)) else [value]
+    if described.type not in ("double", "double_array") or not any(
+        isinstance(item, int) and not isinstance(item, bool) for item in items
+    ):
+        return ""
+    doubles = [float(item) for item in items]
+    expected = doubles if described.type == "double_array" else doubles[0]
+    return f"'{name}' is of type {described.type} in the node; write {expected}"
 
 
 def _undeclared(name: str, known: Mapping[str, Described]) -> str:

@@ -39,8 +39,8 @@ class Parameter:
     fixed : bool, int, float or str, optional
         Value in every trial.
     default : bool, int, float or str, optional
-        Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; derived
-        for the others, see `SearchSpace.defaults`.
+        Hand-tuned value, the baseline of every comparison. Required for a tuned parameter; a fixed
+        one has its value, and a tied one that of the parameter it follows.
     scale : str
         `linear`, or `log` for a positive parameter whose ratios matter rather than its differences:
         the surrogates then see its logarithm, and the initial design of a double is even in it.

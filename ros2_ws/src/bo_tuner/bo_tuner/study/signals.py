@@ -125,7 +125,7 @@ class SignalMetric:
     of : str
         A signal, or an expression of several.
     measure : str
-        What is computed of it: a name in `bo_tuner.numerics.signal_metrics.MEASURES`.
+        What is computed of it, such as `iae` or `overshoot`; docs/interfaces.md lists all.
     unit : str
         Unit, for display only.
     target : float or str, optional
