@@ -74,6 +74,26 @@ process.make_executor = Executor
 process.EXIT_TIMEOUT = 0.2
 sys.exit(process.run(lambda: Node("stuck"), "", ()))
 """
+STUCK_DESTRUCTION = """
+import ctypes
+import os
+import signal
+import sys
+from feed_axis_common.ros import process
+from rclpy.node import Node
+
+class Stuck(Node):
+    def __init__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        super().__init__("stuck")
+
+    def destroy_node(self):
+        # It holds the interpreter's lock, as rclpy does in a call of the middleware.
+        ctypes.PyDLL(None).sleep(3600)
+
+process.EXIT_TIMEOUT = 0.2
+sys.exit(process.run(Stuck, "", ()))
+"""
 
 
 def start(start_node, keys):
@@ -137,6 +157,18 @@ def test_a_node_whose_spin_does_not_return(ros_environment, signum):
             assert node.wait(DEADLINE) == 0
         finally:
             node.kill()
+
+
+def test_a_node_whose_destruction_does_not_return(ros_environment):
+    done = subprocess.run(
+        [sys.executable, "-c", STUCK_DESTRUCTION],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "in destroy_node" in done.stderr
 
 
 def test_idle_nodes(start_node, peer):

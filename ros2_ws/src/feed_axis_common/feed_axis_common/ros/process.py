@@ -1,5 +1,6 @@
 """The life of a node's process: start, spin, and a clean end on SIGINT and SIGTERM."""
 
+import faulthandler
 import os
 import signal
 import sys
@@ -30,6 +31,7 @@ SPIN_PERIOD = 0.1
 """Longest time [s] from a signal to the end of the loop."""
 EXIT_TIMEOUT = 5.0
 """Time [s] that the middleware has to return from a spin, and again to shut down."""
+STDERR = 2
 
 
 def make_executor() -> Executor:
@@ -117,7 +119,13 @@ def _watch_for_stop() -> None:
 
 
 def _deadline() -> threading.Timer:
-    """Start the time after which the process ends, unless that is canceled."""
+    """Start the time after which the process ends, unless that is canceled.
+
+    A timer of Python waits for the interpreter's lock, which rclpy holds while it destroys what
+    the node has. Where the middleware hangs in that, the process ends after twice the time with
+    code 1 and the place on stderr.
+    """
+    faulthandler.dump_traceback_later(2.0 * EXIT_TIMEOUT, exit=True, file=STDERR)
     timer = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
     timer.daemon = True
     timer.start()
