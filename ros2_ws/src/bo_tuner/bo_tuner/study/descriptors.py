@@ -213,15 +213,13 @@ def _outside(values: Iterable[float], name: str, described: Described) -> str:
     return ""
 
 
-def _integer_for_double(name: str, value: object, described: Described) -> str:
+def _integer_for_double(name: str, value: checks.ParameterValue, described: Described) -> str:
     """Tell in a line that a constant is an integer where the node has a double; else empty.
 
     It would pass where it equals what the node has, and be refused by a node that has another.
     """
-    items = value if isinstance(value, (list, tuple)) else [value]
-    if described.type not in ("double", "double_array") or not any(
-        isinstance(item, int) and not isinstance(item, bool) for item in items
-    ):
+    items = value if isinstance(value, tuple) else (value,)
+    if described.type not in ("double", "double_array") or type(items[0]) is not int:
         return ""
     doubles = [float(item) for item in items]
     expected = doubles if described.type == "double_array" else doubles[0]
