@@ -74,25 +74,34 @@ process.make_executor = Executor
 process.EXIT_TIMEOUT = 0.2
 sys.exit(process.run(lambda: Node("stuck"), "", ()))
 """
+# It ends without a signal, from which on another timer would run.
 STUCK_DESTRUCTION = """
 import ctypes
-import os
-import signal
 import sys
+import rclpy
 from feed_axis_common.ros import process
 from rclpy.node import Node
 
 class Stuck(Node):
-    def __init__(self):
-        os.kill(os.getpid(), signal.SIGTERM)
-        super().__init__("stuck")
-
     def destroy_node(self):
         # It holds the interpreter's lock, as rclpy does in a call of the middleware.
         ctypes.PyDLL(None).sleep(3600)
 
-process.EXIT_TIMEOUT = 0.2
-sys.exit(process.run(Stuck, "", ()))
+class Executor:
+    def add_node(self, node):
+        pass
+
+    def spin_once(self, timeout_sec):
+        rclpy.shutdown()
+        raise RuntimeError("the context is shut down")
+
+    def remove_node(self, node):
+        pass
+
+process.make_executor = Executor
+# Long enough to come to the destruction on a busy machine.
+process.EXIT_TIMEOUT = 2.0
+sys.exit(process.run(lambda: Stuck("stuck"), "", ()))
 """
 
 
