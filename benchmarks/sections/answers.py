@@ -24,7 +24,7 @@ def certificates(result: Result) -> list[str]:
     wrong = [run for run in runs if not run["feasible"]]
     passed = sum(run["answer"]["passed"] for run in runs if run["feasible"])
     return [
-        "Answers that `boundary` called feasible in the campaigns of that commit, certified "
+        "Answers that `boundary` called feasible in the recorded campaigns, certified "
         "by the study's default certificate, and beside each a parameter set that is truly "
         "infeasible by as little as bisection finds. The interval is that of Clopper and "
         f"Pearson, 95 %. Of the answers, {len(runs) - len(wrong)} are truly feasible, and "
