@@ -99,6 +99,16 @@ def test_a_signal_without_a_message():
 
 
 @pytest.mark.parametrize(
+    ("time", "largest_gap", "silence"),
+    [([-3, 1], 3, 4), ([-3, 1], 4, 0), ([-3], 7, 8), ([1], None, 0), ([], 1, 0)],
+)
+def test_the_silence_of_a_signal(time, largest_gap, silence):
+    spec = Signal(name="x", topic="/a", field="data", largest_gap=largest_gap)
+    recording = Recording({"x": recorded(time, time)}, 5.0)
+    assert recording.silence("x", spec) == silence
+
+
+@pytest.mark.parametrize(
     ("time", "value", "limits", "reason"),
     [
         ([1, 2], [0, np.nan], {}, "signal x (/a) is nan at 2.000 s"),

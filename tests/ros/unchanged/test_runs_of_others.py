@@ -231,6 +231,17 @@ def test_a_run_that_can_no_longer_count_ends_at_once(backend, system, in_run, sp
     assert failure(run(made)).startswith(f"signal angle (joint_states) {complaint}")
 
 
+def test_what_a_dead_sensor_said_last_is_not_waited_for_with_success(backend, system):
+    angle = {"topic": "joint_states", "field": "position[motor]", "largest_gap": 0.1}
+    near = {"wait_until": {"condition": "abs(angle) < 9", "hold": 0.05, "timeout": 0.2}}
+    made = backend(signals={"angle": angle}, run={"before": [{"wait": 0.5}, near]})
+    run(made)
+    system.silent = True
+    reason = failure(run(made))
+    assert reason.startswith("run.before[1]: 'abs(angle) < 9' does not hold for 0.05 s ")
+    assert re.search(r"\(angle [0-9.]+, silent for [0-9.]+ s\)$", reason)
+
+
 SENSED = {"sensed": {"topic": "sensed", "field": "data"}}
 
 

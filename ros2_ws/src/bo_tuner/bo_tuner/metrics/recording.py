@@ -127,6 +127,14 @@ class Recording:
             if spec.largest_gap is not None and self.end - since > spec.largest_gap + late:
                 raise _gap(_named(name, spec), self.end - since, since, spec.largest_gap)
 
+    def silence(self, name: str, spec: Signal) -> float:
+        """Return how long [s] no message of a signal has come if that is too long, and else 0."""
+        seen = self.signals[name]
+        if spec.largest_gap is None or not len(seen.time):
+            return 0.0
+        silence = self.end - float(seen.time[-1])
+        return silence if silence > spec.largest_gap else 0.0
+
     def sample(self, expression: Expression, held: bool = True) -> tuple[Array, Array]:
         """Evaluate an expression at the time of each message of its signals.
 

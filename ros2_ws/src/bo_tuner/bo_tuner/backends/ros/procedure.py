@@ -25,6 +25,7 @@ from bo_tuner.metrics.recording import (
     RecordedSignal,
     Recording,
 )
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
@@ -273,19 +274,9 @@ class Procedure:
         """Return the first time [s] from `since` on at which a condition holds, if there is one."""
         if condition is None:
             return None
-        times, values = self._sampled(condition, since, now)
+        times, values = _sampled(condition, self._recorder.recording(now, since))
         held = np.flatnonzero(np.isfinite(values) & (values != 0.0) & (times >= since))
         return float(times[held[0]]) if len(held) else None
-
-    def _sampled(
-        self, condition: Expression, since: float, now: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
-        recording = self._recorder.recording(now, since)
-        signals = {
-            name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
-        }
-        return Recording(signals, recording.end).sample(condition)
 
     def _perform(self, phase: str) -> None:
         for index, step in enumerate(getattr(self._run, phase)):
@@ -327,6 +318,7 @@ class Procedure:
 
     def _wait_until(self, path: KeyPath, wait: WaitUntil) -> None:
         condition = expression(wait.condition, self._study.signals)
+        used = {name: self._study.signals[name] for name in condition.names - {TIME}}
         if not self._is_recording:
             self._recorder.begin(in_run=False)
         began = self._recorder.seconds
@@ -338,7 +330,10 @@ class Procedure:
             since = now - wait.hold
             if since < began:
                 return False
-            times, values = self._sampled(condition, since, now)
+            recording = self._recorder.recording(now, since)
+            if any(recording.silence(name, spec) for name, spec in used.items()):
+                return False
+            times, values = _sampled(condition, recording)
             # What holds at `since` is what came last before it.
             first = max(np.searchsorted(times, since, side="right") - 1, 0)
             return len(times) > 0 and bool(np.all(np.nan_to_num(values[first:]) != 0.0))
@@ -359,14 +354,14 @@ class Procedure:
     def _shown(self, condition: Expression) -> str:
         """Tell the latest values of the signals of a condition."""
         recording = self._recorder.recording(self._recorder.seconds)
-        names = sorted(condition.names - {TIME})
-        shown = [
-            f"{name} {recording.signals[name].value[-1]:.4g}"
-            if len(recording.signals[name].value)
-            else f"no message of {name}"
-            for name in names
-        ]
-        return f" ({', '.join(shown)})" if shown else ""
+        shown = []
+        for name in sorted(condition.names - {TIME}):
+            values = recording.signals[name].value
+            text = f"{name} {values[-1]:.4g}" if len(values) else f"no message of {name}"
+            if silence := recording.silence(name, self._study.signals[name]):
+                text += f", silent for {silence:.3g} s"
+            shown.append(text)
+        return f" ({'; '.join(shown)})" if shown else ""
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
@@ -395,3 +390,11 @@ class Procedure:
             # One that is none of the study's need not answer.
             with contextlib.suppress(LostError):
                 meet(self._tuner, node, time.monotonic() + CONNECT_TIMEOUT)
+
+
+def _sampled(condition: Expression, recording: Recording) -> tuple[Array, Array]:
+    """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
+    signals = {
+        name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
+    }
+    return Recording(signals, recording.end).sample(condition)
