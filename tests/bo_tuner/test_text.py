@@ -1,11 +1,12 @@
 """Text of others, on a terminal and in a table."""
 
 import io
+import math
 
 import pytest
 
 from bo_tuner.monitoring.display import PlainConsole
-from bo_tuner.text import csv_cell, one_line, printable, shown
+from bo_tuner.text import csv_cell, one_line, printable, shown, shown_beside
 
 HOSTILE = "\x1b[2Jx\x07\x9b1m\u202etxt\u2066\u200f\r"
 
@@ -20,6 +21,23 @@ def test_nothing_steers_the_terminal():
 )
 def test_a_value(value, text):
     assert shown(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "text"),
+    [
+        (1.00002, 1.0, "1.00002"),
+        (0.99999, 1.0, "0.99999"),
+        (1.0, 1.0, "1"),
+        (-0.20001, -0.2, "-0.20001"),
+        (0.5678912, 1.0, "0.5679"),
+        (math.inf, 1.0, "inf"),
+        (math.nan, 1.0, "–"),
+        (math.nextafter(1.0, 2.0), 1.0, "1.0000000000000002"),
+    ],
+)
+def test_a_number_is_on_its_side_of_a_limit(value, limit, text):
+    assert shown_beside(value, limit) == text
 
 
 def test_a_line_stays_a_line():

@@ -4,7 +4,7 @@ import dataclasses
 
 from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.evidence import Evidence
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome, Stage
+from bo_tuner.trials import SEEKING_WORST, Evaluation, EvaluationState, Outcome, Stage
 from bo_tuner.tuning.limits import judge_samples
 from bo_tuner.tuning.validation import Validation
 
@@ -36,13 +36,20 @@ def validation(study, found):
 
 
 def made(run, default, tuned, passed_check):
-    """The run with another validation of its result."""
+    """The run with another validation of its result, and without a search for the default."""
     study, trial = run.study, run.trials[run.summary["trial"]]
-    sides = [
-        evaluations(0, study.search_space().defaults, default),
-        evaluations(1, trial.parameters, tuned),
+    defaults = study.search_space().defaults
+    sides = [evaluations(0, defaults, default), evaluations(1, trial.parameters, tuned)]
+    earlier = [
+        e
+        for e in run.evaluations
+        if e.stage is not Stage.VALIDATION
+        and not (e.stage in SEEKING_WORST and dict(e.parameters) == defaults)
     ]
-    earlier = [e for e in run.evaluations if e.stage is not Stage.VALIDATION]
+    trials = tuple(
+        dataclasses.replace(t, worst_cases={}) if dict(t.parameters) == defaults else t
+        for t in run.trials
+    )
     found = [validation(study, side) for side in sides]
     summary = dict(run.summary) | {
         "feasible": passed_check and found[1].feasible,
@@ -52,7 +59,9 @@ def made(run, default, tuned, passed_check):
             for name, item in zip(("default", "tuned"), found, strict=True)
         },
     }
-    return dataclasses.replace(run, summary=summary, evaluations=(*earlier, *sides[0], *sides[1]))
+    return dataclasses.replace(
+        run, summary=summary, trials=trials, evaluations=(*earlier, *sides[0], *sides[1])
+    )
 
 
 def certify(run, default, tuned, *, with_default=True, repeated=2):

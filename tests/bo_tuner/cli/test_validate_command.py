@@ -306,6 +306,8 @@ class TestInterruption:
     def test_evaluations_of_something_else_are_discarded(self, here, folder):
         (folder / "certificates").mkdir()
         (folder / "certificates" / "unfinished.jsonl").write_text('{"attempt": 1}\n{}\n')
+        verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
+        assert not any("begun" in remark for remark in verdict.remarks)
         code, _, err = here(folder)
         assert code == 0
         assert "going on" not in err

@@ -18,6 +18,7 @@ def findings(violations, passed):
         "unit": "N",
         "limit": 1.0,
         "side": "upper",
+        "allowed": 1.0,
         "extreme": 0.9,
         "tail": 0.8,
         "violations": violations,
@@ -27,13 +28,15 @@ def findings(violations, passed):
                 "context": {"load": 2.0},
                 "mean": {"value": 0.75, "standard_error": 0.01, "upper": 0.77},
                 "violation_bound": 0.11,
+                "evaluations": 30,
+                "beyond": 1,
             }
         ],
         "passed": passed,
     }
     mean = {"value": 1.5, "standard_error": 0.02, "upper": 1.54}
     return {
-        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0,
+        "objective": mean, "tail": 1.9, "evaluations": 320, "failures": 0, "passed": passed,
         "constraints": [constraint],
     }  # fmt: skip
 
@@ -86,16 +89,17 @@ def test_a_run_without_a_certificate_has_none(tuned):
 def test_its_numbers_are_shown(certified):
     found = certificate(certified(json.dumps(content("PASS"))), None)
     assert found.passed
-    assert found.scope == "112 fresh draws, 95 % confidence over all attempts"
+    assert found.scope == "112 fresh draws, 97.5 % confidence of each bound"
     limits, gaps = found.section.tables
     rows = {row[0].strip(): row[1:] for row in limits.rows}
     assert rows["mean error"] == ["1.5 ± 0.02", "1.5 ± 0.02", "s"]
     assert rows["draws above 1"] == ["8", "0", ""]
-    assert rows["probability of a violation, 97.5 % bound"] == ["0.0123", "0.0123", ""]
+    assert rows["P(violation), 97.5 % bound"] == ["0.0123", "0.0123", ""]
     assert rows["97.5 % bound"] == ["0.77", "0.77", "N"]
-    assert rows["probability of a violation there, 97.5 % bound"] == ["0.11", "0.11", ""]
     assert rows["at load"] == ["2", "2", ""]
-    assert rows["peak"] == ["not shown", "shown to hold", ""]
+    assert rows["evaluations above 1"] == ["1 of 30", "1 of 30", ""]
+    assert rows["kept in every context"] == ["NOT shown", "shown", ""]
+    assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
     assert "narrow optimum" in found.section.notes
 

@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 from html import unescape
-from math import isfinite
+from math import isfinite, isnan
 from types import SimpleNamespace
 
 import pytest
@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 from judged_runs import certify, evaluations, made
 from rich.console import Console
 
-from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.certificate.certificate import make_certificate, write_certificate
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.run_verdict import certified, run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, exit_code
@@ -31,10 +33,11 @@ from bo_tuner.report.page import answer_html, render, section_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
-from bo_tuner.trials import EvaluationState, Outcome, Stage
+from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning.limits import WITHIN
 from bo_tuner.tuning.limits import verdict as verdict_of
 from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
 from bo_tuner.verdict.validated import fresh_draws, is_default
@@ -107,13 +110,13 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
         assert verdict.feasible == (passed_check and found.feasible)
         assert verdict.state is not State.CERTIFIED
 
-    keeps = {True: "yes", False: "no"}
-    both = [keeps[verdict.default_keeps], keeps[verdict.feasible]]
+    both = list(verdict.keeps_in_words)
+    assert both == ["yes" if kept else "NO" for kept in (verdict.default_keeps, verdict.feasible)]
 
     terminal = on_terminal(run, verdict)
     assert terminal.splitlines()[0] == verdict.headline
     (row,) = [line for line in terminal.splitlines() if line.startswith("keeps all limits")]
-    assert row.lower().split()[3:] == both
+    assert row.split()[3:] == both
     assert not re.search(r"\b(nan|inf)\b", terminal)
 
     page = on_page(run)
@@ -122,7 +125,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     (mark,) = re.findall(r'<section id="answer" class="answer (\w+)"', page)
     assert (mark == "bad") == (not verdict.feasible)
     (row,) = re.findall(r"keeps all limits</th>(.*?)</tr>", page, re.DOTALL)
-    assert re.findall(r"<td[^>]*>(yes|no)</td>", row) == both
+    assert re.findall(r"<td[^>]*>(yes|NO)</td>", row) == both
     shown = set(re.findall(rf">\s*({PASS}|{FAIL})\s", page))
     assert shown <= {verdict.certificate}
     text = unescape(page)
@@ -241,7 +244,7 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     verdict = run_verdict(run)
     (error,) = [q for q in verdict.quantities if q.label == "mean error"]
     assert error.difference.count == (40 if with_default else 5)
-    told = "" if with_default else "default in 5 draws, tuned in 45, difference in the 5 of both"
+    told = "" if with_default else "default in 5 draws, tuned in 40, difference in the 5 of both"
     assert error.draws == told
     lines = on_terminal(run, verdict).splitlines()
     assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
@@ -263,7 +266,7 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     assert worst.label == "worst-case peak"
     assert worst.tuned == 0.5
     assert isfinite(worst.default) is with_default
-    assert ("was not searched" in worst.remark) is not with_default
+    assert ("has no certified worst case" in worst.remark) is not with_default
 
 
 def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
@@ -329,6 +332,166 @@ def test_without_a_search_no_draw_may_exceed_a_worst_case_limit(tuned, stage):
     assert verdict.feasible == (stage is Stage.SEARCH)
     if stage is Stage.NOMINAL:
         assert verdict.reasons == verdict.default_reasons
+
+
+def default_trial(run):
+    defaults = run.study.search_space().defaults
+    return next(trial for trial in run.trials if dict(trial.parameters) == defaults)
+
+
+@pytest.mark.parametrize(("worst", "keeps"), [(None, False), (0.9, True), (1.1, False)])
+def test_a_default_whose_worst_context_was_searched_counts_as_such(tuned, worst, keeps):
+    """One of 8 draws exceeds a limit on the mean in every context, as it may."""
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, [(1.0, 0.5)] * 8, True)
+    if worst is not None:
+        trial = default_trial(run)
+        found = WorstCase(worst, {"load": 2.0}, worst, 0.01)
+        trials = list(run.trials)
+        trials[trial.number] = dataclasses.replace(trial, worst_cases={"peak": found})
+        searched = evaluations(trial.number, trial.parameters, [(1.0, worst)], Stage.SEARCH)
+        run = dataclasses.replace(
+            run, trials=tuple(trials), evaluations=(*run.evaluations, *searched)
+        )
+    verdict = run_verdict(run)
+    assert verdict.default_keeps is keeps
+    if worst == 1.1:
+        trial = default_trial(run).number
+        assert verdict.default_reasons == (f"peak: worst case 1.1 N in trial {trial}, limit 1",)
+    if worst is None:
+        assert "(its worst context was not searched)" in verdict.default_reasons[0]
+
+
+def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
+    trial = default_trial(tuned).number
+    run = dataclasses.replace(tuned, summary=dict(tuned.summary) | {"trial": trial})
+    for passed_check in (True, False):
+        draws = [(1.0, 0.5)] * 8
+        verdict = run_verdict(made(run, draws, draws, passed_check))
+        assert verdict.is_default
+        assert verdict.reasons == verdict.default_reasons
+        assert verdict.keeps_in_words == ("yes", "yes") if passed_check else ("NO", "NO")
+
+
+def test_a_limit_that_makes_a_result_infeasible_is_not_kept(tuned):
+    """Where nobody searched for the worst context a draw beyond the limit counts."""
+    trial = default_trial(tuned).number
+    run = dataclasses.replace(tuned, summary=dict(tuned.summary) | {"trial": trial})
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(run, draws, draws, True)
+    assert not run_verdict(run).feasible
+    (tile,) = [t for t in answer(Analysis(run)).tiles if "limit 1: " in t.remarks[0]]
+    assert tile.remarks[0].endswith("limit 1: NOT kept")
+    assert tile.status is Status.BAD
+
+
+def test_a_feasible_default_beside_an_infeasible_result_is_not_kept_quiet(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True))
+    assert verdict.headline == "The tuned parameter set is not feasible, but the default is"
+    assert "The default kept all limits." in verdict.sentences
+
+
+def another_trial(run):
+    """A trial that is neither the result nor the default."""
+    others = {run.summary["trial"], default_trial(run).number}
+    return next(t for t in run.trials if t.number not in others and t.worst_cases)
+
+
+def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
+    """It knows of the default what the validation found, and its next steps name the trial."""
+    draws = [(1.0, 0.5)] * 40
+    run = made(run, draws, [(1.0, 0.9)] * 40, True)
+    other = another_trial(run)
+    made_of = dataclasses.replace(run, summary=dict(run.summary) | {"trial": other.number})
+    certify(made_of, draws, draws, with_default=False, repeated=40)
+    verdict = certified(run, other, run.path / "certificates" / "0001.json")
+    assert verdict.certificate == PASS
+    assert not verdict.is_result
+    assert verdict.keeps_in_words == ("yes", "yes")
+    assert verdict.evidence == (
+        "40 fresh draws of context and noise, and the default in the 40 draws of the validation"
+    )
+    # The draws of the validation are of another parameter set, so there are no pairs.
+    assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
+    number = other.number
+    refused = [step.command for step in next_steps(verdict, "run")]
+    assert refused == [f"validate run --trial {number}", f"replay run {number}"]
+    opened = dataclasses.replace(verdict, apply_refuses=False)
+    commands = [step.command for step in next_steps(opened, "run")]
+    assert commands[0] == f"apply run --trial {number}"
+    assert run_verdict(run).certificate == ""
+
+
+def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
+    """A draw of the validation beyond the limit counts as on record, and once."""
+    draws = [(1.0, 0.5)] * 24
+    run = made(run, [*draws, (1.0, 0.5)], [*draws, (1.0, 1.4)], True)
+    trial = run.trials[run.summary["trial"]]
+    known = sum(
+        dict(e.parameters) == dict(trial.parameters) and e.outcome.complete for e in run.evaluations
+    )
+    found = certify(run, draws, [(1.2, 0.6)] * 40, with_default=False, repeated=40)
+    verdict = run_verdict(run)
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.holds is not None]
+    (error,) = [q for q in verdict.quantities if q.label == "mean error"]
+    assert f"largest of {known + found.tuned.evaluations} evaluations on record 1.4" in worst.remark
+    assert error.tuned == pytest.approx(1.2)
+    assert error.difference.mean == 0.0
+    assert verdict.observed[1].values("peak") == [0.6] * 40
+
+
+def test_a_limit_on_single_runs_names_what_decides(tuned_of_single_runs):
+    """None of 40 draws is beyond the limit, but 10 of 40 runs in the worst context are."""
+    run, values = tuned_of_single_runs, [(1.0, 0.7)] * 40
+    run = made(run, values, values, True)
+    trial = run.trials[run.summary["trial"]]
+    there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(40)]
+    worst = evaluations(1, trial.parameters, there, Stage.CHECK_WORST)
+    evidence = {
+        "tuned": Evidence(
+            trial.parameters, evaluations(1, trial.parameters, values), repeated=(worst,)
+        )
+    }
+    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "inprocess", None)
+    write_certificate(run.path, found, evidence)
+    (quantity,) = [q for q in run_verdict(run).quantities if q.holds is not None]
+    bound = found.tuned.constraints[0].worst[0].violation_bound
+    assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
+    assert isnan(quantity.bound)
+
+
+@pytest.fixture
+def tuned_of_single_runs(tuned, tmp_path):
+    shutil.copytree(tuned.path, tmp_path / "single")
+    constraint = dataclasses.replace(tuned.study.constraints["peak"], probability=0.85)
+    study = dataclasses.replace(tuned.study, constraints={"peak": constraint})
+    return dataclasses.replace(tuned, path=tmp_path / "single", study=study)
+
+
+def test_a_number_beyond_its_limit_is_not_shown_as_the_limit(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.00002)] * 8, True)
+    verdict = run_verdict(run)
+    (row,) = [r for r in on_terminal(run, verdict).splitlines() if r.startswith("largest peak [N]")]
+    assert row.split()[3:5] == ["0.5", "1.00002"]
+    assert "1.00002" in on_page(run)
+
+
+def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws)
+    certify(run, draws, draws)
+    first = run.path / "certificates" / "0001.json"
+    first.write_text(json.dumps(json.loads(first.read_text()) | {"confidence": 0.5}))
+    assert run_verdict(run).remarks[0].endswith("have 50 % together.")
+
+
+def test_a_certificate_that_cannot_be_read_does_not_hide_a_later_one(run):
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws)
+    path = run.path / "certificates" / "0001.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"format": 3}))
+    certify(run, draws, draws)
+    assert run_verdict(run).certificate == Analysis(run).certificate.content["verdict"]
 
 
 def test_a_limit_is_kept_or_shown_to_be_kept_in_the_same_words_everywhere(run):
@@ -422,3 +585,13 @@ def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
     for known in ([*ranked, within[0]], None):
         everyone = dataclasses.replace(run, summary=summary | {"ranked_trials": known})
         assert run_verdict(everyone).outliers == ()
+
+
+def test_a_repetition_is_no_outlier(tuned):
+    """Its evaluations count as those of the first trial of the parameter set, which is ranked."""
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True)
+    within = next(t for t in run.trials if verdict_of(run.study, t) == WITHIN)
+    again = dataclasses.replace(within, number=len(run.trials))
+    run = dataclasses.replace(run, trials=(*run.trials, again))
+    assert again.number not in run.summary["ranked_trials"]
+    assert run_verdict(run).outliers == ()

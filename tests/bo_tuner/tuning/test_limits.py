@@ -55,6 +55,26 @@ def test_draws_refute_a_limit_on_the_mean_by_their_mean(make_study):
     assert judge_sample(constraint, [5.0]).holds
 
 
+@pytest.mark.parametrize("limit", [0.05, 0.1, 0.2, 0.4])
+@pytest.mark.parametrize("count", [2, 10, 25])
+def test_values_at_the_limit_keep_it(make_study, limit, count):
+    """The mean of 25 times 0.2 is above 0.2 by rounding."""
+    constraint = replace(worst_case(make_study), upper=limit)
+    assert judge_sample(constraint, [limit] * count).holds
+    assert not refuted(constraint, [limit] * count)
+
+
+@pytest.mark.parametrize("probability", [None, 0.85])
+def test_without_contexts_draws_are_of_the_worst_one(make_study, probability):
+    """They estimate what holds there; three of 20 may violate a limit that 15 % of runs may."""
+    constraint = worst_case(make_study, probability)
+    within = [1.2] * 3 + [0.9] * 17
+    beyond = [1.2] * (12 if probability is None else 4) + [0.9] * (8 if probability is None else 16)
+    assert judge_sample(constraint, beyond).holds or probability is None
+    assert judge_sample(constraint, within, alone=True).holds
+    assert not judge_sample(constraint, beyond, alone=True).holds
+
+
 @pytest.mark.parametrize(("probability", "holds"), [(None, True), (0.5, True), (0.85, False)])
 def test_a_worst_case_is_judged_by_what_its_limit_is_on(make_study, probability, holds):
     """Mean 0.98, deviation 0.03: one run in four exceeds 1."""

@@ -1,6 +1,8 @@
 """What the verdict by a validation says besides."""
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -11,7 +13,7 @@ from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.validated import validated
-from bo_tuner.verdict.verdict import State, Verdict
+from bo_tuner.verdict.verdict import Quantity, State, Status, Verdict
 
 LOAD = "Only return_time exceeded a limit, which other load on this machine can also cause."
 
@@ -39,7 +41,7 @@ def validation(study, violations):
 def test_other_load_explains_only_measured_times(violations, measured, told):
     study = load_study("benchmark")
     both = validation(study, violations)
-    verdict = validated(study, 0, both, both, (), doubt="", measured=measured)
+    verdict = validated(study, 0, both, both, (), (), doubt="", measured=measured)
     assert verdict.remarks == ((LOAD,) if told else ())
 
 
@@ -47,11 +49,8 @@ def test_outliers_that_kept_all_limits_are_told_of():
     """Otherwise the answer seems to violate less than they do."""
     study = load_study("benchmark")
     both = validation(study, {"real_time": 25, "overshoot": 9})
-    found = [
-        validated(study, 0, both, both, (), doubt="", measured=False, outliers=numbers).sentences
-        for numbers in ((), (4,), (4, 7))
-    ]
-    assert "best.yaml holds the least violating parameter set; do not use it." in found[0]
+    judged = partial(validated, study, 0, both, both, (), (), doubt="", measured=False)
+    found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
     assert not any("outlier" in sentence for sentence in found[0])
     assert (
         "Trial 4 kept all limits, but is an outlier of the objective, far from all others, and "
@@ -61,7 +60,8 @@ def test_outliers_that_kept_all_limits_are_told_of():
         "Trials 4, 7 kept all limits, but are outliers of the objective, far from all others, and "
         "therefore not candidates."
     ) in found[2]
-    assert "best.yaml holds the least violating one of the candidates; do not use it." in found[2]
+    for sentences in found:
+        assert "best.yaml holds this parameter set; do not use it." in sentences
 
 
 @pytest.mark.parametrize("contexts", [{}, None])
@@ -71,7 +71,7 @@ def test_without_contexts_there_is_no_worst_one_to_doubt(make_study, contexts):
     sections = {} if contexts is None else {"contexts": contexts}
     study = make_study(constraints={"peak": limit}, **sections)
     both = validation(study, {"peak": 2})
-    found = validated(study, 0, both, both, (), doubt="", measured=False)
+    found = validated(study, 0, both, both, (), (), doubt="", measured=False)
     assert bool(found.reasons) is bool(found.default_reasons) is bool(study.contexts)
 
 
@@ -91,3 +91,51 @@ def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
     assert [q.change for q in found if q.objective] == [Change.WORSE]
     assert verdict.default_preferred
     assert not verdict.gained
+
+
+def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
+    study = make_study(constraints={"peak": {"kind": "worst_case", "metric": "peak", "upper": 1.0}})
+    none = Validation(
+        study.search_space().defaults,
+        8,
+        8,
+        math.nan,
+        math.nan,
+        {"peak": Sample("peak", math.nan, 0, 0, holds=False)},
+    )
+    found = validated(study, 0, none, none, (), (), doubt="", measured=False)
+    assert found.reasons == ("peak: no draw is complete", "8 of 8 evaluations failed")
+
+
+def quantity(change):
+    return Quantity(
+        label="mean peak",
+        metric="peak",
+        unit="",
+        default=4.0,
+        tuned=8.0,
+        difference=None,
+        change=change,
+        limit=math.nan,
+        bound=math.nan,
+        holds=None,
+        remark="",
+    )
+
+
+@pytest.mark.parametrize("change", [Change.LOWER, Change.HIGHER])
+def test_what_is_neither_better_nor_worse_is_no_gain(change):
+    verdict = Verdict(state=State.VALIDATED, trial=1, evidence="", quantities=(quantity(change),))
+    assert not verdict.gained
+    better = replace(verdict, quantities=(quantity(Change.BETTER),))
+    assert better.gained
+
+
+def test_of_a_default_that_was_not_evaluated_nothing_is_said():
+    verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", default_reasons=None)
+    assert verdict.keeps_in_words == ("–", "yes")
+    assert verdict.to_mapping()["keeps_limits"] == {"default": None, "tuned": True}
+    assert "The default was not evaluated." in verdict.sentences
+    assert not verdict.gained
+    assert verdict.status is Status.GOOD
+    assert not any("gained nothing" in sentence for sentence in verdict.sentences)

@@ -1,5 +1,6 @@
 """Text of others, such as names in a study and what nodes say, made fit to be shown."""
 
+import math
 import textwrap
 from collections.abc import Mapping
 
@@ -59,6 +60,20 @@ def shown(value: bool | int | float | str) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     return value if isinstance(value, str) else f"{value + 0.0:.4g}"  # no "-0"
+
+
+def shown_beside(value: float, limit: float) -> str:
+    """Format a number with as many digits, four at least, as show on which side of a limit it is.
+
+    A dash stands for NaN.
+    """
+    if math.isnan(value):
+        return "–"
+    for digits in range(4, 17):
+        text = f"{value + 0.0:.{digits}g}"
+        if (float(text) > limit, float(text) < limit) == (value > limit, value < limit):
+            return text
+    return repr(value)
 
 
 def values(mapping: Mapping[str, bool | int | float | str]) -> str:

@@ -28,6 +28,7 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.parts import UPPER, Constraint
 from bo_tuner.study.study import Study
+from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation
 from bo_tuner.worst_case.contexts import maximise_over_contexts
 
@@ -91,6 +92,14 @@ class Drift:
         """Return the drift that a certificate holds."""
         limit = Band.from_mapping(item["limit"])
         return cls(float(item["bound"]), limit, float(item["breaks"]))
+
+    @property
+    def in_words(self) -> str:
+        """The last tolerated value, with its band if the limit is crossed before the bound."""
+        if self.breaks <= 0.5 * (1.0 - CREDIBLE):
+            return f"{shown(self.bound)} (end of the range)"
+        limit = self.limit
+        return f"{shown(limit.median)} ({shown(limit.low)} to {shown(limit.high)})"
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """The verdict on the result of a run, by its latest certificate if there is one."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -8,14 +9,19 @@ from typing import Any
 
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.certificate.evidence import widest
-from bo_tuner.certificate.store import certificate_problem, latest_certificate, read_certificate
+from bo_tuner.certificate.store import (
+    certificate_paths,
+    certificate_problem,
+    latest_certificate,
+    read_certificate,
+)
 from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.parts import ROS, UPPER
+from bo_tuner.study.parts import ROS, SINGLE_RUN, UPPER
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
+from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
@@ -40,7 +46,8 @@ def run_verdict(record: RunRecord) -> Verdict:
         If the summary of the run is not one of `tune`.
     """
     verdict = _latest(record)
-    if begun := evaluations_begun(record.path):
+    trial = result(record)
+    if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
             f"A certificate was begun and not finished: {counted(begun, 'evaluation')} on record, "
             "from which validate goes on."
@@ -49,11 +56,16 @@ def run_verdict(record: RunRecord) -> Verdict:
     return verdict
 
 
+def result(record: RunRecord) -> Trial | None:
+    """Return the trial that is the result of a run; None if it has none."""
+    number = None if record.summary is None else record.summary.get("trial")
+    return next((trial for trial in record.trials if trial.number == number), None)
+
+
 def _latest(record: RunRecord) -> Verdict:
-    by_validation = _by_validation(record)
-    if by_validation is None:
+    by_validation, trial = _by_validation(record), result(record)
+    if by_validation is None or trial is None:
         return open_verdict(record.study, record.trials)
-    (trial,) = [trial for trial in record.trials if trial.number == by_validation.trial]
     try:
         path = latest_certificate(record, trial)
         return by_validation if path is None else _certified(record, trial, path, by_validation)
@@ -76,6 +88,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             trial.number,
             default,
             tuned,
+            record.trials,
             record.evaluations,
             doubt=doubt(
                 record.algorithm,
@@ -92,13 +105,21 @@ def _by_validation(record: RunRecord) -> Verdict | None:
 
 
 def _outliers(record: RunRecord, ranked: object) -> list[int]:
-    """Return the trials that kept all limits and are not among those that were ranked."""
+    """Return the trials that kept all limits, but were not ranked as they are outliers.
+
+    Not ranked are also those that repeat a parameter set, whose evaluations count as one trial, and
+    those that failed when they were run again.
+    """
     if not isinstance(ranked, list):
         return []
+    key = record.study.search_space().key
+    known = {key(trial.parameters) for trial in record.trials if trial.number in ranked}
+    known |= {key(e.parameters) for e in record.evaluations if not e.outcome.complete}
     return [
         trial.number
         for trial in record.trials
-        if trial.number not in ranked and limits.verdict(record.study, trial) == limits.WITHIN
+        if key(trial.parameters) not in known
+        and limits.verdict(record.study, trial) == limits.WITHIN
     ]
 
 
@@ -122,22 +143,22 @@ def _certified(
         rows = read_evaluations(path)
     except RunRecordError as error:
         rows, remarks = [], [f"{error}."]
-    study = record.study
-    if by_validation is not None and by_validation.trial != trial.number:
-        by_validation = None
+    study, same = record.study, is_default(record.study, trial.parameters)
+    answer = result(record)
+    is_result = answer is not None and dict(answer.parameters) == dict(trial.parameters)
     passed = content["verdict"] == PASS
     problem = certificate_problem(record, trial) if passed else ""
     if problem:
         remarks.append(f"apply refuses it all the same: {problem}.")
     try:
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
-        overall = float(content["confidence"])
+        overall = min(float(content["confidence"]), *_confidences(record))
         tuned, default = content[TUNED], content[DEFAULT]
         reasons = tuple(str(reason) for reason in content["reasons"])
         of_tuned = {c["name"]: c for c in tuned["constraints"]}
         of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
         if default is None:
-            observed, default_reasons = _beside_validation(by_validation, of_trial)
+            observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
         else:
             observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
             default_reasons = _reasons(default)
@@ -152,11 +173,11 @@ def _certified(
     return Verdict(
         state=State.CERTIFIED if passed else State.REFUSED,
         trial=trial.number,
-        evidence=_evidence(study, draws, default is not None, by_validation),
+        evidence=_evidence(study, draws, default is not None, by_validation, is_result),
         reasons=reasons,
-        default_reasons=default_reasons,
+        default_reasons=reasons if same else default_reasons,
         quantities=numbers,
-        choice="" if by_validation is None else by_validation.choice,
+        choice=by_validation.choice if by_validation is not None and is_result else "",
         remarks=(
             f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
             f"certify this run have {100.0 * overall:.4g} % together.",
@@ -165,39 +186,54 @@ def _certified(
         observed=observed,
         default_certified=default is not None,
         apply_refuses=bool(problem),
-        is_default=is_default(study, trial.parameters),
+        is_default=same,
+        is_result=is_result,
     )
 
 
-def _evidence(study: Study, draws: int, with_default: bool, by_validation: Verdict | None) -> str:
+def _confidences(record: RunRecord) -> Iterator[float]:
+    """Yield the confidence of each certificate of a run.
+
+    The shares of the error probability that attempts take add up to no more than the largest of
+    the error probabilities asked for.
+    """
+    for path in certificate_paths(record.path):
+        with contextlib.suppress(RunRecordError, KeyError, TypeError, ValueError):
+            yield float(read_certificate(path)["confidence"])
+
+
+def _evidence(
+    study: Study,
+    draws: int,
+    with_default: bool,
+    by_validation: Verdict | None,
+    is_result: bool,
+) -> str:
     """Return what the verdict rests on, in a few words."""
     fresh = fresh_draws(study, draws)
     if with_default:
         return f"the same {fresh}"
     if by_validation is None or not by_validation.observed:
         return f"{fresh}, without the default"
-    return (
-        f"{fresh} and the {by_validation.observed[0].draws} draws of the validation, which alone "
-        "have the default"
-    )
+    validation = f"the {by_validation.observed[0].draws} draws of the validation"
+    if not is_result:
+        return f"{fresh}, and the default in {validation}"
+    return f"{fresh} and {validation}, which alone have the default"
 
 
 def _beside_validation(
-    by_validation: Verdict | None, tuned: Observed
-) -> tuple[tuple[Observed, Observed], tuple[str, ...]]:
+    by_validation: Verdict | None, tuned: Observed, is_result: bool
+) -> tuple[tuple[Observed, Observed], tuple[str, ...] | None]:
     """Return what was observed of both sides if the certificate leaves the default out.
 
-    The pairs are those of the validation of `tune`, with negative numbers. Also returns why the
-    default was not feasible there.
+    The pairs are those of the validation of `tune`, which only the result has. Also returns why the
+    default was not feasible there; None if it was not evaluated.
     """
     if by_validation is None or not by_validation.observed:
-        return (Observed({}, 0), tuned), ("it was not evaluated",)
+        return (Observed({}, 0), tuned), None
     default, own = by_validation.observed
-    before = {-1 - k: metrics for k, metrics in own.drawn.items()}
-    return (
-        replace(default, drawn={-1 - k: metrics for k, metrics in default.drawn.items()}),
-        replace(tuned, drawn=before | dict(tuned.drawn)),
-    ), by_validation.default_reasons
+    paired = own.drawn if is_result else {}
+    return (default, replace(tuned, paired=paired)), by_validation.default_reasons
 
 
 def _observed(
@@ -244,9 +280,17 @@ def _bound(side: str, mean: Mapping[str, Any]) -> float:
 def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str:
     bound = to_number(constraint["violation_bound"])
     beyond = "above" if constraint["side"] == UPPER else "below"
+    where = f"at most {bound:.3g}"
+    if constraint["worst"] and constraint["statistic"] == SINGLE_RUN:
+        allowed = to_number(constraint["allowed"])
+        worst = max(to_number(context["violation_bound"]) for context in constraint["worst"])
+        where = (
+            f"of a violation {where}, and {shown_beside(worst, allowed)} in the worst contexts, "
+            f"allowed {shown(allowed)},"
+        )
     return (
-        f"{constraint['violations']} of {draws} draws {beyond} the limit; probability at most "
-        f"{bound:.3g} with {100.0 * confidence:g} % confidence"
+        f"{constraint['violations']} of {draws} draws {beyond} the limit; probability {where} with "
+        f"{100.0 * confidence:g} % confidence"
     )
 
 

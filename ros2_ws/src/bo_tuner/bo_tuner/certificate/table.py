@@ -1,111 +1,161 @@
-"""A certificate as a table in the terminal."""
+"""The numbers of a certificate, row by row, and its table and lines in the terminal."""
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import Any
 
 from rich.table import Table
 
-from bo_tuner.certificate.certificate import Certificate
-from bo_tuner.certificate.context_tolerance import (
-    CREDIBLE,
-    ContextTolerance,
-    Drift,
-    VariableTolerance,
-)
-from bo_tuner.certificate.evidence import (
-    TAIL,
-    ConstraintVerdict,
-    Findings,
-    WorstContext,
-    widest,
-)
-from bo_tuner.certificate.risk import Mean
-from bo_tuner.study.parts import CHANCE, SINGLE_RUN, UPPER
+from bo_tuner import text
+from bo_tuner.certificate.context_tolerance import ContextTolerance, VariableTolerance
+from bo_tuner.certificate.evidence import widest
+from bo_tuner.storage.json_numbers import to_number
+from bo_tuner.study.parts import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.text import shown_beside
+from bo_tuner.trials import DEFAULT, TUNED
+from bo_tuner.verdict.verdict import FAIL, PASS, shown
 
 
-def certificate_table(certificate: Certificate) -> Table:
+@dataclass(frozen=True)
+class Row:
+    """A number of a certificate, in text.
+
+    Attributes
+    ----------
+    label, unit
+        What it is; indented if it tells more of the row above.
+    values
+        Its value for each parameter set.
+    begins
+        Whether it is the first one of a constraint, or of what all constraints have in common.
+    """
+
+    label: str
+    unit: str
+    values: tuple[str, ...]
+    begins: bool = False
+
+
+def parameter_sets(content: Mapping[str, Any]) -> list[str]:
+    """Return the names of the parameter sets in the content of a certificate's file."""
+    return [name for name in (DEFAULT, TUNED) if content[name] is not None]
+
+
+def certificate_rows(study: Study, content: Mapping[str, Any]) -> list[Row]:
+    """Return the numbers in the content of a certificate's file, each for all parameter sets."""
+    sides = [content[name] for name in parameter_sets(content)]
+    objective, tail = content["objective"], _tail(content)
+    rows = [
+        Row(
+            f"mean {objective['metric']}",
+            objective["unit"],
+            tuple(_mean(side["objective"]) for side in sides),
+            begins=True,
+        ),
+        Row(tail, objective["unit"], tuple(_number(side["tail"]) for side in sides)),
+    ]
+    level = f"{100.0 * float(content['bound_confidence']):.4g} % bound"
+    for constraints in zip(*(side["constraints"] for side in sides), strict=True):
+        rows += _of_constraint(study, constraints, level, tail)
+    failed = tuple(f"{side['failures']} of {side['evaluations']}" for side in sides)
+    verdicts = tuple(PASS if side["passed"] else FAIL for side in sides)
+    return [*rows, Row("failed evaluations", "", failed, begins=True), Row("verdict", "", verdicts)]
+
+
+def certificate_table(study: Study, content: Mapping[str, Any]) -> Table:
     """Return a table of the tuned parameter set, beside the default if that was evaluated."""
-    study = certificate.study
-    default = certificate.default
-    both = (certificate.tuned,) if default is None else (default, certificate.tuned)
-    same = "" if default is None else "the same "
+    names = parameter_sets(content)
+    same = "the same " if len(names) > 1 else ""
     table = Table(
-        title=f"{study.name}, trial {certificate.trial}: {same}{certificate.drawn} fresh draws",
+        title=f"{study.name}, trial {content['trial']}: {same}{content['drawn']} fresh draws",
         title_justify="left",
     )
     table.add_column("")
     table.add_column("unit")
-    for name in ("tuned",) if default is None else ("default", "tuned"):
+    for name in names:
         table.add_column(name, justify="right")
     for name, item in study.parameters.items():
-        table.add_row(name, item.unit, *[shown(f.parameters[name]) for f in both])
-    table.add_section()
-    metric = study.metrics[study.objective.metric]
-    table.add_row(f"mean {metric.name}", metric.unit, *[_mean(f.objective) for f in both])
-    table.add_row(_tail(), metric.unit, *[f"{f.tail:.4g}" for f in both])
-    level = certificate.bound_confidence
-    for constraints in zip(*[f.constraints for f in both], strict=True):
-        table.add_section()
-        for row in _constraint_rows(study, constraints, level):
-            table.add_row(*row)
-    table.add_section()
-    table.add_row("failed evaluations", "", *[f"{f.failures} of {f.evaluations}" for f in both])
-    table.add_row("verdict", "", *[_verdict(f) for f in both])
+        values = [text.shown(content[side]["parameters"][name]) for side in names]
+        table.add_row(name, item.unit, *values)
+    for row in certificate_rows(study, content):
+        if row.begins:
+            table.add_section()
+        table.add_row(row.label, row.unit, *row.values)
     return table
 
 
-def certificate_lines(certificate: Certificate) -> Iterator[str]:
+def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]:
     """Yield lines on what the table leaves out: reasons, training and robustness."""
-    for constraint in certificate.tuned.constraints:
-        shown = "shown to hold" if constraint.passed else "NOT shown to hold"
-        yield f"{constraint.name}: {shown}: {constraint.reason}"
-    for gap in certificate.gaps:
-        unit = f" {gap.unit}" if gap.unit else ""
-        observed = "" if math.isnan(gap.observed) else f"observed {gap.observed:.4g}, "
+    for constraint in content[TUNED]["constraints"]:
+        kept = "shown to hold" if constraint["passed"] else "NOT shown to hold"
+        yield f"{constraint['name']}: {kept}: {constraint['reason']}"
+    for gap in content["training_gaps"]:
+        observed = "" if gap["observed"] is None else f"observed {_number(gap['observed'])}, "
+        validated = f"{_number(gap['validated'])} {gap['unit']}".rstrip()
         yield (
-            f"training and validation, {gap.name}: {observed}predicted {gap.predicted:.4g}, "
-            f"validated {gap.validated:.4g}{unit} "
-            f"(gap {gap.value:+.2g} ± {gap.standard_error:.1g})"
+            f"training and validation, {gap['name']}: {observed}predicted "
+            f"{_number(gap['predicted'])}, validated {validated} (gap {gap_in_words(gap)})"
         )
-    for tolerance in certificate.tolerances:
-        yield from _context(certificate.study, tolerance)
-    for warning in certificate.warnings:
+    for tolerance in content["context_tolerances"]:
+        yield from _context(study, ContextTolerance.from_mapping(tolerance))
+    for warning in content["warnings"]:
         yield f"warning: {warning}"
 
 
-def _constraint_rows(
-    study: Study, both: Sequence[ConstraintVerdict], confidence: float
-) -> Iterator[list[str]]:
+def gap_in_words(gap: Mapping[str, Any]) -> str:
+    """Return the gap between training and validation, with its standard error."""
+    if gap["gap"] is None:
+        return "–"
+    error = gap["standard_error"]
+    return f"{gap['gap']:+.2g}" + ("" if error is None else f" ± {error:.1g}")
+
+
+def _of_constraint(
+    study: Study, both: Sequence[Mapping[str, Any]], level: str, tail: str
+) -> Iterator[Row]:
     tuned = both[-1]
-    constraint = study.constraints[tuned.name]
-    metric, unit = tuned.metric, tuned.unit
-    bound = f"{100.0 * confidence:.4g} % bound"
-    upper = tuned.side == UPPER
-    beyond = f"{'above' if upper else 'below'} {tuned.limit:g}"
-    extreme = study.titled(constraint, f"{constraint.extreme} {metric}")
-    yield [extreme, unit, *[f"{c.extreme:.4g}" for c in both]]
-    yield [_tail(), unit, *[f"{c.tail:.4g}" for c in both]]
-    yield [f"  draws {beyond}", "", *[str(c.violations) for c in both]]
-    yield [f"  P(violation), {bound}", "", *[f"{c.violation_bound:.4f}" for c in both]]
-    if tuned.kind == CHANCE:
-        yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
-    if all(c.worst for c in both):
-        worst = [c.worst[0] for c in both]
+    constraint = study.constraints[tuned["name"]]
+    unit, limit, allowed = tuned["unit"], float(tuned["limit"]), float(tuned["allowed"])
+    beyond = f"{constraint.beyond} {limit:g}"
+
+    def row(label: str, unit: str, values: Iterator[str], *, begins: bool = False) -> Row:
+        return Row(label, unit, tuple(values), begins)
+
+    extreme = study.titled(constraint, f"{constraint.extreme} {constraint.metric}")
+    yield row(extreme, unit, (_beside(c["extreme"], limit) for c in both), begins=True)
+    yield row(tail, unit, (_number(c["tail"]) for c in both))
+    yield row(f"  draws {beyond}", "", (str(c["violations"]) for c in both))
+    violation = f"  P(violation), {level}"
+    yield row(violation, "", (_beside(c["violation_bound"], allowed) for c in both))
+    if constraint.kind == CHANCE:
+        yield row("    allowed", "", (f"{c['allowed']:.4g}" for c in both))
+    if all(c["worst"] for c in both):
+        worst = [c["worst"][0] for c in both]
         title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
-        yield [title, unit, *[_mean(w.mean) for w in worst]]
+        yield row(title, unit, (_mean(w["mean"], limit) for w in worst))
         # Of all contexts that the search found: the worst one need not have the widest bound.
-        means = [[w.mean.upper if upper else w.mean.lower for w in c.worst] for c in both]
-        bounds = [widest(tuned.side, values) for values in means]
-        yield [f"  {bound}", unit, *[f"{b:.4g}" if math.isfinite(b) else "–" for b in bounds]]
-        if tuned.statistic == SINGLE_RUN:
-            there = [max(w.violation_bound for w in c.worst) for c in both]
-            yield [f"  P(violation), {bound}", "", *[f"{value:.4f}" for value in there]]
-            yield ["    allowed", "", *[f"{c.allowed:.4g}" for c in both]]
-        for k, name in enumerate(tuned.worst[0].context):
-            yield [f"  at {name}", "", *[f"{list(w.context.values())[k]:.4g}" for w in worst]]
-        yield [f"  evaluations {beyond}", "", *[_beyond(w) for w in worst]]
+        yield row(f"  {level}", unit, (_beside(_widest(constraint.side, c), limit) for c in both))
+        if constraint.statistic == SINGLE_RUN:
+            there = (max(to_number(w["violation_bound"]) for w in c["worst"]) for c in both)
+            yield row(violation, "", (_beside(bound, allowed) for bound in there))
+            yield row("    allowed", "", (f"{c['allowed']:.4g}" for c in both))
+        for name in worst[-1]["context"]:
+            yield row(f"  at {name}", "", (_number(w["context"][name]) for w in worst))
+        counts = (f"{w['beyond']} of {w['evaluations']}" for w in worst)
+        yield row(f"  evaluations {beyond}", "", counts)
+    yield row(
+        f"  {'kept in every context' if constraint.kind == WORST_CASE else 'kept'}",
+        "",
+        ("shown" if c["passed"] else "NOT shown" for c in both),
+    )
+
+
+def _widest(side: str, constraint: Mapping[str, Any]) -> float | None:
+    """Return the bound of the mean that decides; None for an infinite one, as JSON has it."""
+    bounds = [context["mean"][side] for context in constraint["worst"]]
+    return None if None in bounds else widest(side, bounds)
 
 
 def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
@@ -123,29 +173,25 @@ def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:
 
 def _tolerated(variable: VariableTolerance) -> str:
     unit = f" {variable.unit}" if variable.unit else ""
-    alone = f"from {_end(variable.down)} to {_end(variable.up)}"
-    worst = f"from {_end(variable.worst_down)} to {_end(variable.worst_up)}"
+    alone = f"from {variable.down.in_words} to {variable.up.in_words}"
+    worst = f"from {variable.worst_down.in_words} to {variable.worst_up.in_words}"
     return f"may drift {alone}{unit} alone, {worst}{unit} with all others as in the worst context"
 
 
-def _end(drift: Drift) -> str:
-    """Return the last tolerated value, with its band if the limit is crossed before the bound."""
-    if drift.breaks <= 0.5 * (1.0 - CREDIBLE):
-        return f"{drift.bound:.4g} (end of the range)"
-    return f"{drift.limit.median:.4g} ({drift.limit.low:.4g} to {drift.limit.high:.4g})"
+def _number(value: float | None) -> str:
+    return shown(to_number(value, nan))
 
 
-def _mean(mean: Mean) -> str:
-    return f"{mean.value:.4g} ± {mean.standard_error:.2g}"
+def _beside(value: float | None, limit: float) -> str:
+    return shown_beside(to_number(value, nan), limit)
 
 
-def _beyond(worst: WorstContext) -> str:
-    return f"{worst.beyond} of {worst.evaluations}"
+def _mean(mean: Mapping[str, float | None], limit: float | None = None) -> str:
+    value = to_number(mean["value"], nan)
+    found = shown(value) if limit is None else shown_beside(value, limit)
+    error = mean["standard_error"]
+    return found if error is None else f"{found} ± {error:.2g}"
 
 
-def _tail() -> str:
-    return f"  CVaR, worst {100.0 * (1.0 - TAIL):.3g} %"
-
-
-def _verdict(findings: Findings) -> str:
-    return "PASS" if findings.passed else "FAIL"
+def _tail(content: Mapping[str, Any]) -> str:
+    return f"  CVaR, worst {100.0 * (1.0 - float(content['tail_level'])):.3g} %"

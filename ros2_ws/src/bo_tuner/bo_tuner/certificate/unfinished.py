@@ -8,25 +8,30 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from bo_tuner.certificate.store import CERTIFICATES, parameters_sha256
-from bo_tuner.errors import OutputError
+from bo_tuner.certificate.store import CERTIFICATES, next_attempt, parameters_sha256
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.storage.journal import COLUMNS, evaluation_row
 from bo_tuner.storage.provenance import sources, study_sha256
 from bo_tuner.storage.rows import evaluation_of
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Value
+from bo_tuner.trials import Evaluation, Trial, Value
 from bo_tuner.tuning.observer import RunObserver
 
 UNFINISHED = "unfinished.jsonl"
 
 
-def evaluations_begun(folder: Path) -> int:
-    """Return how many evaluations of an unfinished certificate are in a run folder."""
+def evaluations_begun(folder: Path, study: Study, trial: Trial) -> int:
+    """Return how many evaluations of an unfinished certificate of a trial `validate` goes on with.
+
+    Those of anything else, or of other code, it makes anew.
+    """
     try:
-        with (folder / CERTIFICATES / UNFINISHED).open(encoding="utf-8") as file:
-            return max(0, sum(1 for _ in file) - 1)
-    except (OSError, ValueError):
+        head, *lines = (folder / CERTIFICATES / UNFINISHED).read_text("utf-8").splitlines()
+        backend = str(json.loads(head)["backend"])
+        same = head == _head(study, trial.parameters, backend, next_attempt(folder))
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, StudyError):
         return 0
+    return len(lines) if same else 0
 
 
 class Unfinished(RunObserver):
@@ -62,19 +67,14 @@ class Unfinished(RunObserver):
         attempt: int,
     ) -> None:
         self._path = folder / CERTIFICATES / UNFINISHED
-        head = {
-            "study_sha256": study_sha256(study),
-            "parameters_sha256": parameters_sha256(parameters),
-            "backend": backend,
-            "attempt": attempt,
-        } | sources(study, backend)
-        lines = self._read(json.dumps(head))
+        head = _head(study, parameters, backend, attempt)
+        lines = self._read(head)
         self.evaluations = [evaluation for evaluation, _ in lines]
         try:
             self._path.parent.mkdir(exist_ok=True)
             # Written anew, without a line that a crash has cut off.
             self._file = self._path.open("w", encoding="utf-8")
-            self._write(json.dumps(head))
+            self._write(head)
             for _, line in lines:
                 self._write(line)
         except OSError as error:
@@ -117,3 +117,14 @@ class Unfinished(RunObserver):
             except (ValueError, KeyError, TypeError, RecursionError):
                 break
         return found
+
+
+def _head(study: Study, parameters: Mapping[str, Value], backend: str, attempt: int) -> str:
+    """Return the first line: what the certificate is of."""
+    head = {
+        "study_sha256": study_sha256(study),
+        "parameters_sha256": parameters_sha256(parameters),
+        "backend": backend,
+        "attempt": attempt,
+    }
+    return json.dumps(head | sources(study, backend))

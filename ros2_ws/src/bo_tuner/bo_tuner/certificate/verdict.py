@@ -237,8 +237,8 @@ def _chance(constraint: Constraint, events: Sequence[bool], confidence: float) -
     rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
     return passed, (
         f"{sum(events)} of {draws} draws violate the limit or fail{rule}: violation probability "
-        f"{'at most' if passed else 'may be'} {_bound(events, confidence):.4f}, "
-        f"allowed {allowed:.4g}"
+        f"{'at most' if passed else 'may be'} "
+        f"{text.shown_beside(_bound(events, confidence), allowed)}, allowed {allowed:.4g}"
     )
 
 
@@ -278,9 +278,10 @@ def _worst_case(
         by = refuting[0]
         inside = text.values(by.context)
         limit = f"limit {constraint.limit:g} {unit}".rstrip()
+        mean = text.shown_beside(by.mean.value, constraint.limit)
         return False, (
-            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is "
-            f"{by.mean.value:.4g}, {limit}: {by.evaluations} evaluations show that it is not kept"
+            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is {mean}, {limit}: "
+            f"{by.evaluations} evaluations show that it is not kept"
         )
     if on_mean and not np.isfinite(_mean_bound(constraint, top)):
         return passed, (
@@ -296,11 +297,14 @@ def _worst_case(
             says = "at least"
         return passed, (
             f"mean over noise {where}{says} "
-            f"{_mean_bound(constraint, top):.4g}, limit {constraint.limit:g} {unit}".rstrip()
+            f"{text.shown_beside(_mean_bound(constraint, top), constraint.limit)}, "
+            f"limit {constraint.limit:g} {unit}".rstrip()
         )
     return passed, (
         f"{where}{top.beyond} of {top.evaluations} runs violate the limit: "
-        f"violation probability {says} {top.violation_bound:.4f}, allowed {constraint.allowed:.4g}"
+        f"violation probability {says} "
+        f"{text.shown_beside(top.violation_bound, constraint.allowed)}, "
+        f"allowed {constraint.allowed:.4g}"
     )
 
 

@@ -15,11 +15,12 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
 from bo_tuner.certificate.certification import Certification, Subject, most_evaluations
-from bo_tuner.certificate.run_verdict import certified
+from bo_tuner.certificate.run_verdict import certified, result
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     latest_certificate,
     next_attempt,
+    read_certificate,
     required_draws,
     shortfall,
 )
@@ -204,10 +205,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 console.print(f"interrupted by {interrupt}; {again}", soft_wrap=True)
                 return EXIT_SIGNAL + interrupt.signum
             verdict = certified(record, candidate, path)
-            _report(certificate, verdict, path)
+            _report(verdict, record.study, path)
             if certificate.passed:
                 break
         interruption.ignore()
+    if certificate.passed and not verdict.is_result and most > 1:
+        console.print(
+            f"trial {verdict.trial} passed, not the result of the run: report, summary and bundle "
+            "remain those of the result",
+            soft_wrap=True,
+        )
     missing = shortfall(record.study, draws, confidence)
     if missing and certificate.passed:
         console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
@@ -358,14 +365,14 @@ class _Bar(RunObserver):
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:
     """Return the trial to validate, and whether it is the run's result."""
-    best = None if record.summary is None else record.summary.get("trial")
-    if number is None and best is None:
+    best = result(record)
+    trial = best if number is None else trial_of(record, number)
+    if trial is None:
         raise RunRecordError(
             f"{record.path}: has no result: it has not ended, or every trial failed; continue with "
             "tune --resume, or name a --trial"
         )
-    wanted = best if number is None else number
-    return trial_of(record, wanted), wanted == best
+    return trial, best is not None and dict(best.parameters) == dict(trial.parameters)
 
 
 def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console) -> str:
@@ -388,12 +395,12 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def _report(certificate: Certificate, verdict: Verdict, path: Path) -> None:
-    out = plain_console()
-    print_verdict(out, certificate.study, verdict, certificate.tuned.parameters)
+def _report(verdict: Verdict, study: Study, path: Path) -> None:
+    out, content = plain_console(), read_certificate(path)
+    print_verdict(out, study, verdict, content["parameters"])
     out.print()
-    out.print(certificate_table(certificate))
-    for line in certificate_lines(certificate):
+    out.print(certificate_table(study, content))
+    for line in certificate_lines(study, content):
         out.print(line, soft_wrap=True)
     out.print(f"certificate: {path}", soft_wrap=True)
     out.print("next:")

@@ -14,7 +14,7 @@ The certificate and the judge of the benchmark ask for the same; they differ in 
 is observed in the worst context estimates whether a worst-case limit holds there. Draws from the
 distribution of the contexts cannot show it, only refute it: what holds in every context holds in
 those that were drawn. They do where so many violations, or so large a mean, would be a coincidence
-of less than `COINCIDENCE`.
+of less than `COINCIDENCE`. In a study without contexts the draws are of the only one there is.
 """
 
 import math
@@ -60,30 +60,35 @@ class Sample:
     holds: bool
 
 
-def most_violations(constraint: Constraint, count: int) -> int:
+def most_violations(constraint: Constraint, count: int, *, alone: bool = False) -> int:
     """Return how many of `count` draws may violate the limit.
 
-    The result is floor((1 - probability) count) for a chance constraint; the tolerance of 1e-9
-    compensates for the rounding of 1 - probability. For a worst-case one on single runs it is the
-    largest k with P(X >= k) >= `COINCIDENCE` for X ~ Binomial(count, 1 - probability). One on the
-    mean over noise permits any number.
+    The result is floor((1 - probability) count) for a chance constraint, and, with `alone`, for a
+    worst-case one on single runs; the tolerance of 1e-9 compensates for the rounding of
+    1 - probability. Otherwise it is for the latter the largest k with P(X >= k) >= `COINCIDENCE`
+    for X ~ Binomial(count, 1 - probability). One on the mean over noise permits any number.
     """
     if constraint.statistic == EXPECTATION:
         return count
-    if constraint.kind == WORST_CASE:
+    if constraint.kind == WORST_CASE and not alone:
         above = np.arange(1, count + 1)
         return int(np.sum(bdtrc(above - 1, count, constraint.allowed) >= COINCIDENCE))
     return math.floor(constraint.allowed * count + 1e-9)
 
 
-def judge_sample(constraint: Constraint, values: ArrayLike) -> Sample:
-    """Judge a constraint on values (n,) of its metric in draws of context and noise."""
+def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = False) -> Sample:
+    """Judge a constraint on values (n,) of its metric in draws of context and noise.
+
+    With `alone` there is no context but that of the draws: they are of the worst one, and estimate
+    whether a worst-case limit holds there.
+    """
     found = np.asarray(values, dtype=np.float64)
     violations = int(np.sum(constraint.violations(found)))
-    holds = len(found) > 0 and violations <= most_violations(constraint, len(found))
+    holds = len(found) > 0 and violations <= most_violations(constraint, len(found), alone=alone)
     if holds and constraint.statistic == EXPECTATION:
-        sign = constraint.sign
-        holds = _lowest_mean(sign * found) <= sign * constraint.limit
+        # From the limit, as the mean of equal values may differ from them by rounding.
+        beyond = constraint.sign * (found - constraint.limit)
+        holds = (float(beyond.mean()) if alone else _lowest_mean(beyond)) <= 0.0
     return Sample(
         name=constraint.name,
         worst=constraint.farthest(found),
@@ -97,7 +102,11 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
     """Judge each constraint, by name, on the complete evaluations among some draws."""
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
     return {
-        name: judge_sample(constraint, [metrics[constraint.metric] for metrics in complete])
+        name: judge_sample(
+            constraint,
+            [metrics[constraint.metric] for metrics in complete],
+            alone=not study.contexts,
+        )
         for name, constraint in study.constraints.items()
     }
 
@@ -127,11 +136,12 @@ def refuted(constraint: Constraint, values: ArrayLike) -> bool:
     values
         Values (n,) of its metric in that context, n ≥ 2.
     """
-    found = constraint.sign * np.asarray(values, dtype=np.float64)
+    # From the limit, as the mean of equal values may differ from them by rounding.
+    found = constraint.sign * (np.asarray(values, dtype=np.float64) - constraint.limit)
     mean, noise = float(found.mean()), float(found.std(ddof=1))
     z = constraint.deviations
     error = noise * math.sqrt((1.0 + 0.5 * z**2) / len(found))
-    return mean + z * noise - error > constraint.sign * constraint.limit
+    return mean + z * noise - error > 0.0
 
 
 def violated(study: Study, trial: Trial) -> tuple[str, ...]:

@@ -25,13 +25,16 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         Path of the run folder.
     """
     where = shlex.quote(run)
+    # Without it the commands are about the result of the run.
+    trial = "" if verdict.is_result else f" --trial {verdict.trial}"
+    replayed = "" if verdict.is_result else f" {verdict.trial}"
     report = Step(f"report {where}", "write the report again")
     again = Step(f"tune --resume {where}", "continue the run")
     more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
-    both = Step(f"validate {where} --with-default", "certify the default as well, to compare")
-    replay = Step(f"replay {where}", "repeat the result's worst evaluation and compare")
-    apply = Step(f"apply {where}", "show the difference, ask, set it on the live nodes")
+    both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
+    replay = Step(f"replay {where}{replayed}", "repeat its worst evaluation and compare")
+    apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
     match verdict.state:
         case State.OPEN:
@@ -43,7 +46,7 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         case State.CERTIFIED if verdict.default_preferred:
             return (more, replay) if verdict.default_certified else (both, replay, more)
         case State.CERTIFIED if verdict.apply_refuses:
-            again = Step(f"validate {where}", "certify it again: apply refuses this certificate")
+            again = Step(f"validate {where}{trial}", "certify it again: apply refuses this one")
             return (again, replay)
         case State.CERTIFIED:
             return (apply, rollback, replay)

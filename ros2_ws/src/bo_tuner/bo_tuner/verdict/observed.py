@@ -34,19 +34,27 @@ class Observed:
     Attributes
     ----------
     drawn
-        Metrics of the complete evaluations in common draws, by the number of the draw.
+        Metrics of the complete evaluations in the draws, by the number of the draw.
     draws
         Number of draws, with the failed ones.
     others
         Metrics of all other complete evaluations of the parameter set on record.
     worst
         By the name of a worst-case constraint, the mean in the worst context, if it was searched.
+    paired
+        Metrics in the draws that the other parameter set has, too, if these are not `drawn`.
     """
 
     drawn: Mapping[int, Metrics]
     draws: int
     others: Sequence[Metrics] = ()
     worst: Mapping[str, WorstMean] = field(default_factory=dict)
+    paired: Mapping[int, Metrics] | None = None
+
+    @property
+    def pairs(self) -> Mapping[int, Metrics]:
+        """Metrics in the common draws, by the number of the draw."""
+        return self.drawn if self.paired is None else self.paired
 
     def mean(self, metric: str) -> float:
         """Return the mean of a metric over the draws; NaN without any."""

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from math import nan
 
-from bo_tuner.study.parts import WORST_CASE, Constraint
+from bo_tuner.study.parts import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
+from bo_tuner.text import shown_beside
 from bo_tuner.verdict.differences import Change, Difference, paired, unpaired
 from bo_tuner.verdict.observed import Observed
-from bo_tuner.verdict.verdict import Quantity, ordered, shown
+from bo_tuner.verdict.verdict import Quantity, ordered
 
 
 def quantities(
@@ -94,9 +95,11 @@ def _of_constraint(
         theirs, ours = default.worst.get(name), tuned.worst[name]
         label = f"worst-case {constraint.limited}"
         values = nan if theirs is None else theirs.value, ours.value
-        bound, draws = ours.bound, ""
+        draws = ""
+        if constraint.statistic == EXPECTATION:
+            bound = ours.bound
         if theirs is None:
-            remark = f"the default's worst context was not searched; {remark}"
+            remark = f"the default has no certified worst case; {remark}"
         else:
             difference = unpaired(
                 (theirs.value, theirs.standard_error, theirs.count),
@@ -106,7 +109,7 @@ def _of_constraint(
     on_record = tuned.on_record(metric)
     parts = [remark] if remark else []
     if on_record:
-        farthest = shown(constraint.farthest(on_record))
+        farthest = shown_beside(constraint.farthest(on_record), constraint.limit)
         parts.append(f"{constraint.extreme} of {len(on_record)} evaluations on record {farthest}")
     return Quantity(
         label=study.titled(constraint, label),
@@ -136,8 +139,8 @@ def _draws(default: Observed, tuned: Observed, metric: str, difference: Differen
 def _paired(default: Observed, tuned: Observed, metric: str) -> Difference:
     """Return the difference over the draws that both parameter sets completed."""
     both = [
-        (default.drawn[k][metric], tuned.drawn[k][metric])
-        for k in default.drawn.keys() & tuned.drawn.keys()
-        if metric in default.drawn[k] and metric in tuned.drawn[k]
+        (default.pairs[k][metric], tuned.pairs[k][metric])
+        for k in default.pairs.keys() & tuned.pairs.keys()
+        if metric in default.pairs[k] and metric in tuned.pairs[k]
     ]
     return paired([pair[0] for pair in both], [pair[1] for pair in both])

@@ -14,7 +14,7 @@ from bo_tuner.text import JOIN, wrapped
 from bo_tuner.trials import Value
 from bo_tuner.verdict.differences import CONFIDENCE
 from bo_tuner.verdict.next_steps import next_steps
-from bo_tuner.verdict.verdict import Quantity, Verdict, shown
+from bo_tuner.verdict.verdict import Quantity, Verdict
 
 
 def print_verdict(
@@ -73,14 +73,12 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
     for quantity in verdict.quantities:
         table.add_row(
             text.with_unit(quantity.label, quantity.unit),
-            shown(quantity.default),
-            shown(quantity.tuned),
+            *quantity.values_in_words,
             _difference(quantity),
             "" if isnan(quantity.limit) else f"{quantity.limit:g}",
         )
     table.add_section()
-    both = (verdict.default_keeps, verdict.feasible)
-    table.add_row("keeps all limits", *("yes" if keeps else "NO" for keeps in both), "", "")
+    table.add_row("keeps all limits", *verdict.keeps_in_words, "", "")
     return table
 
 
@@ -89,9 +87,8 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
     yield from verdict.draws_in_words
     for quantity in verdict.quantities:
         if quantity.remark:
-            bound = quantity.bound
-            bounded = f"bound of the mean {shown(bound)}; " if isfinite(bound) else ""
-            yield f"{quantity.label}: {bounded}{quantity.remark}"
+            parts = (quantity.bound_in_words, quantity.remark)
+            yield f"{quantity.label}: {'; '.join(filter(None, parts))}"
     yield (
         f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "
         "confidence interval"

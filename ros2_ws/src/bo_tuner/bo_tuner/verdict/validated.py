@@ -15,14 +15,17 @@ from bo_tuner.trials import (
     count_evaluations,
 )
 from bo_tuner.tuning.front import RULE
-from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.limits import Sample, worst_case_holds
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.verdict import State, Verdict
+from bo_tuner.verdict.verdict import State, Verdict, shown
 
 DEFAULT, TUNED = 0, 1
 """Number of a parameter set in the validation, in place of that of a trial."""
+
+FAILURES = "failed evaluations"
+"""Stands for them where problems have the names of constraints, which have no space."""
 
 
 def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
@@ -46,6 +49,7 @@ def validated(
     trial: int,
     default: Validation,
     tuned: Validation,
+    trials: Sequence[Trial],
     evaluations: Sequence[Evaluation],
     *,
     doubt: str,
@@ -62,8 +66,8 @@ def validated(
         Number of the recommended trial.
     default, tuned
         Validation of the hand-tuned parameter set and of the recommended one.
-    evaluations
-        All evaluations on record.
+    trials, evaluations
+        All that are on record.
     doubt
         Why the algorithm does not vouch for the recommended trial, see `doubt`; empty if it does.
     measured
@@ -71,10 +75,10 @@ def validated(
     outliers
         As in `Verdict`.
     """
-    reasons = [doubt] if doubt else []
-    reasons += _problems(study, tuned)
-    if not _searched(evaluations, tuned.parameters):
-        reasons += _doubts(study, tuned)
+    problems = _problems(study, tuned, evaluations)
+    reasons = (*([doubt] if doubt else []), *problems.values())
+    same = is_default(study, tuned.parameters)
+    of_default = _found_by_search(study, trials) | _problems(study, default, evaluations)
     observed_sides = (
         observed(evaluations, DEFAULT, default.parameters, default.draws),
         observed(evaluations, TUNED, tuned.parameters, tuned.draws),
@@ -83,12 +87,12 @@ def validated(
         state=State.INFEASIBLE if reasons else State.VALIDATED,
         trial=trial,
         evidence=f"the same {fresh_draws(study, tuned.draws)}",
-        reasons=tuple(reasons),
-        default_reasons=tuple(_problems(study, default) + _doubts(study, default)),
+        reasons=reasons,
+        default_reasons=reasons if same else tuple(of_default.values()),
         quantities=quantities(
             study,
             *observed_sides,
-            {name: sample.holds for name, sample in tuned.constraints.items()},
+            {name: name not in problems for name in tuned.constraints},
             {
                 name: f"{sample.violations} of {sample.count} draws "
                 f"{study.constraints[name].beyond} the limit"
@@ -101,7 +105,7 @@ def validated(
             *_lost(evaluations, tuned.parameters),
         ),
         observed=observed_sides,
-        is_default=is_default(study, tuned.parameters),
+        is_default=same,
         outliers=tuple(outliers),
     )
 
@@ -168,11 +172,42 @@ def observed(
     return Observed(drawn, draws, others)
 
 
-def _problems(study: Study, found: Validation) -> list[str]:
-    """Return why a parameter set is not feasible in the validation."""
-    problems = [_broken(study, s) for s in found.constraints.values() if not s.holds]
+def _problems(study: Study, found: Validation, evaluations: Sequence[Evaluation]) -> dict[str, str]:
+    """Return why a parameter set is not feasible in the validation, by the name of the constraint.
+
+    Where nobody searched for its worst context, as for the result of an algorithm with nominal
+    evaluations alone, a draw beyond a worst-case limit that does not refute it counts, too: nothing
+    else speaks for it. Without contexts there is none to search for.
+    """
+    searched = not study.contexts or _searched(evaluations, found.parameters)
+    problems = {}
+    for name, sample in found.constraints.items():
+        constraint = study.constraints[name]
+        if not sample.holds:
+            problems[name] = _broken(study, sample)
+        elif not searched and sample.violations and constraint.kind == WORST_CASE:
+            problems[name] = f"{_broken(study, sample)} (its worst context was not searched)"
     if found.failures:
-        problems.append(f"{found.failures} of {found.draws} evaluations failed")
+        problems[FAILURES] = f"{found.failures} of {found.draws} evaluations failed"
+    return problems
+
+
+def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
+    """Return the worst-case limits that the default breaks where the search of a trial found it."""
+    problems = {}
+    for trial in trials:
+        for constraint in study.worst_case_constraints:
+            worst = trial.worst_cases.get(constraint.name)
+            if (
+                worst is not None
+                and is_default(study, trial.parameters)
+                and not worst_case_holds(constraint, worst)
+            ):
+                unit = study.metrics[constraint.metric].unit
+                problems[constraint.name] = (
+                    f"{constraint.name}: worst case {shown(worst.value)} {unit}".rstrip()
+                    + f" in trial {trial.number}, limit {constraint.limit:g}"
+                )
     return problems
 
 
@@ -184,27 +219,13 @@ def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]
     )
 
 
-def _doubts(study: Study, found: Validation) -> list[str]:
-    """Return the worst-case limits that draws exceeded, but too few to refute them.
-
-    Nobody searched for the worst context of the default, nor of the result of an algorithm with
-    nominal evaluations alone, so nothing else speaks for them. Without contexts there is none.
-    """
-    if not study.contexts:
-        return []
-    return [
-        f"{_broken(study, sample)} (its worst context was not searched)"
-        for sample in found.constraints.values()
-        if sample.holds and sample.violations and study.constraints[sample.name].kind == WORST_CASE
-    ]
-
-
 def _broken(study: Study, sample: Sample) -> str:
+    if not sample.count:
+        return f"{sample.name}: no draw is complete"
     constraint = study.constraints[sample.name]
-    if constraint.statistic == EXPECTATION and not sample.holds:
-        beyond = f"{constraint.beyond} {constraint.limit:g}"
-        return f"{sample.name}: the mean over the draws is {beyond}"
     limit = f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
+    if constraint.statistic == EXPECTATION and not sample.holds:
+        return f"{sample.name}: the mean over the draws is {constraint.beyond} {limit}"
     return f"{sample.name}: {sample.violations} of {sample.count} draws {constraint.beyond} {limit}"
 
 

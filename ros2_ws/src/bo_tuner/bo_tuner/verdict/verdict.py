@@ -10,6 +10,7 @@ from enum import StrEnum
 from math import isfinite, isnan
 
 from bo_tuner.storage.json_numbers import without_nan
+from bo_tuner.text import shown_beside
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
 from bo_tuner.verdict.observed import Observed
 
@@ -81,6 +82,20 @@ class Quantity:
     objective: bool = False
 
     @property
+    def values_in_words(self) -> tuple[str, str]:
+        """The values of the default and of the tuned parameter set, beside the limit if any."""
+        limit = self.limit
+        if isnan(limit):
+            return shown(self.default), shown(self.tuned)
+        return shown_beside(self.default, limit), shown_beside(self.tuned, limit)
+
+    @property
+    def bound_in_words(self) -> str:
+        """The bound of the tuned value; empty if there is none."""
+        bound = shown_beside(self.bound, self.limit)
+        return f"bound of the mean {bound}" if isfinite(self.bound) else ""
+
+    @property
     def change_in_words(self) -> str:
         """The change with its interval, in the unit of the quantity."""
         found = self.difference
@@ -93,7 +108,7 @@ class Quantity:
     @property
     def gain_in_words(self) -> str:
         """The two values, with the change in percent where the default is positive."""
-        text = f"{self.label} {shown(self.default)} → {shown(self.tuned)} {self.unit}".rstrip()
+        text = f"{self.label} {' → '.join(self.values_in_words)} {self.unit}".rstrip()
         if self.default > 0.0 and isfinite(self.tuned):
             text += f" ({100.0 * (self.tuned / self.default - 1.0):+.0f} %)"
         return text
@@ -114,7 +129,7 @@ class Verdict:
     reasons
         Why the tuned parameter set is not shown to keep all limits; empty if it is.
     default_reasons
-        The same for the default.
+        The same for the default; None if nothing is known of it.
     quantities
         The numbers, those with a limit first, then recorded ones, then the objective.
     choice
@@ -129,6 +144,8 @@ class Verdict:
         Whether `apply` refuses a result that passed, such as for code that has changed since.
     is_default
         Whether the tuned parameter set is the default itself.
+    is_result
+        Whether it is the result of the run; else that of a trial which the user has named.
     outliers
         Numbers of the trials that kept all limits, but are outliers of the objective and were
         therefore no candidates.
@@ -138,7 +155,7 @@ class Verdict:
     trial: int | None
     evidence: str
     reasons: tuple[str, ...] = ()
-    default_reasons: tuple[str, ...] = ()
+    default_reasons: tuple[str, ...] | None = ()
     quantities: tuple[Quantity, ...] = ()
     choice: str = ""
     remarks: tuple[str, ...] = ()
@@ -146,6 +163,7 @@ class Verdict:
     default_certified: bool = True
     apply_refuses: bool = False
     is_default: bool = False
+    is_result: bool = True
     outliers: tuple[int, ...] = ()
 
     @property
@@ -156,7 +174,7 @@ class Verdict:
     @property
     def default_keeps(self) -> bool:
         """Whether the default keeps all limits by the same evidence."""
-        return self.trial is not None and not self.default_reasons
+        return self.trial is not None and self.default_reasons == ()
 
     @property
     def default_preferred(self) -> bool:
@@ -171,11 +189,11 @@ class Verdict:
 
         Nothing is gained at the expense of the objective, unless a limit now holds.
         """
-        improved = any(q.change in (Change.BETTER, Change.LOWER) for q in self.quantities)
+        improved = any(q.change is Change.BETTER for q in self.quantities)
         return (
             self.feasible
             and not self.is_default
-            and (not self.default_keeps or (improved and not self.default_preferred))
+            and (bool(self.default_reasons) or (improved and not self.default_preferred))
         )
 
     @property
@@ -185,7 +203,7 @@ class Verdict:
             return Status.OPEN
         if not self.feasible:
             return Status.BAD
-        return Status.GOOD if self.gained else Status.WARNING
+        return Status.GOOD if self.gained or self.default_reasons is None else Status.WARNING
 
     @property
     def certificate(self) -> str:
@@ -199,6 +217,8 @@ class Verdict:
             case State.OPEN:
                 return f"No result yet: {self.evidence}"
             case State.INFEASIBLE:
+                if self.default_keeps and not self.is_default:
+                    return "The tuned parameter set is not feasible, but the default is"
                 return "No feasible parameter set was found"
             case State.VALIDATED:
                 return "The tuned parameter set kept all limits; not certified yet"
@@ -217,36 +237,36 @@ class Verdict:
         found = [f"Trial {self.trial} against the default, in {self.evidence}."]
         found += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:
-            found += self._least_violating()
+            found += self._not_to_be_used()
         found.append(self.default_in_words)
         found += self._changes()
         if self.choice:
             found.append(self.choice)
         return (*found, *self.remarks)
 
-    def _least_violating(self) -> list[str]:
-        """Return what ``best.yaml`` holds where nothing was found feasible."""
+    def _not_to_be_used(self) -> list[str]:
+        """Return what to know of ``best.yaml`` where nothing was found feasible."""
+        do_not_use = "best.yaml holds this parameter set; do not use it."
         if not self.outliers:
-            return ["best.yaml holds the least violating parameter set; do not use it."]
+            return [do_not_use]
         one = len(self.outliers) == 1
         numbers = ", ".join(map(str, self.outliers))
         return [
             f"Trial{'' if one else 's'} {numbers} kept all limits, but {'is' if one else 'are'} "
             f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
             f"therefore not {'a candidate' if one else 'candidates'}.",
-            "best.yaml holds the least violating one of the candidates; do not use it.",
+            do_not_use,
         ]
 
     @property
     def default_in_words(self) -> str:
         """What the same evidence says of the default."""
-        certified = self.certificate != "" and self.default_certified
+        if self.default_reasons is None:
+            return "The default was not evaluated."
         if self.default_keeps:
-            return (
-                "The default is shown to keep all limits, too."
-                if certified
-                else "The default kept all limits, too."
-            )
+            certified = self.certificate != "" and self.default_certified
+            keeps = "is shown to keep all limits" if certified else "kept all limits"
+            return f"The default {keeps}{', too' if self.feasible else ''}."
         reasons = "; ".join(self.default_reasons)
         return f"The default is not shown to keep all limits: {reasons}."
 
@@ -254,7 +274,8 @@ class Verdict:
         """Return the changes, by what they are: what improved first."""
         if self.is_default:
             # What differs between the columns is noise.
-            return ["The tuned parameter set is the default: no other was found to be better."]
+            why = ": no other was found to be better" if self.is_result else ""
+            return [f"The tuned parameter set is the default{why}."]
         by_change = {
             change: [q for q in self.quantities if q.change is change] for change in Change
         }
@@ -276,9 +297,15 @@ class Verdict:
             doubt = ", unless it breaks a limit: validate --with-default checks this"
             sure = self.certificate and self.default_certified
             found.append(f"{preferred}{'' if sure else doubt}.")
-        elif self.feasible and not self.gained:
+        elif self.feasible and not self.gained and self.default_reasons is not None:
             found.append("Tuning gained nothing that can be distinguished from chance.")
         return found
+
+    @property
+    def keeps_in_words(self) -> tuple[str, str]:
+        """Whether the default and the tuned parameter set keep all limits; a dash if not known."""
+        default = "–" if self.default_reasons is None else "yes" if self.default_keeps else "NO"
+        return default, "yes" if self.feasible else "NO"
 
     def kept_in_words(self, quantity: Quantity) -> str:
         """Return whether the tuned parameter set keeps the limit of a quantity."""
@@ -303,8 +330,14 @@ class Verdict:
             "sentences": list(self.sentences),
             "trial": self.trial,
             "evidence": self.evidence,
-            "keeps_limits": {"default": self.default_keeps, "tuned": self.feasible},
-            "reasons": {"default": list(self.default_reasons), "tuned": list(self.reasons)},
+            "keeps_limits": {
+                "default": None if self.default_reasons is None else self.default_keeps,
+                "tuned": self.feasible,
+            },
+            "reasons": {
+                "default": list(self.default_reasons or ()),
+                "tuned": list(self.reasons),
+            },
             "confidence_of_differences": CONFIDENCE,
             "quantities": without_nan(
                 [asdict(q) | {"change": str(q.change)} for q in self.quantities]

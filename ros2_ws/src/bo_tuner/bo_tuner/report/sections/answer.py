@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import isnan
 
 from bo_tuner.deploy.bundle import DEPLOY
 from bo_tuner.monitoring.progress import incumbent_in_words
@@ -11,7 +11,7 @@ from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
-from bo_tuner.verdict.verdict import Quantity, Status, Verdict, shown
+from bo_tuner.verdict.verdict import Quantity, Status, Verdict
 
 FILES = (
     (BEST, "the tuned parameters"),
@@ -136,15 +136,14 @@ def _that_matter(analysis: Analysis) -> list[Quantity]:
 
 
 def _of_quantity(verdict: Verdict, quantity: Quantity) -> Tile:
-    remarks = [f"default {number(quantity.default)}"]
+    default, tuned = quantity.values_in_words
+    remarks = [f"default {default}"]
     if not isnan(quantity.limit):
-        remarks[0] += f", limit {number(quantity.limit)}: {verdict.kept_in_words(quantity)}"
-        if isfinite(quantity.bound):
-            remarks.append(f"bound of the mean {shown(quantity.bound)}")
+        remarks[0] += f", limit {quantity.limit:g}: {verdict.kept_in_words(quantity)}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")
-    remarks += [text for text in (quantity.draws, quantity.remark) if text]
-    return Tile(quantity.label, number(quantity.tuned), quantity.unit, remarks, _status(quantity))
+    remarks += filter(None, (quantity.bound_in_words, quantity.draws, quantity.remark))
+    return Tile(quantity.label, tuned, quantity.unit, remarks, _status(quantity))
 
 
 def _status(quantity: Quantity) -> Status:
@@ -161,16 +160,14 @@ def _comparison(analysis: Analysis) -> Table:
         rows.append(
             [
                 quantity.label,
-                number(quantity.default),
-                number(quantity.tuned),
+                *quantity.values_in_words,
                 quantity.unit,
                 quantity.change_in_words,
                 str(quantity.change) if quantity.difference is not None else "",
-                "" if isnan(quantity.limit) else number(quantity.limit),
+                "" if isnan(quantity.limit) else f"{quantity.limit:g}",
             ]
         )
-    both = ("yes" if keeps else "no" for keeps in (verdict.default_keeps, verdict.feasible))
-    rows.append(["keeps all limits", *both, *[""] * 4])
+    rows.append(["keeps all limits", *verdict.keeps_in_words, *[""] * 4])
     return Table(
         caption=f"Default and tuned parameter set in {verdict.evidence}; differences are tuned "
         f"minus default with their {100.0 * CONFIDENCE:g} % confidence interval",

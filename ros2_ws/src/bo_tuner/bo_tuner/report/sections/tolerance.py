@@ -5,7 +5,6 @@ import numpy as np
 from bo_tuner.certificate.context_tolerance import (
     CREDIBLE,
     ContextTolerance,
-    Drift,
     context_tolerances,
 )
 from bo_tuner.figures.figure import Axis, Bars, Color, Figure, Panel
@@ -68,8 +67,8 @@ def _table(found: ContextTolerance) -> Table:
                 v.name,
                 v.unit,
                 number(v.nominal),
-                f"{_end(v.down)} to {_end(v.up)}",
-                f"{_end(v.worst_down)} to {_end(v.worst_up)}",
+                f"{v.down.in_words} to {v.up.in_words}",
+                f"{v.worst_down.in_words} to {v.worst_up.in_words}",
             ]
             for v in found.variables
         ],
@@ -118,10 +117,3 @@ def _reliefs(found: ContextTolerance, limited: str, name: str) -> Figure:
         ],
         panel_height=240,
     )
-
-
-def _end(end: Drift) -> str:
-    """Return the last tolerated value, with its band if the limit is crossed before the bound."""
-    if end.breaks <= 0.5 * (1.0 - CREDIBLE):
-        return f"{number(end.bound)} (end of the range)"
-    return f"{number(end.limit.median)} ({number(end.limit.low)} to {number(end.limit.high)})"
