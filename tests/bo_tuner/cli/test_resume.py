@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from axis import node
-from command_runs import Runs
+from command_runs import RESULTS, Runs
 from commands import finish, run
 from waiting import wait_until
 
@@ -166,6 +166,19 @@ class TestStudyOnRecord:
         added = expected.evaluations[len(before.evaluations) :]
         repeated = {(e.trial, e.index) for e in before.evaluations if e.stage in CHECKS}
         assert repeated.isdisjoint((e.trial, e.index) for e in added)
+
+    def test_more_trials_withdraw_the_earlier_result(self, runs, whole, copy):
+        folder = runs.latest(copy)
+        files = {*RESULTS, "report.html", "deploy/parameters.yaml", "deploy/provenance.json"}
+        assert all((folder / name).exists() for name in files)
+        assert runs.resume(copy, "--trials", 7, kill=1)[0] == -signal.SIGKILL
+        left = {name for name in files if (folder / name).exists()}
+        assert left == {"trials.csv", "evaluations.csv", "study.yaml"}
+        # The nodes may have what is to be rolled back.
+        assert [path.name for path in (folder / "deploy").iterdir()] == ["rollback.yaml"]
+        code, _, err = runs.resume(copy)
+        assert code in (0, 3), err
+        assert all((folder / name).exists() for name in files)
 
     def test_the_report_of_a_continued_run_has_its_incumbents(self, runs, copy):
         code, out, err = runs.resume(copy, "--trials", 8, "--json-lines")

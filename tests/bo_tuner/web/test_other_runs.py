@@ -6,6 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from bo_tuner.certificate.run_verdict import run_verdict
+from bo_tuner.storage.journal import Journal
+from bo_tuner.storage.provenance import session_provenance
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+from bo_tuner.tuning.summary import with_summary
 from bo_tuner.web.runs import Runs
 
 
@@ -50,13 +56,35 @@ class TestOtherRuns:
     def test_a_run_is_read_again_once_it_has_changed(self, beside):
         before = beside.ask("/runs")[2]
         assert beside.ask("/runs")[2] == before
-        path = beside.folder.parent / beside.finished_one / "summary.json"
+        path = beside.folder.parent / beside.finished_one / "study.yaml"
         content = path.read_text()
-        path.unlink()
+        path.write_text("no study")
         try:
             assert "kept all limits" not in beside.ask("/runs")[2]
         finally:
             path.write_text(content)
+
+
+def lose_summary(run):
+    (run / "summary.json").unlink()
+
+
+def go_on(run):
+    """Begin a session with more trials, which is cut short at once."""
+    study = read_run(run).study.replace(trials=20)
+    with Journal(run / "journal.sqlite", session_provenance(study, "inprocess", "boundary")):
+        (run / "study.yaml").write_text(study_to_yaml(study))
+
+
+@pytest.mark.parametrize(
+    ("change", "verdict"), [(lose_summary, "kept all limits"), (go_on, "No result yet: 5 of 20")]
+)
+def test_a_summary_that_is_missing_or_of_an_earlier_session(beside, tmp_path, change, verdict):
+    """The verdict is that of the commands."""
+    run = shutil.copytree(beside.folder.parent / beside.finished_one, tmp_path / "run")
+    change(run)
+    assert verdict in Runs(tmp_path, "none").listing()
+    assert verdict in run_verdict(with_summary(read_run(run), str)).headline
 
 
 def test_a_run_that_is_deleted_meanwhile_is_not_listed(tmp_path, monkeypatch):

@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.deploy.bundle import write_bundle
+from bo_tuner.deploy.bundle import withdraw_bundle, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.storage.run_folder import REPORT, SUMMARY, write_json
+from bo_tuner.storage.run_folder import BEST, REPORT, SUMMARY, write_json
 from bo_tuner.tuning.summary import with_summary
 
 Tell = Callable[[str], None]
@@ -35,6 +35,24 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
             tell(f"bundle: {write_bundle(record)}")
     except (OutputError, RunRecordError) as error:
         warn(f"warning: {error}; the result is on record")
+
+
+def withdraw_result(folder: Path) -> None:
+    """Remove the files of an earlier session's result, which a run with trials to come has not.
+
+    The certificates stay: what they say of a parameter set holds.
+
+    Raises
+    ------
+    OutputError
+        If one cannot be removed.
+    """
+    try:
+        for name in (SUMMARY, BEST, REPORT):
+            (folder / name).unlink(missing_ok=True)
+        withdraw_bundle(folder)
+    except OSError as error:
+        raise OutputError(f"{error.filename}: cannot be removed: {error.strerror}") from error
 
 
 def _with_verdict(record: RunRecord) -> RunRecord:

@@ -10,7 +10,7 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.common import opened
-from bo_tuner.cli.deliverables import write_deliverables
+from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
@@ -41,7 +41,7 @@ from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_re
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import TUNING, Trial
+from bo_tuner.trials import TUNING, Trial, count_evaluations
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
@@ -184,6 +184,8 @@ class Session:
                     ):
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
+                        if self._goes_on(earlier):
+                            withdraw_result(folder.path)
                         code = self._run(backend, journal, earlier)
                 except BaseException:
                     # What ended the run matters more than a table that cannot be written.
@@ -205,6 +207,14 @@ class Session:
             except (RunError, JournalError, OutputError) as error:
                 self._display.warn(f"error: {error}; {how_to_resume(folder.path)}")
                 return EXIT_FAULT
+
+    def _goes_on(self, earlier: JournalContent) -> bool:
+        """Return whether trials are to come, so that the result on record is no longer the run's.
+
+        One that may stop early may have none to come; its files are written again at the end.
+        """
+        done = count_evaluations(earlier.trials)
+        return not self._study.budget.is_spent(len(earlier.trials), done)
 
     def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
         """Return what works on the run from now on, and warn of what has changed."""

@@ -149,6 +149,18 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
     return folder
 
 
+def withdraw_bundle(folder: Path) -> None:
+    """Remove the bundle in a run folder, but for what tells how to roll back.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be removed.
+    """
+    for name in (PROVENANCE, PARAMETERS, DIFFERENCE, CERTIFICATE, EVALUATIONS, REPORT):
+        (folder / DEPLOY / name).unlink(missing_ok=True)
+
+
 def _copied(record: RunRecord, trial: Trial) -> dict[str, Path | None]:
     """Return the files of the run that the bundle has too, by their names there."""
     certificate = None

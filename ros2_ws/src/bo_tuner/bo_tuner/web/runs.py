@@ -11,9 +11,9 @@ from bo_tuner.errors import BoTunerError
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, verdicts_table
 from bo_tuner.report.page import fill, render, sections
-from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
 from bo_tuner.text import counted
+from bo_tuner.web.sections import read_as_it_stands
 
 MOST_RUNS = 50
 """Runs in the list; reading all those of a year would take minutes."""
@@ -107,9 +107,7 @@ class Runs:
         return fill("comparison.html", sections=parts, title=title, home="/runs")
 
     def _analysis(self, name: str) -> Analysis:
-        record = read_run(self._folder / name)
-        # The summary of a run that goes on is one of an earlier session.
-        return Analysis(replace(record, summary=None) if name == self._present else record)
+        return Analysis(read_as_it_stands(self._folder / name, ended=name != self._present))
 
     def _read(self, name: str) -> _Known:
         """Read a run, unless nothing of it has changed since the last time."""

@@ -71,9 +71,7 @@ class LiveSections:
         return Analysis(self._record(ended=ended), self._known)
 
     def _record(self, *, ended: bool) -> RunRecord:
-        record = read_run(self._folder)
-        # The summary of a run that goes on is one of an earlier session.
-        return with_summary(record, _ignore) if ended else replace(record, summary=None)
+        return read_as_it_stands(self._folder, ended=ended)
 
     def preliminary(self) -> Iterator[Part]:
         """Yield the first sections of a run that goes on, by the models of `parts` before.
@@ -110,6 +108,19 @@ class LiveSections:
             return None
         trial = analysis.trials[number]
         return trial_html(analysis, trial, trial_sections(analysis, trial), home="/")
+
+
+def read_as_it_stands(folder: Path, *, ended: bool) -> RunRecord:
+    """Read a run, with its summary if it may have `ended`.
+
+    Raises
+    ------
+    RunRecordError
+        If it cannot be read.
+    """
+    record = read_run(folder)
+    # The summary of a run that goes on is one of an earlier session.
+    return with_summary(record, _ignore) if ended else replace(record, summary=None)
 
 
 def _made(analysis: Analysis, makers: Iterable[Maker]) -> Iterator[Part]:
