@@ -23,7 +23,7 @@ from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.study.study_file import study_from_mapping
-from bo_tuner.trials import CHECKS
+from bo_tuner.trials import CHECKS, Stage
 
 
 def named(panel, name, kind):
@@ -276,6 +276,28 @@ def test_headings_of_a_metric_without_a_unit(analysis):
     assert outlying.models.outliers
     tables = failures(outlying).tables
     assert tables[-1].header == ["trial", "parameters", "mean error"]
+
+
+@pytest.mark.parametrize(
+    ("stage", "trial", "whose", "bag"),
+    [
+        (Stage.DRAWN, 1, "1", "bags/trial_0001"),
+        (Stage.CHECK_DRAWN, 1, "1", "bags/check_0001"),
+        (Stage.CHECK_WORST, 2, "2", "–"),
+        (Stage.VALIDATION, 0, "default", "bags/validation"),
+        (Stage.VALIDATION, 1, "tuned", "bags/validation"),
+    ],
+)
+def test_a_failed_evaluation_is_in_the_bag_of_its_stage(
+    analysis, tmp_path, stage, trial, whose, bag
+):
+    for name in ("trial_0000", "trial_0001", "trial_0002", "check_0001", "validation"):
+        (tmp_path / "bags" / name).mkdir(parents=True)
+    one = next(e for e in analysis.record.evaluations if not e.outcome.complete)
+    one = replace(one, stage=stage, trial=trial)
+    record = replace(analysis.record, path=tmp_path, evaluations=(one,))
+    ((*cells,),) = failures(Analysis(record)).tables[0].rows
+    assert (cells[0], cells[-1]) == (whose, bag)
 
 
 def test_the_most_critical_context_variable_is_named(analysis):

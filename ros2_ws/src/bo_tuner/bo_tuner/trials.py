@@ -123,6 +123,12 @@ class Evaluation:
     seconds: float = field(default=0.0, compare=False)
     recorded: bool = field(default=False, compare=False)
 
+    @property
+    def whose(self) -> int | str:
+        """Number of the trial; in the validation the one of `VALIDATED` that it stands for."""
+        sides = dict(enumerate(VALIDATED)) if self.stage is Stage.VALIDATION else {}
+        return sides.get(self.trial, self.trial)
+
 
 @dataclass(frozen=True)
 class WorstCase:

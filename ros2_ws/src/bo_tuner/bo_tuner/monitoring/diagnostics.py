@@ -10,6 +10,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.monitoring.status import Snapshot
 from bo_tuner.optimizers.ranking import Candidate
+from bo_tuner.storage.run_files import BAGS, trial_bag
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.limits import tightest, verdict
@@ -147,7 +148,7 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
         "optimizer_seconds": trial.seconds,
         "evaluation_seconds": sum(evaluation.seconds for evaluation in trial.evaluations),
         "seed": study.seed,
-        "bag": f"{run}/bags/trial_{trial.number:04d}",
+        "bag": f"{run}/{BAGS}/{trial_bag(trial.number)}",
     }
     message = trial.reason or verdict(study, trial)
     return Status(TRIAL_RESULT, _level(study, trial), message, _text(values))

@@ -27,8 +27,9 @@ from bo_tuner.recording.retention import (
     note_bag,
 )
 from bo_tuner.recording.signal_bag import RECORDING, recording_note, signal_messages
+from bo_tuner.storage.run_files import bag_name
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Stage, Trial, TrialState
+from bo_tuner.trials import TUNING, Evaluation, Trial, TrialState
 from bo_tuner.tuning.limits import verdict
 
 MEMORY = 64_000_000
@@ -317,13 +318,6 @@ class Recorder:
             if path is not None:
                 self._incomplete.append(path.name)
                 self._retention.keep(path, None, None)
-
-
-def bag_name(evaluation: Evaluation) -> str:
-    """Name the bag that an evaluation belongs to: a trial, its check, or the validation."""
-    if evaluation.stage is Stage.VALIDATION:
-        return "validation"
-    return f"{'trial' if evaluation.stage in TUNING else 'check'}_{evaluation.trial:04d}"
 
 
 def _free(path: Path) -> Path:

@@ -27,7 +27,7 @@ MADE = "made.txt"
 """Names of the bags that the run has made, a line each: only these are ever deleted."""
 
 BAG_NAME = re.compile(r"(trial|check)_\d{4,}(_part\d+)?|validation(_part\d+)?", re.ASCII)
-"""Names that `bo_tuner.recording.recorder.bag_name` gives."""
+"""Names that `bo_tuner.storage.run_files.bag_name` gives."""
 
 
 class Policy(StrEnum):

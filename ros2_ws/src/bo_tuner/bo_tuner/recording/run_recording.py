@@ -9,6 +9,7 @@ from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.storage.run_files import BAGS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import Phase, RunObserver
@@ -74,7 +75,7 @@ class RunRecording(RunObserver):
     def __enter__(self) -> Self:
         """Start to listen."""
         if self._listen is not None and self._options.policy is not Policy.NONE:
-            self._recorder = Recorder(self._folder / "bags", self._study, self._options)
+            self._recorder = Recorder(self._folder / BAGS, self._study, self._options)
             try:
                 self._listener = self._listen(self._recorder)
             except BaseException:

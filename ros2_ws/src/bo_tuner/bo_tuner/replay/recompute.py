@@ -9,6 +9,7 @@ from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import FailedRunError, signal_sources
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_files import BAGS
 from bo_tuner.study.parts import ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
@@ -70,7 +71,7 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
     """
     check_recorded(record, study)
     found = False
-    for bag in sorted(path for path in (record.path / "bags").glob("*") if _is_bag(path)):
+    for bag in sorted(path for path in (record.path / BAGS).glob("*") if _is_bag(path)):
         for run in recorded_runs(bag):
             found = True
             yield Recomputed(run, _outcome(study, run))

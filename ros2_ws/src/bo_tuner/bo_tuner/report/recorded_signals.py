@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from functools import partial
 
 from bo_tuner.figures.figure import Axis, Color, Dash, Line, Panel
-from bo_tuner.recording.recorder import bag_name
 from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.trials import Evaluation, Value
 
 MOST_POINTS = 2000
@@ -22,7 +22,7 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
     RunRecordError
         If its bag cannot be read.
     """
-    folder = analysis.record.path / "bags"
+    folder = analysis.record.path / BAGS
     name = bag_name(wanted)
     for bag in sorted((*folder.glob(name), *folder.glob(f"{name}_part*"))):
         for run in recorded_runs(bag):

@@ -6,12 +6,12 @@ from functools import partial
 
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
-from bo_tuner.recording.recorder import bag_name
 from bo_tuner.recording.retention import evaluation_badness
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
+from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
 from bo_tuner.tuning.limits import verdict
@@ -134,14 +134,14 @@ def _signals(analysis: Analysis, trial: Trial) -> Section:
                 signal_panels({"recorded": run}, {"recorded": LOOKS[TUNED]}),
                 "As received by the tuner; each value holds until the next message.",
             )
-            lead = f"Recorded in bags/{run.bag}: {where}."
+            lead = f"Recorded in {BAGS}/{run.bag}: {where}."
         else:
             figure = _again(analysis, worst, f"trial {trial.number}")
             lead = (
                 f"Simulated again in process by the study's objects, not recorded: {where}, beside "
                 "the default in the same context with the same noise."
             )
-            bag = f"bags/{bag_name(worst)}"
+            bag = f"{BAGS}/{bag_name(worst)}"
             if (analysis.record.path / bag).is_dir():
                 lead += f" The messages of the trial are in {bag}."
     except (NoTraceError, StudyError, BackendError, RunRecordError) as error:

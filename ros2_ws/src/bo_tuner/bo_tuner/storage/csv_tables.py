@@ -10,7 +10,7 @@ from pathlib import Path
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.text import csv_cell
-from bo_tuner.trials import VALIDATED, Evaluation, Stage, Trial
+from bo_tuner.trials import Evaluation, Trial
 
 
 def export_csv(path: Path, directory: Path) -> None:
@@ -56,9 +56,8 @@ def _of_trial(trial: Trial) -> dict[str, object]:
 
 def _of_evaluation(evaluation: Evaluation) -> dict[str, object]:
     outcome = evaluation.outcome
-    sides = dict(enumerate(VALIDATED)) if evaluation.stage is Stage.VALIDATION else {}
     return {
-        "trial": sides.get(evaluation.trial, evaluation.trial),
+        "trial": evaluation.whose,
         "position": evaluation.index,
         "stage": str(evaluation.stage),
         **_columns("parameters", evaluation.parameters),

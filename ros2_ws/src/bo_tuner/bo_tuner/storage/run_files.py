@@ -6,9 +6,12 @@ from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.study import maxima
+from bo_tuner.trials import TUNING, Evaluation, Stage
 
 LOGS = "log"
 """Folder in which nodes may leave what they like, as ``launch`` does a link to its latest log."""
+BAGS = "bags"
+"""Folder of the bags, each named by `bag_name`."""
 HELD_PARAMETERS = "held_parameters.json"
 """File beside the logs: parameters of attached nodes that a run holds."""
 
@@ -20,6 +23,20 @@ KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFDIR: "a folder",
 }
+
+
+def bag_name(evaluation: Evaluation) -> str:
+    """Name the bag that an evaluation belongs to: a trial, its check, or the validation."""
+    if evaluation.stage is Stage.VALIDATION:
+        return "validation"
+    if evaluation.stage in TUNING:
+        return trial_bag(evaluation.trial)
+    return f"check_{evaluation.trial:04d}"
+
+
+def trial_bag(number: int) -> str:
+    """Name the bag of a trial without its checks."""
+    return f"trial_{number:04d}"
 
 
 def check_files(folder: Path) -> None:

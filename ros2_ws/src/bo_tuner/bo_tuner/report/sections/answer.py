@@ -8,6 +8,7 @@ from bo_tuner.deploy.bundle import DEPLOY
 from bo_tuner.monitoring.progress import incumbent_in_words
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
+from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
@@ -19,7 +20,7 @@ FILES = (
     ("trials.csv", "all trials"),
     ("evaluations.csv", "all evaluations"),
     (JOURNAL, "the record"),
-    ("bags/", "bags of notable trials"),
+    (f"{BAGS}/", "bags of notable trials"),
     ("certificates/", "certificates"),
 )
 

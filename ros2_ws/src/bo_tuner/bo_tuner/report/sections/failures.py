@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
+from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.text import values, with_unit
 from bo_tuner.trials import Evaluation, Trial
 
@@ -34,14 +35,14 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
         header=["trial", "stage", "state", "reason", "parameters", "context", "seed", "bag"],
         rows=[
             [
-                str(r.trial),
+                str(r.whose),
                 r.stage,
                 r.outcome.state,
                 r.outcome.reason,
                 values(analysis.tuned_values(r.parameters)),
                 values(r.context),
                 str(r.seed),
-                _bag(analysis, r.trial),
+                _bag(analysis, r),
             ]
             for r in failed
         ],
@@ -65,7 +66,7 @@ def _outlier_table(analysis: Analysis, outliers: Sequence[Trial]) -> Table:
     )
 
 
-def _bag(analysis: Analysis, trial: int) -> str:
-    """Return the path of a trial's bag within the run folder; a dash if it was not kept."""
-    path = f"bags/trial_{trial:04d}"
+def _bag(analysis: Analysis, evaluation: Evaluation) -> str:
+    """Return the path of its bag within the run folder; a dash if it was not kept."""
+    path = f"{BAGS}/{bag_name(evaluation)}"
     return path if (analysis.record.path / path).is_dir() else "–"

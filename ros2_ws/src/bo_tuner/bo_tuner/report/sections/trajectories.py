@@ -21,6 +21,7 @@ from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
+from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.trust import foreign_programs, is_trusted
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
@@ -140,7 +141,7 @@ def _from_bags(analysis: Analysis, answer: Mapping[str, Value]) -> Section:
             f"{analysis.answer_set}; tune with --record notable or all."
         )
     where = [
-        f"{name}: evaluation {evaluation.index} in bags/{run.bag}"
+        f"{name}: evaluation {evaluation.index} in {BAGS}/{run.bag}"
         + (f" at {values(evaluation.context)}" if evaluation.context else "")
         for name, (evaluation, run) in runs.items()
     ]
