@@ -11,10 +11,11 @@ from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.particle_swarm import maximise
+from bo_tuner.optimizers import stopping
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.ranking import rank
-from bo_tuner.optimizers.stopping import StopAdvisor, outlook
+from bo_tuner.optimizers.stopping import Outlook, StopAdvisor, outlook
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.tuning.loop import Tuning
 
@@ -118,6 +119,20 @@ class TestAdvice:
         trials = list(list(steps)[-1])
         random = StopAdvisor(study, ALGORITHMS["II"])
         assert not any(random.consider(trials[:n]) for n in range(1, 25))
+
+    @pytest.mark.parametrize("direction", ["minimize", "maximize"])
+    def test_on_a_log_scale_it_holds_in_the_unit_of_the_metric_too(
+        self, make_study, make_trial, monkeypatch, direction
+    ):
+        objective = {"metric": "error", "scale": "log", "direction": direction}
+        study = make_study(objective=objective, budget=BUDGET)
+        cost = float(study.objective.to_cost(10.0))
+        monkeypatch.setattr(stopping, "outlook", lambda *_: Outlook(cost, 0.016, 0.5))
+        trials = [make_trial(k, {"gain": 0.5}, [10.0]) for k in range(40)]
+        _, advice = until_advice(study, (trials[:count] for count in range(1, 16)))
+        assert advice.remaining == 25
+        assert advice.expected_gain < advice.noise
+        assert advice.noise == pytest.approx(10.0 * np.expm1(0.5))
 
     def test_none_while_nothing_is_feasible(self, make_study, make_trial):
         study = make_study(budget=BUDGET)

@@ -574,6 +574,19 @@ def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
     assert verdict.reasons[0].startswith("peak: ")
 
 
+def test_a_certificate_is_of_a_parameter_set_whichever_trial_it_names(run):
+    """The result was tried twice, and certified by the number of the other trial."""
+    again = dataclasses.replace(run.trials[run.summary["trial"]], number=len(run.trials))
+    run = dataclasses.replace(run, trials=(*run.trials, again))
+    kept = [(1.0, 0.5)] * 40
+    other = dataclasses.replace(run, summary=dict(run.summary) | {"trial": again.number})
+    certify(made(other, kept, kept, True), kept, kept, repeated=40)
+    found = answer(Analysis(made(run, kept, kept, True)))
+    assert found.verdict.certificate == PASS
+    (tile,) = [tile for tile in found.tiles if tile.label == "certificate"]
+    assert (tile.value, tile.status) == (PASS, found.verdict.status)
+
+
 def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
     run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
     within = [t.number for t in run.trials if verdict_of(run.study, t) == WITHIN]

@@ -144,9 +144,14 @@ class StopAdvisor:
         self._in_a_row += 1
         if self._in_a_row < IN_A_ROW:
             return None
-        cost = found.incumbent + np.array([0.0, -remaining * found.gain, found.noise])
-        now, better, worse = self._study.objective.from_cost(cost).tolist()
-        self.advice = StopAdvice(done, remaining, abs(better - now), abs(worse - now))
+        objective = self._study.objective
+        # On a log scale the error towards larger values is the larger one in the metric's unit, so
+        # that the gain stays below it in either direction.
+        cost = found.incumbent + np.array(
+            [0.0, -remaining * found.gain, objective.sign * found.noise]
+        )
+        now, better, larger = objective.from_cost(cost).tolist()
+        self.advice = StopAdvice(done, remaining, abs(better - now), abs(larger - now))
         return self.advice
 
 

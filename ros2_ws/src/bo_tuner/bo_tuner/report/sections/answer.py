@@ -99,8 +99,8 @@ def _tiles(analysis: Analysis) -> list[Tile]:
     """Return the certificate, and the numbers that matter most."""
     verdict = analysis.verdict
     tiles = [_of_quantity(verdict, q) for q in _that_matter(analysis)]
-    found = analysis.certificate
-    if found is not None and found.trial == verdict.trial:
+    found, result = analysis.certificate, analysis.answer
+    if found is not None and result is not None and found.is_of(result):
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
     elif found is not None:
         scope = f"of trial {found.trial}, which is not the result"
