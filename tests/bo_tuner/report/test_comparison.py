@@ -1,6 +1,7 @@
 """Runs side by side: each run says on the page what its own report says."""
 
 import sys
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -53,6 +54,25 @@ def test_parameters_and_numbers_stand_side_by_side(both, parts):
         assert cell.startswith(f"{number(quantity.tuned)} ({number(quantity.default)})")
         assert cell.endswith(str(quantity.change))
     assert any("NOT kept" in of_run[1] for of_run in rows(parts["numbers"]).values())
+
+
+def test_values_in_other_units_have_rows_of_their_own(both):
+    first, _ = both
+    study = first.study
+    other = replace(
+        study,
+        parameters={"gain": replace(study.parameters["gain"], unit="ms")},
+        metrics={**study.metrics, "peak": replace(study.metrics["peak"], unit="kN")},
+    )
+    runs = {"N": first, "kN": Analysis(replace(first.record, study=other))}
+    found = {s.name: s for s in comparison(runs)}
+    assert rows(found["parameters"])["gain [ms]"][0] == "–"
+    numbers = rows(found["numbers"])
+    in_kilonewtons = [cells for name, cells in numbers.items() if name.endswith("[kN]")]
+    assert in_kilonewtons
+    assert [cells for name, cells in numbers.items() if name.endswith("[N]")] == [
+        [value, "–"] for _, value in in_kilonewtons
+    ]
 
 
 def test_a_run_without_an_incumbent_is_named(both, parts):

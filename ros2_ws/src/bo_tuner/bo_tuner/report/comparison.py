@@ -1,7 +1,7 @@
 """Several runs side by side: verdicts, parameters, numbers, convergence and trajectories."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 from bo_tuner.errors import BackendError, StudyError
@@ -25,6 +25,8 @@ Of the first eight, colours that look alike to some readers have different dashe
 """
 
 NOMINAL, WORST = "nominal context", "own worst context"
+Row = tuple[str, str]
+"""Name and unit: a run's value is not comparable with one in another unit."""
 MARKS = {Status.GOOD: "✓ ", Status.WARNING: "! ", Status.BAD: "✗ ", Status.OPEN: ""}
 
 
@@ -88,42 +90,38 @@ def _verdicts(runs: Mapping[str, Analysis]) -> Section:
 
 
 def _parameters(runs: Mapping[str, Analysis]) -> Section:
-    rows: dict[str, None] = {}
-    for analysis in runs.values():
-        rows |= dict.fromkeys(analysis.study.parameters)
-
-    def cell(analysis: Analysis, name: str) -> str:
-        found = analysis.answer
-        if found is None or name not in found.parameters:
-            return "–"
-        return f"{number(found.parameters[name])} ({number(analysis.defaults[name])})"
-
-    units = {n: item.unit for a in runs.values() for n, item in a.study.parameters.items()}
     return Section(
         name="parameters",
         title="Parameters",
         lead="The result of each run, or its best so far; the default is in brackets.",
-        tables=[_side_by_side("Parameter sets", runs, {n: units[n] for n in rows}, cell)],
+        tables=[_side_by_side("Parameter sets", {n: _parameter_set(a) for n, a in runs.items()})],
     )
 
 
-def _numbers(runs: Mapping[str, Analysis]) -> Section:
-    found = {
-        id(analysis): {q.label: q for q in analysis.verdict.quantities}
-        for analysis in runs.values()
+def _parameter_set(analysis: Analysis) -> dict[Row, str]:
+    found = {} if analysis.answer is None else analysis.answer.parameters
+    return {
+        (name, item.unit): f"{number(found[name])} ({number(analysis.defaults[name])})"
+        if name in found
+        else "–"
+        for name, item in analysis.study.parameters.items()
     }
-    units = {label: q.unit for of_run in found.values() for label, q in of_run.items()}
 
-    def cell(analysis: Analysis, label: str) -> str:
-        quantity = found[id(analysis)].get(label)
-        return "–" if quantity is None else _in_words(analysis.verdict, quantity)
 
+def _numbers(runs: Mapping[str, Analysis]) -> Section:
+    cells = {
+        name: {
+            (quantity.label, quantity.unit): _in_words(analysis.verdict, quantity)
+            for quantity in analysis.verdict.quantities
+        }
+        for name, analysis in runs.items()
+    }
     return Section(
         name="numbers",
         title="Numbers",
         lead="The tuned value of each run, and what its verdict says of it against the run's "
         "own default, which is in brackets.",
-        tables=[_side_by_side("Numbers of the verdicts", runs, units, cell)],
+        tables=[_side_by_side("Numbers of the verdicts", cells)],
         notes=[
             "Runs with different seeds, budgets or studies draw different contexts and noise, so "
             "part of the difference between two columns is chance. Only differences from the "
@@ -141,19 +139,14 @@ def _in_words(verdict: Verdict, quantity: Quantity) -> str:
     return text
 
 
-def _side_by_side(
-    caption: str,
-    runs: Mapping[str, Analysis],
-    units: Mapping[str, str],
-    cell: Callable[[Analysis, str], str],
-) -> Table:
+def _side_by_side(caption: str, cells: Mapping[str, Mapping[Row, str]]) -> Table:
     """Return a table with a column for each run, and a row for each name with its unit."""
+    rows = dict.fromkeys(row for of_run in cells.values() for row in of_run)
     return Table(
         caption=caption,
-        header=["", *runs],
+        header=["", *cells],
         rows=[
-            [with_unit(name, unit), *(cell(a, name) for a in runs.values())]
-            for name, unit in units.items()
+            [with_unit(*row), *(of_run.get(row, "–") for of_run in cells.values())] for row in rows
         ],
     )
 
