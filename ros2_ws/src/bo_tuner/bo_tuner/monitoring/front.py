@@ -29,7 +29,11 @@ def print_front(
         Number of the trial of the result.
     """
     if not front:
-        console.print("no parameter set is believed feasible, so there is no Pareto front")
+        console.print(
+            "no parameter set that is believed feasible kept all limits in its own evaluations, so "
+            "there is no Pareto front",
+            soft_wrap=True,
+        )
         return
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("trial", justify="right")
