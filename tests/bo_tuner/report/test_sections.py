@@ -10,7 +10,7 @@ from bo_tuner.figures.figure import Contour, Heatmap, Limit, Line, Points
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.report import content
-from bo_tuner.report.analysis import Analysis, Outcome, Preliminary
+from bo_tuner.report.analysis import Analysis, Preliminary, TrialOutcome
 from bo_tuner.report.grid import parameter_grid, permitted
 from bo_tuner.report.sections.appendix import RESULT, all_trials
 from bo_tuner.report.sections.contexts import contexts
@@ -114,28 +114,33 @@ def test_the_caption_says_what_the_line_of_a_limit_is_for_single_runs(analysis, 
 def test_every_trial_is_a_point_of_its_kind(analysis):
     figure, _ = convergence(analysis).figures
     places = {}
-    for kind in (Outcome.WITHIN, Outcome.VIOLATES, Outcome.OUTLIER, Outcome.FAILED):
+    for kind in (
+        TrialOutcome.WITHIN,
+        TrialOutcome.VIOLATES,
+        TrialOutcome.OUTLIER,
+        TrialOutcome.FAILED,
+    ):
         points = named(figure.panels[0], kind, Points)
         places |= dict.fromkeys([] if points is None else list(points.x), kind)
     for number, trial in enumerate(analysis.record.trials):
         gain = trial.parameters["gain"]
         if gain > 0.6:
-            assert places[number] == Outcome.FAILED
+            assert places[number] == TrialOutcome.FAILED
         elif number in analysis.models.outliers:
-            assert places[number] == Outcome.OUTLIER
+            assert places[number] == TrialOutcome.OUTLIER
         else:
             # The worst load is 2, so the peak is 4 gain at most.
             worst = trial.worst_cases["peak"].value
-            assert places[number] == (Outcome.VIOLATES if worst > 1.0 else Outcome.WITHIN)
+            assert places[number] == (TrialOutcome.VIOLATES if worst > 1.0 else TrialOutcome.WITHIN)
     assert len(places) == len(analysis.record.trials)
 
 
 def test_failed_trials_are_above_all_others(analysis):
     figure, _ = convergence(analysis).figures
-    failed = named(figure.panels[0], Outcome.FAILED, Points)
+    failed = named(figure.panels[0], TrialOutcome.FAILED, Points)
     others = [
         value
-        for kind in (Outcome.WITHIN, Outcome.VIOLATES)
+        for kind in (TrialOutcome.WITHIN, TrialOutcome.VIOLATES)
         if (points := named(figure.panels[0], kind, Points)) is not None
         for value in points.y
     ]

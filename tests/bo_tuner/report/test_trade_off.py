@@ -1,11 +1,15 @@
 """The observed Pareto front, and what other limits would cost."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bo_tuner.figures.figure import Points
+from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.trade_off import pareto_front, trade_off
+from bo_tuner.trials import CHECKS
 
 numbers = st.integers(-3, 3).map(float)
 
@@ -34,6 +38,46 @@ def test_a_looser_limit_costs_nothing(analysis):
     assert found == sorted(found, reverse=True)
     (study,) = [row for row in table.rows if row[0] == "1"]
     assert study[3] == "+0.0 %"
+
+
+def limited(analysis, worst, noise, **limits):
+    """The run with a limit of other kind, and with these worst cases."""
+    study = analysis.study
+    (constraint,) = study.worst_case_constraints
+    constraints = {constraint.name: replace(constraint, **limits)}
+    trials = tuple(
+        replace(
+            trial,
+            worst_cases={
+                name: replace(found, value=worst, noise=noise)
+                for name, found in trial.worst_cases.items()
+            },
+        )
+        for trial in analysis.record.trials
+    )
+    record = replace(
+        analysis.record,
+        study=replace(study, constraints=constraints),
+        # Worst cases of trials that were checked are estimated anew.
+        evaluations=tuple(e for e in analysis.record.evaluations if e.stage not in CHECKS),
+        trials=trials,
+    )
+    return Analysis(replace(record, summary=None))
+
+
+def test_a_limit_on_single_runs_is_kept_by_those_whose_verdict_says_so(analysis):
+    """Their means of 0.98 are below the limit of 1, what one run in ten exceeds is above."""
+    found = limited(analysis, 0.98, 0.05, probability=0.9)
+    (table,) = trade_off(found).tables
+    assert [row[:2] for row in table.rows[:3]] == [["0.8", "none"], ["0.9", "none"], ["1", "none"]]
+    assert table.rows[3][1] != "none"
+    assert table.header[0] == "limit [N]"
+
+
+def test_a_limit_of_zero_has_one_row(analysis):
+    (table,) = trade_off(limited(analysis, -0.1, 0.0, upper=0.0)).tables
+    ((limit, *_),) = table.rows
+    assert limit == "0"
 
 
 def test_the_default_is_where_the_verdict_has_it(analysis):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -24,8 +25,8 @@ from bo_tuner.verdict.verdict import Verdict
 T = TypeVar("T")
 
 
-class Outcome:
-    """Outcome of a trial, as displayed."""
+class TrialOutcome(StrEnum):
+    """TrialOutcome of a trial, as displayed."""
 
     WITHIN = "within limits"
     VIOLATES = "violating"
@@ -151,14 +152,14 @@ class Analysis:
         """The hand-tuned parameter set."""
         return self.study.search_space().defaults
 
-    def outcome(self, trial: Trial) -> str:
-        """Return the `Outcome` of a trial."""
+    def outcome(self, trial: Trial) -> TrialOutcome:
+        """Return the outcome of a trial."""
         if trial.state is TrialState.FAILED:
-            return Outcome.FAILED
+            return TrialOutcome.FAILED
         if trial.number in self.models.outliers:
-            return Outcome.OUTLIER
+            return TrialOutcome.OUTLIER
         within = verdict(self.study, trial) == WITHIN
-        return Outcome.WITHIN if within else Outcome.VIOLATES
+        return TrialOutcome.WITHIN if within else TrialOutcome.VIOLATES
 
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""

@@ -24,7 +24,7 @@ from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
-from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.study.parts import EXPECTATION, Constraint, Objective
 from bo_tuner.study.study import Study
@@ -42,10 +42,10 @@ At even distances, the models of hundreds of trials would take most of the time 
 """
 
 LOOKS = {
-    Outcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
-    Outcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
-    Outcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
-    Outcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
+    TrialOutcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
+    TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
+    TrialOutcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
+    TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
 }
 """Colour, marker and whether the marker is filled, by the outcome of a trial."""
 
@@ -301,7 +301,7 @@ def _default_line(analysis: Analysis) -> list[Element]:
 
 def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
     """Return the values (n,) with NaN and values far above the feasible ones moved to the top."""
-    good = [analysis.outcome(trial) == Outcome.WITHIN for trial in analysis.trials]
+    good = [analysis.outcome(trial) == TrialOutcome.WITHIN for trial in analysis.trials]
     finite = np.isfinite(seen)
     if not finite.any():
         return np.ones(len(seen))

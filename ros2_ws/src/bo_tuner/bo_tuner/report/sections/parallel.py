@@ -3,7 +3,7 @@
 import numpy as np
 
 from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Line, Panel
-from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section
 from bo_tuner.text import values
 from bo_tuner.trials import Trial
@@ -12,8 +12,8 @@ FEWEST = 4
 """Number of tuned parameters from which on two at a time no longer show a run."""
 
 LOOKS = {
-    Outcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
-    Outcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
+    TrialOutcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
+    TrialOutcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
 }
 """Colour, dash and width by the outcome of a trial; the others say little of the parameters."""
 

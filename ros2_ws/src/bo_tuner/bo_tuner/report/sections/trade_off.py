@@ -18,10 +18,11 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
-from bo_tuner.report.analysis import Analysis, Outcome
+from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.parts import UPPER, Constraint
+from bo_tuner.text import with_unit
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.limits import WITHIN, verdict
 
@@ -40,7 +41,7 @@ def trade_off(analysis: Analysis) -> Section | None:
     trials = [
         trial
         for trial in analysis.trials
-        if analysis.outcome(trial) in (Outcome.WITHIN, Outcome.VIOLATES)
+        if analysis.outcome(trial) in (TrialOutcome.WITHIN, TrialOutcome.VIOLATES)
     ]
     constraints = study.worst_case_constraints
     if not constraints or not trials:
@@ -60,7 +61,7 @@ def trade_off(analysis: Analysis) -> Section | None:
         )
         name = numbered("trade-off", place)
         figures.append(_figure(analysis, constraint, name, trials, means, worst, front))
-        tables.append(_table(analysis, constraint, trials, means, worst))
+        tables.append(_table(analysis, constraint, trials, means))
     return Section(
         name="trade-off",
         title=f"What {names} costs",
@@ -113,15 +114,14 @@ def _figure(
     )
 
 
-def _table(
-    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array, worst: Array
-) -> Table:
+def _table(analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array) -> Table:
     objective = analysis.study.objective.metric
+    unit = analysis.study.metrics[constraint.metric].unit
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
         caption=f"Best mean {objective} seen within other limits of {constraint.metric}{among}",
-        header=["limit", "trial", f"mean {objective}", "relative to the limit's"],
-        rows=_other_limits(analysis, constraint, trials, means, worst),
+        header=[with_unit("limit", unit), "trial", f"mean {objective}", "relative to the limit's"],
+        rows=_other_limits(analysis, constraint, trials, means),
         numeric=[0, 1, 2, 3],
     )
 
@@ -139,30 +139,33 @@ def pareto_front(cost: Array, worst: Array) -> list[int]:
 
 
 def _other_limits(
-    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array, worst: Array
+    analysis: Analysis, constraint: Constraint, trials: list[Trial], means: Array
 ) -> list[list[str]]:
-    """Return the best trial within each of several limits."""
-    study, sign, limit = analysis.study, constraint.sign, constraint.limit
+    """Return the best trial within each of several limits, as the verdicts of trials have it."""
+    study = analysis.study
     unit = study.metrics[study.objective.metric].unit
     cost = study.objective.sign * means
-    others = {name: item for name, item in study.constraints.items() if item is not constraint}
-    without = replace(study, constraints=others)
-    kept = np.array([verdict(without, trial) == WITHIN for trial in trials])
+    # Those of a limit of 0 are all the same.
+    limits = dict.fromkeys(factor * constraint.limit for factor in LIMITS)
     best: dict[float, int] = {}
-    for factor in LIMITS:
-        within = np.flatnonzero(kept & (sign * worst <= sign * factor * limit))
+    for limit in limits:
+        upper = constraint.side == UPPER
+        moved = replace(constraint, upper=limit) if upper else replace(constraint, lower=limit)
+        other = replace(study, constraints={**study.constraints, constraint.name: moved})
+        within = np.flatnonzero([verdict(other, trial) == WITHIN for trial in trials])
         if len(within):
-            best[factor] = int(within[np.argmin(cost[within])])
+            best[limit] = int(within[np.argmin(cost[within])])
+    own = best.get(constraint.limit)
     return [
         [
-            f"{factor * limit:.4g}",
-            str(trials[best[factor]].number) if factor in best else "none",
-            quantity(float(means[best[factor]]), unit) if factor in best else "–",
-            change(float(means[best[factor]]), float(means[best[1.0]]))
-            if factor in best and 1.0 in best
+            number(limit),
+            str(trials[best[limit]].number) if limit in best else "none",
+            quantity(float(means[best[limit]]), unit) if limit in best else "–",
+            change(float(means[best[limit]]), float(means[own]))
+            if limit in best and own is not None
             else "–",
         ]
-        for factor in LIMITS
+        for limit in limits
     ]
 
 
