@@ -13,6 +13,7 @@ from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
+from bo_tuner.cli.deliverables import withdraw_result
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -22,6 +23,7 @@ from bo_tuner.deploy.apply import (
 )
 from bo_tuner.deploy.bundle import differences
 from bo_tuner.interruption import Interrupted
+from bo_tuner.storage.parameter_file import node_values, to_yaml
 
 OLD = {"drive": {"gain": 1.0, "taps": 3}, "axis": {"load": [0.5, 1.0]}}
 NEW = {"drive": {"gain": 2.5, "taps": 4}, "axis": {"load": [0.25, 2.0]}}
@@ -289,12 +291,44 @@ class TestQuestion:
             command._confirmed("set these? ", Signalled())
 
 
+class TestBundle:
+    @pytest.fixture
+    def gain(self, monkeypatch, tmp_path):
+        """Function that returns what the node of the study has."""
+        nodes = FakeNodes()
+        nodes.values = {"axis": {"gain": 0.125}}
+        nodes.close = lambda: None
+        monkeypatch.setattr(command, "LiveParameters", lambda *_: nodes)
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+        return lambda: nodes.values["axis"]["gain"]
+
+    def test_is_of_the_result_also_after_another_trial_was_set(self, record, capsys, gain):
+        write_certificate(record, record.trials[2])
+        bundle = record.path / "deploy"
+        code, out, err = call(command, capsys, record.path, "--trial", 2, "--yes")
+        assert (code, err) == (0, "")
+        assert gain() == record.trials[2].parameters["gain"]
+        result = to_yaml(node_values(record.study, record.trials[1].parameters))
+        assert (bundle / "parameters.yaml").read_text() == result
+        assert f"{bundle / 'parameters.yaml'} holds trial 1, the result; " in out
+        assert json.loads((bundle / "provenance.json").read_text())["trial"] == 1
+
+    def test_leads_back_also_while_a_continued_run_has_no_result(self, record, capsys, gain):
+        write_certificate(record, record.trials[1])
+        code, out, _ = call(command, capsys, record.path, "--yes")
+        assert (code, "holds trial" in out) == (0, False)
+        assert gain() == record.trials[1].parameters["gain"]
+        withdraw_result(record.path)
+        assert call(command, capsys, record.path, "--rollback", "--yes")[0] == 0
+        assert gain() == 0.125
+
+
 class TestMistakes:
     def test_no_run(self, tmp_path, capsys):
         code, line = apply(capsys, tmp_path / "nothing")
         assert (code, line) == (2, f"error: {tmp_path / 'nothing'}: no such run folder")
 
-    @pytest.mark.parametrize("option", [(), ("--rollback",), ("--without-certificate", "--yes")])
+    @pytest.mark.parametrize("option", [(), ("--trial", "0"), ("--without-certificate", "--yes")])
     def test_a_run_that_has_not_ended(self, record, capsys, option):
         (record.path / "summary.json").unlink()
         code, line = apply(capsys, record.path, *option)

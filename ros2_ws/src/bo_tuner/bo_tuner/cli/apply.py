@@ -27,6 +27,7 @@ from bo_tuner.deploy.apply import (
 )
 from bo_tuner.deploy.bundle import (
     DEPLOY,
+    PARAMETERS,
     ROLLBACK,
     UNFINISHED,
     Difference,
@@ -44,6 +45,7 @@ from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.text import brief, shown
+from bo_tuner.trials import Trial
 
 DESCRIPTION = """\
 Set the result of a run on live nodes: shows what would change, asks, sets all
@@ -108,12 +110,14 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parser = make_parser()
     arguments = parser.parse_args(own)
     record = read_result(arguments.run)
-    trial = result_of(record)
-    if arguments.trial is not None:
-        if arguments.rollback:
+    trial = None
+    if arguments.rollback:
+        if arguments.trial is not None:
             parser.error("--trial and --rollback exclude each other")
-        trial = trial_of(record, arguments.trial)
-    if not arguments.rollback:
+    else:
+        trial = result_of(record)
+        if arguments.trial is not None:
+            trial = trial_of(record, arguments.trial)
         problem = certificate_problem(record, trial)
         if problem and not arguments.without_certificate:
             return _refuse(f"{problem} (or use --without-certificate)", EXIT_INFEASIBLE)
@@ -122,8 +126,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     # The lock keeps other processes from writing the bundle.
     folder = RunFolder(record.path)
     with contextlib.closing(folder):
-        write_bundle(record)
-        if arguments.rollback:
+        # A continued run has no result yet; what an earlier one replaced can still be restored.
+        if record.summary is not None:
+            write_bundle(record)
+        if trial is None:
             new, title = read_rollback(record), f"back to {DEPLOY}/{ROLLBACK}"
             if new == node_values(record.study, record.study.search_space().defaults):
                 # As in the file of a run of which nothing was set yet.
@@ -151,26 +157,26 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                         return _refuse("the nodes' values have changed meanwhile", EXIT_INFEASIBLE)
             except NodeError as error:
                 raise BackendError(str(error)) from error
-            return _set(record, nodes, now, new, interruption, is_rollback=arguments.rollback)
+            return _set(record, trial, nodes, now, new, interruption)
 
 
 def _set(
     record: RunRecord,
+    trial: Trial | None,
     nodes: Nodes,
     now: NodeValues,
     new: NodeValues,
     interruption: Interruption,
-    *,
-    is_rollback: bool,
 ) -> int:
+    """Set the values of a trial, or without one those to roll back to."""
     # Resolved, since `latest` will point to another run later.
     folder = record.path.resolve()
     rollback = folder / DEPLOY / ROLLBACK
     unfinished = folder / DEPLOY / UNFINISHED
     was_unfinished = unfinished.exists()
-    if was_unfinished and not is_rollback:
+    if was_unfinished and trial is not None:
         _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
-    elif not is_rollback:
+    elif trial is not None:
         write_bundle(record, rollback=now)
     interruption.check()
     # From here on it is all or nothing.
@@ -181,12 +187,17 @@ def _set(
     except ApplyError as error:
         if error.restored and not was_unfinished:
             unfinished.unlink()
-        saved = "" if is_rollback else f"; the previous values are in {rollback}"
+        saved = "" if trial is None else f"; the previous values are in {rollback}"
         return _refuse(f"{error}{saved}", EXIT_FAULT)
     unfinished.unlink()
     say(f"set and read back on {', '.join(new)}")
-    if not is_rollback:
+    if trial is not None:
         say(f"previous values: {rollback}; restore them with: apply {folder} --rollback")
+        if (result := result_of(record)).number != trial.number:
+            say(
+                f"{folder / DEPLOY / PARAMETERS} holds trial {result.number}, the result; for the "
+                "next start of the nodes, save what they have now with: ros2 param dump"
+            )
     return EXIT_OK
 
 
