@@ -17,7 +17,16 @@ def test_nothing_steers_the_terminal():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(-0.0, "0"), (0.0, "0"), (-0.5, "-0.5"), (12345.6, "1.235e+04"), (7, "7"), (True, "true")],
+    [
+        (-0.0, "0"),
+        (0.0, "0"),
+        (-0.5, "-0.5"),
+        (12345.6, "1.235e+04"),
+        (7, "7"),
+        (12345, "12345"),
+        (-10001, "-10001"),
+        (True, "true"),
+    ],
 )
 def test_a_value(value, text):
     assert shown(value) == text

@@ -340,3 +340,8 @@ def test_a_record_without_times_is_told():
     record = Record()
     record.trials = (Trial(0, {"gain": 0.5}, "", TrialState.COMPLETE),)
     assert timing(Untimed(record)).lead == "The record holds no times."
+
+
+def test_an_integer_is_shown_in_full():
+    assert content.number(12345) == "12345"
+    assert content.number(12345.0) == "1.234e+04"

@@ -56,10 +56,13 @@ def csv_cell(value: object) -> object:
 
 
 def shown(value: bool | int | float | str) -> str:
-    """Format a parameter's value: a number with four digits, a truth value as in a study file."""
+    """Format a parameter's value: an integer in full, any other number with four digits.
+
+    A truth value is as in a study file.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
-    return value if isinstance(value, str) else f"{value + 0.0:.4g}"  # no "-0"
+    return f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)  # no "-0"
 
 
 def shown_beside(value: float, limit: float) -> str:

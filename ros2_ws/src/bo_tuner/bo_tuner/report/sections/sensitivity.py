@@ -137,4 +137,5 @@ def _step(neighbour: Neighbour, optimum: Neighbour) -> str:
 def _change(name: str, old: Value, new: Value) -> str:
     if isinstance(old, (bool, str)) or isinstance(new, (bool, str)):
         return f"{name} {shown(new)}"
-    return f"{name} {new - old:+.3g}"
+    difference = new - old
+    return f"{name} {difference:+d}" if isinstance(difference, int) else f"{name} {difference:+.3g}"
