@@ -8,10 +8,8 @@ with ν = 4. The scale is not a hyperparameter: the t distribution has the varia
 r_i observations of a reference Gaussian process, whose hyperparameters and standardization the
 model shares. The reference is fitted to the bulk of the data, so that outliers do not affect it.
 
-The posterior of the latent values is approximated by Laplace's method: a normal distribution at the
-mode of Ψ(f) = log p(ȳ | f) - ½ fᵀ K⁻¹ f, with the curvature there. It understates the variance, by
-a factor of up to (ν - 2) / (ν + 1) where a single observation dominates; the outliers depend on the
-mode alone.
+An outlier is judged by its residual at the mode of Ψ(f) = log p(ȳ | f) - ½ fᵀ K⁻¹ f, f being the
+latent values.
 
 Mode finding. The t likelihood is not log-concave: far from its centre the curvature is negative,
 Ψ can have several maxima, and Newton's method may diverge. But t is a scale mixture of normals, and
@@ -33,7 +31,6 @@ outliers. AISTATS 21.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -42,7 +39,7 @@ from scipy.linalg import lapack
 from scipy.special import stdtr
 
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, latent_covariance
+from bo_tuner.models.kernel import jittered_cholesky, latent_covariance
 from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_student_t_pdf
@@ -64,126 +61,60 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class StudentTProcess:
-    """Laplace approximation of the Student-t process at the mode; build it by `fit`.
+    """The Student-t process at the mode; build it by `fit`.
 
     Attributes
     ----------
-    reference : GaussianProcess
-        Origin of the hyperparameters and the standardisation.
     data : Replicates
         All observations, standardized; n distinct points.
     scale : ndarray, shape (n,)
         s_i, in standardized responses.
     mode : ndarray, shape (n,)
         Mode of the latent values, in standardized responses.
-    converged : bool
-        Whether the mode finding ended by tolerance.
-    degrees_of_freedom : float
-        ν.
     """
 
-    reference: GaussianProcess
     data: Replicates
     scale: Array
     mode: Array
-    converged: bool
-    degrees_of_freedom: float = DEGREES_OF_FREEDOM
 
     @classmethod
-    def fit(
-        cls,
-        x: ArrayLike,
-        y: ArrayLike,
-        reference: GaussianProcess,
-        degrees_of_freedom: float = DEGREES_OF_FREEDOM,
-    ) -> Self:
+    def fit(cls, x: ArrayLike, y: ArrayLike, reference: GaussianProcess) -> Self:
         """Find the mode of the latent values of responses y (N,) at x (N, d) in the unit cube.
 
-        Equal rows are replicates. The `reference` is fitted to the bulk of the data.
+        Equal rows are replicates. The `reference` is fitted to the bulk of the data; the
+        hyperparameters and the standardization are its.
 
         Raises
         ------
         ValueError
-            If the data are invalid, or ν ≤ 2, for which there is no variance.
+            If the data are invalid.
         """
-        if not degrees_of_freedom > 2.0:
-            raise ValueError(f"degrees_of_freedom: expected > 2, found {degrees_of_freedom}")
         points, responses = checked_data(x, y)
         data = Replicates.group(points, reference.standardisation.apply(responses))
-        nu = degrees_of_freedom
         sd = np.maximum(reference.hyperparameters.noise / np.sqrt(data.count), SCALE_FLOOR)
-        scale = sd * np.sqrt((nu - 2.0) / nu)
+        scale = sd * np.sqrt((DEGREES_OF_FREEDOM - 2.0) / DEGREES_OF_FREEDOM)
         start = reference.standardisation.apply(reference.predict(data.x)[0])
         kernel = latent_covariance(reference.hyperparameters, data.x, data.x)
-        mode, converged = _find_mode(kernel, data.mean, scale, nu, start)
-        return cls(reference, data, scale, mode, converged, nu)
+        return cls(data, scale, _find_mode(kernel, data.mean, scale, start))
 
-    @cached_property
-    def _laplace(self) -> tuple[Array, Array, float]:
-        """Return L of K = L Lᵀ, M of I + Lᵀ W L = M Mᵀ and the log marginal likelihood.
-
-        W is the negative curvature of the log likelihood. Where it is negative at outliers, but
-        the matrix still positive definite, the mode is a strict maximum and the approximation is
-        the exact second-order one. Where it is not (a saddle, or not converged), the weights of
-        the expectation-maximization are used instead; they are always positive.
-        """
-        kernel = latent_covariance(self.reference.hyperparameters, self.data.x, self.data.x)
-        factor, _ = jittered_cholesky(kernel + 1e-10 * kernel[0, 0] * np.eye(len(kernel)))
-        nu, residual = self.degrees_of_freedom, self.data.mean - self.mode
-        spread = nu * self.scale**2 + residual**2
-        curvature = (nu + 1.0) * (nu * self.scale**2 - residual**2) / spread**2
-        for weight in (curvature, (nu + 1.0) / spread):
-            inner = np.eye(len(kernel)) + factor.T @ (weight[:, None] * factor)
-            inner_factor, info = lapack.dpotrf(inner, lower=1, clean=1)
-            if info == 0:
-                break
-        whitened, _ = lapack.dtrtrs(factor, self.mode, lower=1)
-        log_joint = log_student_t_pdf(residual, self.scale, nu).sum() - 0.5 * whitened @ whitened
-        log_evidence = float(log_joint - np.log(np.diag(inner_factor)).sum())
-        return factor, inner_factor, log_evidence
-
-    @property
-    def log_marginal_likelihood(self) -> float:
-        """Laplace's approximation of log p(ȳ), of standardized replicate means."""
-        return self._laplace[2]
-
-    def predict(self, x: ArrayLike) -> tuple[Array, Array]:
-        """Return mean and variance (m,) of the latent response at x (m, d).
-
-        They are in the unit of the response and in its square.
-        """
-        hyperparameters = self.reference.hyperparameters
-        factor, inner_factor, _ = self._laplace
-        points = np.asarray(x, dtype=np.float64)
-        cross = latent_covariance(hyperparameters, self.data.x, points)
-        whitened_cross, _ = lapack.dtrtrs(factor, cross, lower=1)
-        whitened_mode, _ = lapack.dtrtrs(factor, self.mode, lower=1)
-        posterior, _ = lapack.dtrtrs(inner_factor, whitened_cross, lower=1)
-        prior_variance = hyperparameters.signal**2 + MEAN_SD**2
-        variance = prior_variance - (whitened_cross**2).sum(axis=0) + (posterior**2).sum(axis=0)
-        mean = whitened_cross.T @ whitened_mode
-        return self.reference.standardisation.restore(mean, np.maximum(variance, 0.0))
-
-    def outliers(self, tail_probability: float = TAIL_PROBABILITY) -> NDArray[np.bool_]:
+    def outliers(self) -> NDArray[np.bool_]:
         """Mark the observations (N,) of outlying parameter sets; replicates of one share the mark.
 
         A parameter set is an outlier if its mean response lies so far above the model that its
-        one-sided Student-t tail probability is at most `tail_probability`. Values below the model
+        one-sided Student-t tail probability is at most `TAIL_PROBABILITY`. Values below the model
         are never outliers, since the response is minimized.
         """
         z = (self.data.mean - self.mode) / self.scale
-        mask: NDArray[np.bool_] = stdtr(self.degrees_of_freedom, -z) <= tail_probability
+        mask: NDArray[np.bool_] = stdtr(DEGREES_OF_FREEDOM, -z) <= TAIL_PROBABILITY
         return mask[self.data.index]
 
 
-def _find_mode(
-    kernel: Array, y: Array, scale: Array, nu: float, start: Array
-) -> tuple[Array, bool]:
+def _find_mode(kernel: Array, y: Array, scale: Array, start: Array) -> Array:
     """Maximize Ψ(f) over f = K a, shape (n,), by guarded over-relaxed reweighted least squares.
 
-    The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K. Returned are f and
-    whether it converged.
+    The iteration runs over a = K⁻¹ f, with which fᵀ K⁻¹ f needs no inverse of K.
     """
+    nu = DEGREES_OF_FREEDOM
 
     def psi(a: Array, f: Array) -> float:
         return float(log_student_t_pdf(y - f, scale, nu).sum() - 0.5 * a @ f)
@@ -206,11 +137,10 @@ def _find_mode(
         latents = [kernel @ candidate for candidate in candidates]
         values = [psi(*pair) for pair in zip(candidates, latents, strict=True)]
         best = int(np.argmax(values))
-        gain = values[best] - value
-        if not gain > TOLERANCE:
-            return f, bool(np.isfinite(gain))
+        if not values[best] - value > TOLERANCE:
+            break
         a, f, value = candidates[best], latents[best], values[best]
-    return f, False
+    return f
 
 
 def find_outliers(
