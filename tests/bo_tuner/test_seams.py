@@ -25,7 +25,7 @@ class TestAcquisition:
     """Towards one point, whatever the models say."""
 
     def test_it_decides_where_to_go(self, make_study, function_backend):
-        def towards(surrogates, incumbent, *, avoid=0.5, reinterpolate=True):
+        def towards(surrogates, incumbent, *, avoid, reinterpolate):
             return lambda x: -np.abs(x[:, 0] - 0.8125)
 
         algorithm = replace(ALGORITHMS["IV"], acquisition=towards)

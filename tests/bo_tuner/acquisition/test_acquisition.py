@@ -24,6 +24,7 @@ def model(seed=0, scale=1.0, points=12):
 def make_acquisition(objective, best, constraints=(), *, failures=None, outlying=None, **options):
     named = {str(k): constraint for k, constraint in enumerate(constraints)}
     surrogates = Surrogates(objective, named, failures, outlying)
+    options = {"avoid": 0.5, "reinterpolate": True} | options
     return constrained_improvement(surrogates, best, **options)
 
 

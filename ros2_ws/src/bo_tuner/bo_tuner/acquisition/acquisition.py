@@ -44,8 +44,8 @@ class AcquisitionRule(Protocol):
         surrogates: Surrogates,
         incumbent: float | None,
         *,
-        avoid: float = 0.5,
-        reinterpolate: bool = True,
+        avoid: float,
+        reinterpolate: bool,
     ) -> Acquisition:
         """Make the acquisition function.
 
@@ -134,7 +134,7 @@ class LogAvoidance:
     """
 
     classifier: Classifier
-    avoid: float = 0.5
+    avoid: float
 
     def __call__(self, x: Array) -> Array:
         """Return log(1 - p) or -inf (m,) at x (m, d)."""
@@ -147,8 +147,8 @@ def constrained_improvement(
     surrogates: Surrogates,
     incumbent: float | None,
     *,
-    avoid: float = 0.5,
-    reinterpolate: bool = True,
+    avoid: float,
+    reinterpolate: bool,
 ) -> Acquisition:
     """Make the acquisition function of Eq. 5.
 
