@@ -120,17 +120,18 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     console = plain_console(stderr=True)
     console.print(_description(recorded, name), soft_wrap=True)
     output = arguments.output or record.path / "replay"
+    log = output / LOGS
     backend = make_backend(
         name,
         record.study,
-        output / "log",
+        log,
         attach=attach,
         run_log=record.path / LOGS,
         ros_arguments=ros_arguments,
         interrupted=interruption.check,
     )
     if isinstance(backend, RosBackend):
-        _make_folder(output / "log")
+        _make_folder(log)
         with opened(backend, interruption):
             result, default, inbox, sides = _run_both(record, recorded, backend)
         _show(record, result, name)

@@ -12,8 +12,9 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
-from bo_tuner.report.page import NAME, figures, sections, write_comparison, write_page, write_trial
+from bo_tuner.report.page import figures, sections, write_comparison, write_page, write_trial
 from bo_tuner.report.trial_page import trial_sections
+from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.storage.trust import trust
 
 DESCRIPTION = """\
@@ -52,7 +53,7 @@ def make_parser() -> Parser:
         "--output",
         type=Path,
         metavar="FILE",
-        help=f"HTML file (default: RUN/{NAME}; of several runs: {COMPARISON})",
+        help=f"HTML file (default: RUN/{REPORT}; of several runs: {COMPARISON})",
     )
     parser.add_argument(
         "--trial",
@@ -100,7 +101,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         (analysis,) = analyses
         parts = sections(analysis)
         interruption.check()
-        path = write_page(analysis, parts, arguments.output or analysis.record.path / NAME)
+        path = write_page(analysis, parts, arguments.output or analysis.record.path / REPORT)
     else:
         parts = comparison(dict(zip(names(analyses), analyses, strict=True)))
         interruption.check()

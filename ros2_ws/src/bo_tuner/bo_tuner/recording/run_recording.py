@@ -9,7 +9,7 @@ from bo_tuner.metrics.recording import NOTHING_RECORDED, Recording
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
-from bo_tuner.storage.run_files import BAGS
+from bo_tuner.storage.run_files import BAGS, LOGS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import Phase, RunObserver
@@ -125,6 +125,6 @@ class RunRecording(RunObserver):
             # On a full disk there is no log either; the run goes on.
             with (
                 contextlib.suppress(OSError),
-                (self._folder / "log" / LOG).open("a", encoding="utf-8") as file,
+                (self._folder / LOGS / LOG).open("a", encoding="utf-8") as file,
             ):
                 file.write(f"{text}\n")

@@ -40,9 +40,6 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.trials import Trial
 from bo_tuner.verdict.verdict import State
 
-NAME = "report.html"
-"""File name of a report in its run folder."""
-
 
 def certificate(analysis: Analysis) -> Section | None:
     """Show the certificate; None without one."""

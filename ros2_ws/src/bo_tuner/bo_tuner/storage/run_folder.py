@@ -19,7 +19,7 @@ from bo_tuner.storage.atomic import (
 )
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import node_values, to_yaml
-from bo_tuner.storage.run_files import HELD_PARAMETERS, is_same_file, open_file
+from bo_tuner.storage.run_files import HELD_PARAMETERS, LOGS, is_same_file, open_file
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -150,7 +150,7 @@ class RunFolder:
     @property
     def log(self) -> Path:
         """Folder for what the nodes print."""
-        return self.path / "log"
+        return self.path / LOGS
 
     @property
     def journal(self) -> Path:
