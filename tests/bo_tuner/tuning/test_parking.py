@@ -21,7 +21,8 @@ def test_the_machine_is_parked_as_soon_as_a_run_pauses():
         gate.requests.request(False)
         return ["pid is not parked: silent"]
 
-    observers = Observers(ParkInPause(park, said.append))
+    observers = Observers()
+    observers.add(ParkInPause(park, said.append))
     gate = Gate(Asked(), observers)
     gate.evaluation(None)
     assert said == []

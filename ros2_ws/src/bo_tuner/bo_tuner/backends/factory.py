@@ -15,10 +15,10 @@ def make_backend(
     study: Study,
     log_directory: Path,
     *,
-    attach: bool = False,
+    attach: bool,
     run_log: Path | None = None,
-    ros_arguments: Sequence[str] = (),
-    interrupted: Callable[[], None] = lambda: None,
+    ros_arguments: Sequence[str],
+    interrupted: Callable[[], None],
 ) -> Backend:
     """Make a backend, not open yet.
 

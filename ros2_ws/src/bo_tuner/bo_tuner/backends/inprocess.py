@@ -12,7 +12,6 @@ from typing import Any
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.metrics.collect import STATUS_OK, Collector
-from bo_tuner.metrics.source import MetricSource
 from bo_tuner.study import named_code
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
@@ -26,15 +25,13 @@ class InProcessBackend(SequentialBackend):
     ----------
     study
         The study.
-    sources
-        Where metrics come from, unless as the study says; by name.
     """
 
     name = IN_PROCESS
 
-    def __init__(self, study: Study, sources: Mapping[str, MetricSource] | None = None) -> None:
+    def __init__(self, study: Study) -> None:
         self._study = study
-        self._collector = Collector(study, sources)
+        self._collector = Collector(study)
         self._objects: dict[str, Any] = {}
         self._triggered = ""
 

@@ -111,12 +111,12 @@ class Prior:
         Of the kernel; their noise is not used.
     x : ndarray, shape (n, d)
         Distinct points.
-    basis : ndarray of int, shape (m,), optional
-        Rows of x; without it the posterior is exact.
+    basis : ndarray of int, shape (m,), or None
+        Rows of x; without them the posterior is exact.
     """
 
     def __init__(
-        self, hyperparameters: Hyperparameters, x: Array, basis: NDArray[np.intp] | None = None
+        self, hyperparameters: Hyperparameters, x: Array, basis: NDArray[np.intp] | None
     ) -> None:
         self._basis = x if basis is None else x[basis]
         self._exact = basis is None

@@ -11,7 +11,6 @@ whose evaluations have no search between them, with rankings between the steps o
 it follows the clock, so that a change of the load shows within some trials; a pause does not count.
 """
 
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -75,9 +74,7 @@ class TimeLeft:
         Returns the time [s] from a fixed point on.
     """
 
-    def __init__(
-        self, study: Study, algorithm: Algorithm, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, study: Study, algorithm: Algorithm, clock: Callable[[], float]) -> None:
         self._study = study
         self._algorithm = algorithm
         self._clock = clock

@@ -73,13 +73,10 @@ class SwarmResult:
         Best admissible position.
     value : float
         Objective there; -inf if no evaluated position has a larger value.
-    evaluations : int
-        Number of points evaluated.
     """
 
     position: Array
     value: float
-    evaluations: int
 
 
 def maximise(
@@ -131,7 +128,6 @@ def maximise(
 
     own_best = admissible(position)
     own_value = _numbers(objective(own_best))
-    evaluations = len(position)
     ring = _ring(len(position))
     reference, stalled = own_value.max(), 0
     for _ in range(settings.iterations):
@@ -139,7 +135,6 @@ def maximise(
         position, velocity = _move(position, velocity, own_best, own_best[leader], rng)
         candidate = admissible(position)
         value = _numbers(compare(own_value, candidate))
-        evaluations += len(position)
         better = value > own_value
         own_best = np.where(better[:, None], candidate, own_best)
         own_value = np.where(better, value, own_value)
@@ -150,7 +145,7 @@ def maximise(
             if stalled == settings.stall:
                 break
     best = int(np.argmax(own_value))
-    return SwarmResult(own_best[best].copy(), float(own_value[best]), evaluations)
+    return SwarmResult(own_best[best].copy(), float(own_value[best]))
 
 
 def _identity(position: Array) -> Array:

@@ -151,8 +151,8 @@ class Journal:
 def create_journal(
     path: Path,
     sessions: Sequence[Mapping[str, str]],
-    evaluations: Sequence[Evaluation] = (),
-    trials: Sequence[Trial] = (),
+    evaluations: Sequence[Evaluation],
+    trials: Sequence[Trial],
 ) -> None:
     """Write a journal in one step: a kill leaves the whole of it or nothing.
 

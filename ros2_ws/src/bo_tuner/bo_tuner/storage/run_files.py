@@ -85,7 +85,7 @@ def is_same_file(path: Path, known: os.stat_result) -> bool:
     return (found.st_dev, found.st_ino) == (known.st_dev, known.st_ino)
 
 
-def open_file(path: Path, flags: int, mode: int = 0o666) -> int:
+def open_file(path: Path, flags: int) -> int:
     """Open a file and return its descriptor; a link, a pipe, a device or a folder is refused.
 
     Raises
@@ -93,7 +93,7 @@ def open_file(path: Path, flags: int, mode: int = 0o666) -> int:
     OSError
         If it cannot be opened, or is something else.
     """
-    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, mode)
+    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
     found = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(found):
         os.close(descriptor)

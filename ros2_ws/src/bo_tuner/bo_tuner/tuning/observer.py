@@ -51,16 +51,10 @@ NOBODY = RunObserver()
 
 
 class Observers(RunObserver):
-    """Passes each step on to several observers, in the order in which they were added.
+    """Passes each step on to several observers, in the order in which they were added."""
 
-    Parameters
-    ----------
-    *observers
-        The first observers; `add` appends further ones.
-    """
-
-    def __init__(self, *observers: RunObserver) -> None:
-        self._observers = list(observers)
+    def __init__(self) -> None:
+        self._observers: list[RunObserver] = []
 
     def add(self, observer: RunObserver) -> None:
         """Pass all further steps on to `observer` as well."""

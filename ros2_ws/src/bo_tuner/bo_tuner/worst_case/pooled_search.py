@@ -53,7 +53,7 @@ class PooledSearch:
         coding: Coding,
         hyperparameters: Sequence[float] | None = None,
         *,
-        until_clear: bool = True,
+        until_clear: bool,
     ) -> None:
         self._space = space
         self._limit = limit

@@ -37,9 +37,9 @@ def conduct(
     interruption: Interruption,
     *,
     jobs: int,
-    cluster: str = "",
+    cluster: str,
     about: Mapping[str, str],
-    tell: Callable[[dict[str, Any]], None] = lambda record: None,
+    tell: Callable[[dict[str, Any]], None],
 ) -> None:
     """Carry out the tasks that are not on record yet, and once more those that failed.
 
@@ -54,7 +54,7 @@ def conduct(
     jobs
         Processes on this machine.
     cluster
-        Address of a Dask scheduler, whose workers run the tasks instead.
+        Address of a Dask scheduler, whose workers run the tasks instead; empty for none.
     about
         Provenance that all records share.
     tell

@@ -44,7 +44,7 @@ def compare_with_earlier(
     values: Mapping[str, Mapping[str, object]],
     *,
     refuse: bool,
-    note: bool = True,
+    note: bool,
 ) -> bool:
     """Compare parameters with those that were noted down first in a folder, or note them down.
 

@@ -81,9 +81,7 @@ class ParameterClient:
         request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
         return list(self._call(ListParameters, request, timeout).result.names)
 
-    def descriptors(
-        self, names: Sequence[str], timeout: float | None = None
-    ) -> list[ParameterDescriptor]:
+    def descriptors(self, names: Sequence[str], timeout: float) -> list[ParameterDescriptor]:
         """Describe parameters."""
         request = DescribeParameters.Request(names=names)
         return list(self._call(DescribeParameters, request, timeout).descriptors)
