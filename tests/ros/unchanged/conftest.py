@@ -14,6 +14,7 @@ from waiting import DEADLINE, wait_until
 from bo_tuner.backends.ros import preparation, procedure, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interrupted
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +91,30 @@ def backend(system, tmp_path, monkeypatch, patience):
     yield make
     # One that refuses or is silent could not be set back.
     system.begin()
+    for made in opened:
+        made.close()
+
+
+@pytest.fixture
+def interruptible(system, tmp_path, monkeypatch):
+    """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
+    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
+    opened = []
+
+    def make(when, **changes):
+        asked = []
+
+        def interrupted():
+            if asked or when():
+                asked.append(True)
+                raise Interrupted(2)
+
+        made = RosBackend(study(**changes), tmp_path, attach=True, interrupted=interrupted)
+        opened.append(made)
+        made.open()
+        return made
+
+    yield make
     for made in opened:
         made.close()
 

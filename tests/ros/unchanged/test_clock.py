@@ -10,7 +10,7 @@ from servo import failure, run
 from std_srvs.srv import Trigger
 
 from bo_tuner.backends.ros import clock
-from bo_tuner.backends.ros.clock import SimClock, WallClock, to_stamp
+from bo_tuner.backends.ros.clock import SimClock, Stopwatch, WallClock, to_stamp
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.trials import DISTURBED, EvaluationState
 
@@ -148,3 +148,29 @@ def test_a_clock_of_the_machine_that_is_set_in_a_run(monkeypatch):
     monkeypatch.setattr(clock.time, "time_ns", lambda: began - 3_600_000_000_000)
     with pytest.raises(DisturbedError, match=r"jumped by -3\.6e\+03 s in the run"):
         wall.look()
+
+
+def test_a_clock_that_is_set_does_not_end_a_wait(monkeypatch):
+    watch = Stopwatch(WallClock())
+    now = time.time_ns()
+    monkeypatch.setattr(clock.time, "time_ns", lambda: now + 3_600_000_000_000)
+    assert watch.seconds < 3600.0
+
+
+def test_a_condition_has_not_held_for_as_long_as_a_clock_is_set_forward(
+    backend, system, monkeypatch
+):
+    now, ahead = time.time_ns, [0]
+    monkeypatch.setattr(clock.time, "time_ns", lambda: now() + ahead[0])
+    move = {"publish": {"topic": "setpoint", "message": {"data": 0.25}}}
+    near = {"wait_until": {"condition": "angle < 0.1", "hold": 0.4, "timeout": 0.5}}
+    made = backend(run={"before": [move, near]})
+
+    def set_clock():
+        if system.setpoint == 0.25:
+            ahead[0] = 3_600_000_000_000
+
+    with made._tuner.also_watched_by(set_clock):
+        # Its angle is small for 0.1 s.
+        reason = failure(run(made, 0.05))
+    assert reason.startswith("run.before[1]: 'angle < 0.1' does not hold for 0.4 s within 0.5 s")

@@ -4,10 +4,9 @@ import json
 import os
 
 import pytest
-from servo import failure, run, study
+from servo import failure, run
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.state import state_folder
@@ -225,29 +224,6 @@ def test_a_run_goes_on_where_nothing_can_be_noted(backend, system, tmp_path, mon
     assert gain(system) == 0.5
     warning = "cannot be written: Not a directory; after a kill the nodes cannot be set back"
     assert warning in capfd.readouterr().err
-
-
-@pytest.fixture
-def interruptible(system, tmp_path):
-    """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
-    opened = []
-
-    def make(when, **changes):
-        asked = []
-
-        def interrupted():
-            if asked or when():
-                asked.append(True)
-                raise Interrupted(2)
-
-        made = RosBackend(study(**changes), tmp_path, attach=True, interrupted=interrupted)
-        opened.append(made)
-        made.open()
-        return made
-
-    yield make
-    for made in opened:
-        made.close()
 
 
 @pytest.mark.parametrize("phase", ["before", "start"])

@@ -320,7 +320,10 @@ class RosBackend(SequentialBackend):
         if self._procedure is None:
             return self.park()
         # With the parameters of the trial the machine does not drive home.
-        return self._stop() or self._procedure.recover()
+        if problems := self._stop():
+            return problems
+        problems = self._procedure.recover()
+        return problems and problems + self._stop()
 
     def _recover(self) -> list[str]:
         """Make safe what is left, and get lost nodes back; returns what went wrong."""

@@ -38,6 +38,10 @@ class RunClock(Protocol):
     def now(self) -> int:
         """The time [ns]."""
 
+    @property
+    def steady(self) -> int:
+        """Time [ns] since whenever that nobody sets, as far as there is one."""
+
     def begin(self) -> None:
         """Start a run: from now on the clock must neither jump nor stand still."""
 
@@ -75,11 +79,16 @@ class WallClock:
         """The time since the epoch [ns]."""
         if not self._is_running:
             return time.time_ns()
-        return self._began + time.monotonic_ns() - self._steady
+        return self._began + self.steady - self._began_steady
+
+    @property
+    def steady(self) -> int:
+        """Time [ns] since whenever."""
+        return time.monotonic_ns()
 
     def begin(self) -> None:
         """Start a run."""
-        self._began, self._steady = time.time_ns(), time.monotonic_ns()
+        self._began, self._began_steady = time.time_ns(), self.steady
         self._is_running = True
 
     def end(self) -> None:
@@ -143,6 +152,11 @@ class SimClock:
         """The latest time [ns]."""
         return self._times[-1]
 
+    @property
+    def steady(self) -> int:
+        """The same: a simulation may be reset, but not in a run."""
+        return self.now
+
     def begin(self) -> None:
         """Start a run."""
         self.update()
@@ -201,17 +215,17 @@ class SimClock:
 
 
 class Stopwatch:
-    """Time that has passed by a clock, which may be set back meanwhile."""
+    """Time that has passed by a clock, which may be set meanwhile."""
 
     def __init__(self, clock: RunClock) -> None:
         self._clock = clock
-        self._last = clock.now
+        self._last = clock.steady
         self._passed = 0
 
     @property
     def seconds(self) -> float:
         """Time [s] that has passed since this was made."""
-        now = self._clock.now
+        now = self._clock.steady
         self._passed += max(now - self._last, 0)
         self._last = now
         return self._passed * 1e-9

@@ -10,7 +10,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
-from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
+from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
@@ -40,8 +40,12 @@ ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
 UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
 """A signal without a message."""
-FAULTS = (FailedRunError, LostError, RefusedError, DisturbedError, BackendError, StudyError)
+OWN_FAULTS = (FailedRunError, SilentError, RefusedError, DisturbedError, BackendError, StudyError)
+"""What a step may raise for itself: to repeat it at once would not help."""
+FAULTS = (*OWN_FAULTS, LostError)
 """What a step may raise; others end the whole run."""
+AFTER = "after"
+"""Phase of the steps that bring the machine to rest."""
 
 
 class Procedure:
@@ -90,7 +94,7 @@ class Procedure:
         self._publishers: dict[str, Publisher] = {}
         self._started: list[Goal] = []
         self._is_recording = False
-        self._next_after: int | None = None
+        self._due: list[int] = []
         self._judged = 0.0
         try:
             self._connect()
@@ -109,7 +113,7 @@ class Procedure:
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
             raise DisturbedError(self._recorder.mixed)
         self._started.clear()
-        self._next_after = 0
+        self._due = self._all_after
         self._perform("before")
 
     def perform(self) -> None:
@@ -129,10 +133,8 @@ class Procedure:
         self.recording = self._record()
         if problems := self._cancel():
             raise FailedRunError(problems[0])
-        for index, step in enumerate(self._run.after):
-            self._next_after = index + 1
-            self._perform_step(("run", "after", index), step)
-        self._next_after = None
+        for index in self._due.copy():
+            self._perform_after(index)
         if mixed := self._recorder.mixed:
             raise DisturbedError(mixed)
         self.recording.check(self._study.signals)
@@ -157,29 +159,26 @@ class Procedure:
         list of str
             What went wrong, each in a line.
         """
-        if self._next_after is None:
-            return []
         problems = self._cancel()
-        for index in range(self._next_after, len(self._run.after)):
-            path = ("run", "after", index)
+        for index in self._due.copy():
             try:
-                self._perform_step(path, self._run.after[index])
+                self._perform_after(index)
             except FAULTS as fault:
-                problems.append(f"{where(path)}: {fault}")
-        self._next_after = None
+                problems.append(f"{where(('run', AFTER, index))}: {fault}")
+        self._due.clear()
         return problems
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
 
-        If one is not possible, the machine is brought to rest, as after a run: see `leave`.
+        If one is not possible, `leave` the machine as after a run.
         """
-        self._next_after = 0
+        self._due = self._all_after
         try:
             self._perform("recover")
         except FAULTS as fault:
-            return [f"not recovered: {fault}", *self.leave()]
-        self._next_after = None
+            return [f"not recovered: {fault}"]
+        self._due.clear()
         return []
 
     def close(self) -> None:
@@ -278,6 +277,19 @@ class Procedure:
         held = np.flatnonzero(np.isfinite(values) & (values != 0.0) & (times >= since))
         return float(times[held[0]]) if len(held) else None
 
+    @property
+    def _all_after(self) -> list[int]:
+        return list(range(len(self._run.after)))
+
+    def _perform_after(self, index: int) -> None:
+        """Perform a step of `after`; it stays due if an interruption or another node ends it."""
+        try:
+            self._perform_step(("run", AFTER, index), self._run.after[index])
+        except OWN_FAULTS:
+            self._due.remove(index)
+            raise
+        self._due.remove(index)
+
     def _perform(self, phase: str) -> None:
         for index, step in enumerate(getattr(self._run, phase)):
             self._perform_step(("run", phase, index), step)
@@ -287,7 +299,7 @@ class Procedure:
         # now, and what is published has the time of now.
         self._clock.update()
         if step.wait is not None:
-            self._wait(step.wait)
+            self._wait(step.wait, self._poll(path))
         elif step.wait_until is not None:
             self._wait_until(path, step.wait_until)
         elif step.restart and self._restart is not None:
@@ -306,13 +318,17 @@ class Procedure:
         if not self._is_recording:
             goal.wait()
 
-    def _wait(self, period: float) -> None:
+    def _poll(self, path: KeyPath) -> Callable[[], object]:
+        """Return what takes messages in a step; none can cut the way to rest short."""
+        return self._recorder.take if path[1] == AFTER else self._recorder.poll
+
+    def _wait(self, period: float, poll: Callable[[], object]) -> None:
         if self._is_recording:
             self._watch_until(self._now + period)
             return
         watch = Stopwatch(self._clock)
         while (left := period - watch.seconds) > 0.0:
-            self._recorder.poll()
+            poll()
             self._clock.look()
             self._tuner.spin_once(min(POLL_PERIOD, left))
 
@@ -326,6 +342,8 @@ class Procedure:
 
         def held() -> bool:
             """Whether it has held all the time since `hold` seconds ago."""
+            if not self._is_recording and self._recorder.clock_was_set:
+                self._recorder.begin(in_run=False)
             now = self._recorder.seconds
             since = now - wait.hold
             if since < began:
@@ -341,10 +359,11 @@ class Procedure:
         if self._is_recording:
             self._watch_until(began + wait.timeout, held=held)
         else:
+            poll = self._poll(path)
             while not held() and watch.seconds <= wait.timeout:
                 self._tuner.spin_once(POLL_PERIOD)
                 self._clock.look()
-                self._recorder.poll()
+                poll()
         if not held():
             raise FailedRunError(
                 f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "

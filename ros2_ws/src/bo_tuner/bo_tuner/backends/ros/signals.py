@@ -12,7 +12,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from bo_tuner.backends.ros import others
-from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
@@ -59,6 +59,7 @@ class SignalRecorder:
         )
         self._heard: dict[str, _Topic] = {}
         self._began = 0
+        self._watch = Stopwatch(self._clock)
 
     def connect(self, clock: RunClock, wait: Callable[[Callable[[], bool]], bool]) -> None:
         """Subscribe to every signal.
@@ -120,6 +121,7 @@ class SignalRecorder:
         for heard in self._heard.values():
             heard.poll()
         self._began = self._clock.now
+        self._watch = Stopwatch(self._clock)
         for heard in self._heard.values():
             heard.begin(self._began, in_run)
 
@@ -133,6 +135,11 @@ class SignalRecorder:
     def seconds(self) -> float:
         """Time since the start of the run [s]."""
         return (self._clock.now - self._began) * 1e-9
+
+    @property
+    def clock_was_set(self) -> bool:
+        """Whether the clock was set since then, so that `seconds` have not passed."""
+        return abs(self.seconds - self._watch.seconds) > LARGEST_JUMP
 
     @property
     def latest(self) -> float:
@@ -156,11 +163,17 @@ class SignalRecorder:
         FailedRunError
             If a message does not have the item of an array that a signal is.
         """
+        if problem := self.take():
+            raise FailedRunError(problem)
+
+    def take(self) -> str:
+        """Take what came in; returns in a line what `poll` would raise, or an empty one."""
+        problems = []
         for heard in self._heard.values():
             heard.poll()
-            if heard.problem:
-                problem, heard.problem = heard.problem, ""
-                raise FailedRunError(problem)
+            problems.append(heard.problem)
+            heard.problem = ""
+        return next(filter(None, problems), "")
 
     def recording(self, end: float, since: float = -np.inf) -> Recording:
         """Return what was recorded until `end` [s], from the last message before `since` [s] on."""

@@ -1,0 +1,90 @@
+"""The steps after a run, which bring the machine to rest whatever happens meanwhile."""
+
+import re
+
+import pytest
+from rclpy.node import Node
+from servo import failure, run
+from std_msgs.msg import Float64
+from waiting import DEADLINE, wait_until
+
+from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.interruption import Interrupted
+
+pytestmark = pytest.mark.ros
+
+STOP = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+AT_REST = {"wait_until": {"condition": "angle < -0.2", "timeout": DEADLINE}}
+OPEN = {"publish": {"topic": "clamp", "message": {"data": 1.0}}}
+SLOW = {"parameters": {"gain": 0.1}}
+ABORTED = {"end": {"after": DEADLINE}, "timeout": DEADLINE, "abort_when": "angle > 0.9"}
+
+
+class Clamp(Node):
+    """Notes where the machine is when it is opened."""
+
+    def __init__(self, system, context):
+        super().__init__("clamp", context=context)
+        self.opened_at = []
+        self.create_subscription(
+            Float64, "clamp", lambda message: self.opened_at.append(system.angle), 10
+        )
+
+
+@pytest.fixture
+def clamp(join, system):
+    return join(Clamp, system)
+
+
+def check_at_rest(clamp):
+    wait_until(lambda: clamp.opened_at, "the clamp is open")
+    assert all(angle < -0.15 for angle in clamp.opened_at)
+
+
+def test_an_interruption_does_not_cut_a_wait_short(interruptible, system, clamp):
+    """The machine is still moving when it comes."""
+    made = interruptible(
+        lambda: system.setpoint == -0.5,
+        run={"before": [], "after": [STOP, AT_REST, OPEN]},
+        park=SLOW,
+    )
+    with pytest.raises(Interrupted):
+        run(made)
+    check_at_rest(clamp)
+
+
+def test_a_node_that_dies_on_the_way_home_does_not_cut_a_wait_short(
+    backend, system, clamp, monkeypatch
+):
+    home = {"publish": {"topic": "setpoint", "message": {"data": 0.25}}}
+    made = backend(
+        run=ABORTED
+        | {"before": [], "after": [STOP, AT_REST, OPEN], "recover": [home, {"wait": DEADLINE}]},
+        park=SLOW,
+    )
+
+    dead = []
+
+    def check():
+        if dead or (clamp.opened_at and system.setpoint == 0.25 and system.angle > 0.0):
+            dead.append(True)
+            raise LostError("pid has ended")
+
+    monkeypatch.setattr(made._started, "check", check)
+    assert "; not recovered: pid has ended" in failure(run(made))
+    wait_until(lambda: len(clamp.opened_at) == 2, "the clamp is open again")
+    check_at_rest(clamp)
+
+
+def test_a_message_that_cannot_be_read_does_not_cut_a_wait_short(backend, system, join):
+    made = backend(run=ABORTED | {"after": [STOP, {"wait": 0.3}]})
+    watch = system.create_subscription(
+        Float64,
+        "setpoint",
+        lambda message: setattr(system, "names", ["other"] if message.data < 0 else system.names),
+        10,
+    )
+    try:
+        assert re.fullmatch(r"aborted at [0-9.]+ s: 'angle > 0.9'", failure(run(made)))
+    finally:
+        system.destroy_subscription(watch)
