@@ -584,7 +584,7 @@ def test_a_certificate_is_of_a_parameter_set_whichever_trial_it_names(run):
     found = answer(Analysis(made(run, kept, kept, True)))
     assert found.verdict.certificate == PASS
     (tile,) = [tile for tile in found.tiles if tile.label == "certificate"]
-    assert (tile.value, tile.status) == (PASS, found.verdict.status)
+    assert (tile.value, tile.remarks) == (PASS, [Analysis(run).certificate.scope])
 
 
 def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
