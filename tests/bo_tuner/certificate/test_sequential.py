@@ -139,6 +139,13 @@ class TestProbability:
     def test_only_events(self):
         assert probability_bounds([True] * 7, 0.95).tolist() == pytest.approx([1.0] * 7)
 
+    def test_later_draws_that_contradict_earlier_ones_count(self):
+        """22 good ones show 0.12, and 8 bad ones then make the share 0.27: draws are not alike."""
+        good, all_of_them = [False] * 22, [False] * 22 + [True] * 8
+        assert is_shown(good, 0.12, 0.875)
+        assert not is_shown(all_of_them, 0.12, 0.875)
+        assert probability_bounds(all_of_them, 0.875)[-1] == pytest.approx(8 / 30)
+
     def test_refuted_is_the_same_of_the_other_event(self):
         assert is_refuted([True] * 5, 0.04, 0.95)
         assert not is_refuted([True, *[False] * 20], 0.04, 0.95)
@@ -193,7 +200,8 @@ class TestMean:
         rng = np.random.default_rng(11)
         runs, most = 300, 200
         samples = 3.0 + deviation * rng.standard_normal((runs, most))
-        shown = np.mean([is_mean_shown(sample, 3.0, 0.95) for sample in samples])
+        # At any time, also if later values take the mean back.
+        shown = np.mean([log_mean_evidence(s, 3.0).max() >= math.log(20.0) for s in samples])
         refuted = np.mean([is_mean_refuted(sample, 3.0, 0.95) for sample in samples])
         error = 3.0 * math.sqrt(0.05 * 0.95 / runs)
         assert 0.0 < shown <= 0.05 + error
@@ -206,6 +214,12 @@ class TestMean:
         assert is_mean_refuted([1.5] * 8, 1.0, 0.95)
         assert not is_mean_shown([1.0] * 50, 1.0, 0.95)
         assert not is_mean_refuted([1.0] * 50, 1.0, 0.95)
+
+    def test_later_values_that_contradict_earlier_ones_count(self):
+        steady = [0.9 + 0.01 * (-1) ** k for k in range(30)]
+        assert is_mean_shown(steady, 1.0, 0.95)
+        assert not is_mean_shown([*steady, *[1.5] * 10], 1.0, 0.95)
+        assert mean_bounds([*steady, *[1.5] * 10], 0.95)[-1] == pytest.approx(1.05)
 
     def test_few_values_bound_nothing(self):
         assert mean_bounds([], 0.95).shape == (0,)

@@ -246,6 +246,8 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     assert error.difference.count == (40 if with_default else 5)
     told = "" if with_default else "default in 5 draws, tuned in 40, difference in the 5 of both"
     assert error.draws == told
+    gain = "" if with_default else "mean error by -"
+    assert any(gain in line for line in verdict.sentences if line.startswith("Better: "))
     lines = on_terminal(run, verdict).splitlines()
     assert any(line.endswith(f": {told}") for line in lines if told) is not with_default
     assert (told in on_page(run)) if told else ("tuned in" not in on_page(run))

@@ -104,7 +104,9 @@ def log_mean_evidence(values: ArrayLike, mean: ArrayLike) -> Array:
 def probability_bounds(events: ArrayLike, confidence: float) -> Array:
     """Return upper confidence bounds of a probability after each draw, shape (n,).
 
-    All of them hold at once with `confidence`, so each is the lowest so far.
+    All of them hold at once with `confidence`, so each is the lowest so far, but not below the
+    share of the events: draws that are not alike, as on a machine that warms up, can take it
+    beyond an earlier bound.
 
     Parameters
     ----------
@@ -117,14 +119,15 @@ def probability_bounds(events: ArrayLike, confidence: float) -> Array:
     n = np.arange(1.0, len(happened) + 1.0)
     share = np.cumsum(happened) / n
     found = _largest(lambda p: log_evidence(happened, p), share, np.ones(len(happened)), confidence)
-    return np.minimum.accumulate(found)
+    bounds: Array = np.maximum(np.minimum.accumulate(found), share)
+    return bounds
 
 
 def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     """Return upper confidence bounds of a normal mean after each value, shape (n,).
 
-    All of them hold at once with `confidence`, so each is the lowest so far. The first ones can be
-    infinite.
+    All of them hold at once with `confidence`, so each is the lowest so far, but not below the
+    mean of the values, as in `probability_bounds`. The first ones can be infinite.
 
     Parameters
     ----------
@@ -146,12 +149,16 @@ def mean_bounds(values: ArrayLike, confidence: float, least: int = 1) -> Array:
     never = log_mean_evidence(sample, far) < log(1.0 / (1.0 - confidence))
     never[: least - 1] = True
     found = _largest(lambda m: log_mean_evidence(sample, m), mean, far, confidence)
-    return np.minimum.accumulate(np.where(never, np.inf, found))
+    return np.maximum(np.minimum.accumulate(np.where(never, np.inf, found)), mean)
 
 
-def is_shown(events: ArrayLike, allowed: float, confidence: float) -> bool:
-    """Return whether draws show with `confidence` that an event has at most `allowed`."""
-    return _reached(log_evidence(events, allowed), confidence)
+def is_shown(events: Sequence[bool], allowed: float, confidence: float) -> bool:
+    """Return whether draws show with `confidence` that an event has at most `allowed`.
+
+    What earlier ones have shown, all of them together must not contradict.
+    """
+    share = float(np.mean(np.asarray(events, dtype=bool))) if len(events) else 0.0
+    return share <= allowed and _reached(log_evidence(events, allowed), confidence)
 
 
 def is_refuted(events: ArrayLike, allowed: float, confidence: float) -> bool:
@@ -163,8 +170,12 @@ def is_refuted(events: ArrayLike, allowed: float, confidence: float) -> bool:
 def is_mean_shown(values: ArrayLike, limit: float, confidence: float, least: int = 1) -> bool:
     """Return whether values show with `confidence` that their expectation is within `limit`.
 
-    The first `least` - 1 of them alone show nothing.
+    The first `least` - 1 of them alone show nothing. What earlier ones have shown, all of them
+    together must not contradict.
     """
+    beyond = np.asarray(values, dtype=np.float64) - limit
+    if len(beyond) and float(beyond.mean()) > 0.0:
+        return False
     return _reached(log_mean_evidence(values, limit)[least - 1 :], confidence)
 
 

@@ -107,7 +107,13 @@ class Quantity:
 
     @property
     def gain_in_words(self) -> str:
-        """The two values, with the change in percent where the default is positive."""
+        """The two values, with the change in percent where the default is positive.
+
+        Only their difference where they are not of the same draws.
+        """
+        if self.draws:
+            # The values are of other draws than their difference, and may seem to contradict it.
+            return f"{self.label} by {self.change_in_words} {self.unit}".rstrip()
         text = f"{self.label} {' → '.join(self.values_in_words)} {self.unit}".rstrip()
         if self.default > 0.0 and isfinite(self.tuned):
             text += f" ({100.0 * (self.tuned / self.default - 1.0):+.0f} %)"
