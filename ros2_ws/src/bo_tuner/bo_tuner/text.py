@@ -56,12 +56,14 @@ def csv_cell(value: object) -> object:
 
 
 def shown(value: bool | int | float | str) -> str:
-    """Format a parameter's value: an integer in full, any other number with four digits.
+    """Format a value: an integer in full, any other number with four digits, a dash for NaN.
 
     A truth value is as in a study file.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, float) and math.isnan(value):
+        return "–"
     return f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)  # no "-0"
 
 

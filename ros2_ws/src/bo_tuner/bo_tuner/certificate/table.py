@@ -7,15 +7,14 @@ from typing import Any
 
 from rich.table import Table
 
-from bo_tuner import text
 from bo_tuner.certificate.context_tolerance import ContextTolerance, VariableTolerance
 from bo_tuner.certificate.evidence import widest
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.parts import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown_beside
+from bo_tuner.text import shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED
-from bo_tuner.verdict.verdict import FAIL, PASS, shown
+from bo_tuner.verdict.verdict import FAIL, PASS
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def certificate_table(study: Study, content: Mapping[str, Any]) -> Table:
     for name in names:
         table.add_column(name, justify="right")
     for name, item in study.parameters.items():
-        values = [text.shown(content[side]["parameters"][name]) for side in names]
+        values = [shown(content[side]["parameters"][name]) for side in names]
         table.add_row(name, item.unit, *values)
     for row in certificate_rows(study, content):
         if row.begins:

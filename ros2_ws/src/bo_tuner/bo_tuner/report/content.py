@@ -67,10 +67,8 @@ class Section:
 
 
 def number(value: Value | None) -> str:
-    """Format a number with four digits, any other value as it is; a dash for None and NaN."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    return shown(value)
+    """Format a value as `shown` does; a dash for None, too."""
+    return "–" if value is None else shown(value)
 
 
 def quantity(value: float | None, unit: str) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
+from bo_tuner.text import shown
 from bo_tuner.trials import (
     SEEKING_WORST,
     Evaluation,
@@ -19,7 +20,7 @@ from bo_tuner.tuning.limits import Sample, worst_case_holds
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
-from bo_tuner.verdict.verdict import State, Verdict, shown
+from bo_tuner.verdict.verdict import State, Verdict
 
 DEFAULT, TUNED = 0, 1
 """Number of a parameter set in the validation, in place of that of a trial."""

@@ -10,7 +10,7 @@ from enum import StrEnum
 from math import isfinite, isnan
 
 from bo_tuner.storage.json_numbers import without_nan
-from bo_tuner.text import shown_beside
+from bo_tuner.text import shown, shown_beside
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
 from bo_tuner.verdict.observed import Observed
 
@@ -353,11 +353,6 @@ class Verdict:
     def to_summary(self) -> dict[str, object]:
         """Return what ``summary.json`` has of the verdict."""
         return {"feasible": self.feasible, "verdict": self.to_mapping()}
-
-
-def shown(value: float) -> str:
-    """Format a number with four digits; a dash for NaN."""
-    return "–" if isnan(value) else f"{value:.4g}"
 
 
 def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, ...]:
