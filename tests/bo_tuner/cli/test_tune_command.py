@@ -93,7 +93,7 @@ class TestRun:
         assert (latest(tmp_path) / "best.yaml").exists()
         assert json.loads((latest(tmp_path) / "summary.json").read_text())["feasible"] is False
         assert out.startswith("No feasible parameter set was found\n")
-        assert "best.yaml holds the least violating parameter set; do not use it." in out
+        assert "best.yaml holds this parameter set; do not use it." in out
 
     def test_every_trial_fails(self, tune, tmp_path):
         code, _, err = finish(tune(environment={"FAILING": "1000"}))
