@@ -8,7 +8,8 @@ import pytest
 
 from bo_tuner.errors import OutputError
 from bo_tuner.figures.figure import Axis, Bars, ColorScale, Figure, Heatmap, Line, Panel, Scale
-from bo_tuner.figures.matplotlib_renderer import draw, render, write_figure
+from bo_tuner.figures.matplotlib_renderer import draw, render
+from bo_tuner.report.page import write_figure
 
 
 def figure_of(*elements):
@@ -102,3 +103,12 @@ def test_a_folder_that_cannot_be_made_is_an_output_error(full_figure, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be written"):
         write_figure(full_figure, tmp_path / "file" / "folder", ["svg"])
+
+
+def test_a_link_in_the_place_of_a_file_is_not_followed(tmp_path):
+    other = tmp_path / "other"
+    other.write_text("somebody else's")
+    (tmp_path / "one.svg").symlink_to(other)
+    with pytest.raises(OutputError, match="found a symbolic link"):
+        write_figure(figure_of(), tmp_path, ["svg"])
+    assert other.read_text() == "somebody else's"

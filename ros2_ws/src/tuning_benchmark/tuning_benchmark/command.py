@@ -7,8 +7,10 @@ from typing import Any
 
 from bo_tuner.cli.common import Parser, guarded
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_OK
-from bo_tuner.errors import OutputError, RunError
+from bo_tuner.errors import RunError
 from bo_tuner.interruption import Interrupted, Interruption
+from bo_tuner.report.page import write_figure
+from bo_tuner.storage.atomic import write_atomically
 from tuning_benchmark.campaign import provenance
 from tuning_benchmark.campaign.execution import conduct, unfinished
 from tuning_benchmark.campaign.records import Records
@@ -171,9 +173,6 @@ def _carry_out(
 
 
 def _write(experiments: Sequence[Experiment], records: Sequence[Records], output: Path) -> int:
-    # Matplotlib takes a second to load.
-    from bo_tuner.figures.matplotlib_renderer import write_figure
-
     parts = []
     failed: dict[str, str] = {}
     for whole, recorded in zip(experiments, records, strict=True):
@@ -186,12 +185,7 @@ def _write(experiments: Sequence[Experiment], records: Sequence[Records], output
             write_figure(figure, output / page.FOLDER)
     first = experiments[0]
     text = page.markdown(parts, first.title or first.name, first.description)
-    path = output / PAGE
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-    _tell(f"page: {path}")
+    _tell(f"page: {write_atomically(output / PAGE, text)}")
     for name, reason in failed.items():
         _tell(f"{name} failed: {reason}")
     return EXIT_FAULT if failed else EXIT_OK

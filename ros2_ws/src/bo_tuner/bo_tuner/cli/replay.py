@@ -20,7 +20,6 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
-from bo_tuner.errors import OutputError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.bag import Message
@@ -36,6 +35,7 @@ from bo_tuner.replay.replay import (
     replay,
 )
 from bo_tuner.replay.side_by_side import Inbox, write_side_by_side
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import LOGS
@@ -131,7 +131,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         interrupted=interruption.check,
     )
     if isinstance(backend, RosBackend):
-        _make_folder(log)
+        with writing(log):
+            log.mkdir(parents=True, exist_ok=True)
         with opened(backend, interruption):
             result, default, inbox, sides = _run_both(record, recorded, backend)
         _show(record, result, name)
@@ -156,13 +157,6 @@ def _description(evaluation: Evaluation, backend: str) -> str:
         f"trial {evaluation.trial}, evaluation {evaluation.index} ({evaluation.stage}; "
         f"context {values(evaluation.context) or 'none'}; seed {evaluation.seed}) on {backend}"
     )
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be made: {error.strerror}") from error
 
 
 def _run_both(

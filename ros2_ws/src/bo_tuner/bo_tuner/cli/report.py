@@ -12,7 +12,15 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.comparison import comparison, names
-from bo_tuner.report.page import figures, sections, write_comparison, write_page, write_trial
+from bo_tuner.report.page import (
+    FORMATS,
+    figures,
+    sections,
+    write_comparison,
+    write_figure,
+    write_page,
+    write_trial,
+)
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.storage.trust import trust
@@ -42,7 +50,6 @@ examples:
 """
 
 COMPARISON = "comparison.html"
-FORMATS = ("png", "svg")
 
 
 def make_parser() -> Parser:
@@ -109,9 +116,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         path = write_comparison(title, parts, arguments.output or Path(COMPARISON))
     say(f"report: {path}")
     if arguments.figures is not None:
-        # Matplotlib takes a second to load.
-        from bo_tuner.figures.matplotlib_renderer import write_figure
-
         for figure in figures(parts):
             for written in write_figure(figure, arguments.figures, arguments.format):
                 say(f"figure: {written}")

@@ -16,7 +16,7 @@ from pathlib import Path
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
@@ -122,7 +122,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         PARAMETERS: to_yaml(tuned).encode(),
         DIFFERENCE: _table(differences(record.study, default, tuned)).encode(),
     }
-    try:
+    with writing(folder):
         folder.mkdir(exist_ok=True)
         for name, source in _copied(record, trial).items():
             if source is not None and source.is_file():
@@ -142,10 +142,6 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         files[PROVENANCE] = _provenance(record, trial, files).encode()
         for name, content in files.items():
             write_atomically(folder / name, content)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
     return folder
 
 

@@ -7,7 +7,6 @@ import io
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -18,7 +17,6 @@ from matplotlib.figure import Figure as Sheet
 from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from bo_tuner.errors import OutputError
 from bo_tuner.figures.figure import (
     Axis,
     Band,
@@ -40,8 +38,6 @@ from bo_tuner.figures.figure import (
     Values,
 )
 from bo_tuner.figures.palette import DIVERGING, LIGHT, SEQUENTIAL
-
-FORMATS = ("png", "svg")
 
 PANEL_WIDTH = 5.2
 """Width of a panel [inch]."""
@@ -93,29 +89,8 @@ PLAIN = FuncFormatter(lambda value, _: f"{value:.4g}")
 """Plain numbers: powers of ten would need the markup that is off for names."""
 
 
-def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Write ``<folder>/<name>.<format>`` for each of the formats and return the paths.
-
-    Raises
-    ------
-    OutputError
-        If a file cannot be written.
-    """
-    paths = []
-    for kind in formats:
-        path = folder / f"{figure.name}.{kind}"
-        content = render(figure, kind)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        paths.append(path)
-    return paths
-
-
 def render(figure: Figure, kind: str) -> bytes:
-    """Return a figure as a file of a format, one of `FORMATS`."""
+    """Return a figure as a file of a format, ``png`` or ``svg``."""
     # Without a date, so that equal figures are equal files.
     metadata = {"Date": None} if kind == "svg" else {"Software": None}
     buffer = io.BytesIO()

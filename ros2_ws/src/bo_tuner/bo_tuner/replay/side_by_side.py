@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from bo_tuner.errors import OutputError
 from bo_tuner.recording.bag import NANOSECONDS, Message, Topic, TrialBag, stamp, timed
+from bo_tuner.storage.atomic import writing
 
 QUIET, LATEST_QUIET = 0.1, 1.0
 """Time without a message [s] after which an evaluation's last one has arrived; longest wait [s]."""
@@ -102,7 +102,7 @@ def write_side_by_side(
         return False
     together.sort(key=lambda item: item[0])
     text = {key: v if isinstance(v, str) else json.dumps(v) for key, v in notes.items()}
-    try:
+    with writing(path):
         bag = TrialBag(path)
         try:
             bag.write(together, text)
@@ -110,8 +110,6 @@ def write_side_by_side(
         except BaseException:
             bag.discard()
             raise
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
     return True
 
 

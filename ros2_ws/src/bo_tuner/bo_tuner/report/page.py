@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bo_tuner.errors import OutputError
 from bo_tuner.figures.figure import Figure
 from bo_tuner.figures.keys import color_bars, legend
 from bo_tuner.figures.palette import DARK, LIGHT
@@ -35,10 +34,13 @@ from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
-from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.trials import Trial
 from bo_tuner.verdict.verdict import State
+
+FORMATS = ("png", "svg")
+"""Kinds of image files of a figure."""
 
 
 def certificate(analysis: Analysis) -> Section | None:
@@ -119,13 +121,22 @@ def write_comparison(title: str, parts: Sequence[Section], path: Path) -> Path:
     return _write(path, fill("comparison.html", sections=parts, title=title, home=""))
 
 
-def _write(path: Path, text: str) -> Path:
-    try:
+def write_figure(figure: Figure, folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Write ``<folder>/<name>.<format>`` for each of the formats and return the paths.
+
+    It raises as `write_atomically`.
+    """
+    # Matplotlib takes a second to load.
+    from bo_tuner.figures.matplotlib_renderer import render
+
+    return [_write(folder / f"{figure.name}.{kind}", render(figure, kind)) for kind in formats]
+
+
+def _write(path: Path, content: str | bytes) -> Path:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     # A browser may reload the page while it is written again.
-    return write_atomically(path, text)
+    return write_atomically(path, content)
 
 
 def section_html(section: Section) -> str:

@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bo_tuner.errors import OutputError
@@ -42,6 +42,17 @@ def _runs(process: int) -> bool:
     return True
 
 
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn any other `OSError` into an `OutputError`: `path` cannot be written."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
 def write_atomically(path: Path, content: str | bytes) -> Path:
     """Replace a file, or create it, in one step that survives a power failure; return its path.
 
@@ -63,7 +74,7 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
     """
     data = content.encode("utf-8", "replace") if isinstance(content, str) else content
     temporary = temporary_path(path)
-    try:
+    with writing(path):
         if _is_regular(path) and path.read_bytes() == data:
             return path
         try:
@@ -78,8 +89,6 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         finally:
             temporary.unlink(missing_ok=True)
         synchronize(path.parent)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path
 
 

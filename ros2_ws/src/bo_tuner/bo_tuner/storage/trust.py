@@ -12,7 +12,8 @@ import json
 from functools import cache
 from pathlib import Path
 
-from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.errors import RunRecordError
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.state import state_folder
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.signals import PythonMetric
@@ -39,11 +40,9 @@ def trust(study: Study) -> None:
     if is_trusted(study):
         return
     path = _trusted() / _digest(study)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         path.touch(mode=0o600)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def check_trust(study: Study, folder: Path) -> None:

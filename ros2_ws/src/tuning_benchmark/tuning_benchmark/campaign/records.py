@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from bo_tuner.errors import OutputError
+from bo_tuner.storage.atomic import writing
 
 
 class Records:
@@ -66,14 +67,12 @@ class Records:
         OutputError
             If it cannot be written, or another campaign has written to it since it was read.
         """
-        try:
+        with writing(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._path.open("ab")
             unchanged = self._file.tell() == self._size
             if unchanged:
                 self._file.truncate(self._whole)
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
         if not unchanged:
             self._file.close()
             raise OutputError(
@@ -95,12 +94,10 @@ class Records:
             If it cannot be written, for example because the disk is full.
         """
         line = json.dumps(record, allow_nan=False, separators=(",", ":")) + "\n"
-        try:
+        with writing(self._path):
             self._file.write(line.encode())
             self._file.flush()
             os.fsync(self._file.fileno())
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
         # As it will be read again, so that a resumed campaign sees the same.
         self.done[str(record["task"])] = json.loads(line)
 
