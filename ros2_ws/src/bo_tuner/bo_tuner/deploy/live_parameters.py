@@ -9,15 +9,13 @@ from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
-from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, LOOK_AROUND, TunerNode
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
 from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
-LOOK_AROUND = 1.0
-"""Time [s] to discover a second node of a name."""
 
 
 class LiveParameters:
@@ -92,18 +90,13 @@ class LiveParameters:
     def _refuse_twins(self, node: str) -> None:
         """Refuse a node that runs more than once: who answers would not tell of the other."""
         if self._clients[node].servers() > 1:
-            raise NodeError(
-                f"{node} runs more than once in ROS domain {self._tuner.domain}; end all but one"
-            )
+            raise NodeError(f"{self._tuner.repeated(node)}; end all but one")
 
     def _wait_for_nodes(self) -> None:
         deadline = time.monotonic() + DISCOVERY_TIMEOUT
         for node, client in self._clients.items():
             if not self._tuner.wait_until(client.is_ready, deadline - time.monotonic()):
-                raise BackendError(
-                    f"{node}: no such node in ROS domain {self._tuner.domain} "
-                    f"after {DISCOVERY_TIMEOUT:g} s"
-                )
+                raise BackendError(self._tuner.absent(node, DISCOVERY_TIMEOUT))
             # A request that changes values is sent only once, so test the connection first.
             try:
                 client.expect_answers(time.monotonic() + CALL_TIMEOUT)

@@ -15,14 +15,12 @@ from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import LOOK_AROUND, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
 
 NODE_NAME = "bo_tuner_look"
-LOOK_AROUND = 1.0
-"""Time [s] to discover a second node of a name."""
 DISCOVERY = 5.0
 """Time [s] to find a node or a topic."""
 ANSWER = 2.0
@@ -85,9 +83,7 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
             raise BackendError(f"{node}: no such node; {near}")
         # One that was killed is in the graph until its lease has ended.
         if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
-            raise BackendError(
-                f"{node} runs more than once in ROS domain {tuner.domain}; end all but one"
-            )
+            raise BackendError(f"{tuner.repeated(node)}; end all but one")
         names = client.names(ANSWER)
         descriptors, values = client.descriptors(names, ANSWER), client.values(names, ANSWER)
     except SilentError as error:

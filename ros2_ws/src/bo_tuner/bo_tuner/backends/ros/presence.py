@@ -10,7 +10,7 @@ from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.parameters import PARAMETER_EVENTS
 from bo_tuner.backends.ros.trigger import of_node
-from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, UNKNOWN_NODE, TunerNode, full_name
 from bo_tuner.study.study import Study
 
 NAME_TIMEOUT = 1.0
@@ -71,10 +71,7 @@ class Presence:
         deadline = time.monotonic() + timeout
         while absent := self.absent():
             if time.monotonic() > deadline:
-                name = self._study.nodes[absent[0]].node
-                raise LostError(
-                    f"{name}: no such node in ROS domain {self._tuner.domain} after {timeout:g} s"
-                )
+                raise LostError(self._tuner.absent(self._study.nodes[absent[0]].node, timeout))
             self._tuner.spin_once()
         for key, client in self._parameters.clients.items():
             client.expect_answers(deadline)
@@ -116,7 +113,7 @@ class Presence:
         while twins := self._repeated():
             if time.monotonic() > deadline or twins == self._twins:
                 self._twins = twins
-                return f"{twins[0]} runs more than once in ROS domain {self._tuner.domain}"
+                return self._tuner.repeated(twins[0])
             self._tuner.spin_once()
         self._twins = []
         return ""
@@ -139,7 +136,7 @@ class Presence:
         return {
             bytes(info.endpoint_gid)
             for info in infos
-            if f"{info.node_namespace.rstrip('/')}/{info.node_name}" == name
+            if full_name(info.node_namespace, info.node_name) == name
         }
 
     def _wait_for_names(self) -> None:

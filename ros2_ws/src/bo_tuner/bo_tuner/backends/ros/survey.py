@@ -11,7 +11,7 @@ from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
 
@@ -88,7 +88,7 @@ def _nodes(tuner: TunerNode) -> list[str]:
     found = {
         _relative(tuner, name, namespace)
         for name, namespace in tuner.node.get_node_names_and_namespaces()
-        if f"{namespace.rstrip('/')}/{name}/list_parameters" in services
+        if f"{full_name(namespace, name)}/list_parameters" in services
     }
     return sorted(name for name in found if name and not is_hidden(name))
 
@@ -96,7 +96,7 @@ def _nodes(tuner: TunerNode) -> list[str]:
 def _relative(tuner: TunerNode, name: str, namespace: str) -> str:
     """Return a node's name relative to the namespace; empty if it is in another one."""
     own = tuner.node.get_namespace().rstrip("/") + "/"
-    full = f"{namespace.rstrip('/')}/{name}"
+    full = full_name(namespace, name)
     return full.removeprefix(own) if full.startswith(own) else ""
 
 

@@ -23,6 +23,13 @@ CALL_TIMEOUT = 5.0
 SPIN_PERIOD = 0.1
 POLL_PERIOD = 0.01
 """Time [s] between two looks at a condition that is waited for."""
+LOOK_AROUND = 1.0
+"""Time [s] to discover a second node of a name."""
+
+
+def full_name(namespace: str, name: str) -> str:
+    """Return the name of a node with its namespace."""
+    return f"{namespace.rstrip('/')}/{name}"
 
 
 class TunerNode:
@@ -88,11 +95,18 @@ class TunerNode:
         namespace = self.node.get_namespace()
         found = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
         if found > (self.node.get_name() == NODE_NAME):
-            name = f"{namespace.rstrip('/')}/{NODE_NAME}"
             raise BackendError(
-                f"another tuner is at work as {name}; wait for it, or "
+                f"another tuner is at work as {full_name(namespace, NODE_NAME)}; wait for it, or "
                 "use another namespace or ROS_DOMAIN_ID"
             )
+
+    def absent(self, name: str, timeout: float) -> str:
+        """Tell that a node was not found within `timeout` seconds."""
+        return f"{name}: no such node in ROS domain {self.domain} after {timeout:g} s"
+
+    def repeated(self, name: str) -> str:
+        """Tell that several nodes or services have a name."""
+        return f"{name} runs more than once in ROS domain {self.domain}"
 
     def warn(self, text: str) -> None:
         """Say something on the log of the node."""
