@@ -1,7 +1,5 @@
 """``recompute``: metrics of a run from its bags, also those of another study."""
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,10 +11,10 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.replay.recompute import Recomputed, differing, recompute
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
-from bo_tuner.text import csv_cell
 
 DESCRIPTION = """\
 Compute the metrics of every recorded run again from the signals in its bag, and
@@ -85,11 +83,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in rows[-1]])
     plain_console().print(table)
     if arguments.csv is not None:
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow((*header[:-1], "note"))
-        writer.writerows([csv_cell(value) for value in row] for row in rows)
-        say(f"table: {write_atomically(arguments.csv, text.getvalue())}")
+        text = csv_text([(*header[:-1], "note"), *rows])
+        say(f"table: {write_atomically(arguments.csv, text)}")
     say(f"{len(rows)} runs; {wrong} differ from the record")
     return EXIT_INFEASIBLE if wrong else EXIT_OK
 

@@ -5,11 +5,9 @@ recipient can verify that the bundle is complete.
 """
 
 import contextlib
-import csv
 import hashlib
-import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +15,13 @@ from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.certificate.store import evaluations_path, latest_certificate
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.storage.atomic import write_atomically, writing
+from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
-from bo_tuner.text import csv_cell
 from bo_tuner.trials import Trial
 
 DEPLOY = "deploy"
@@ -247,14 +245,9 @@ def _provenance(record: RunRecord, trial: Trial, files: Mapping[str, bytes]) -> 
 
 
 def _table(rows: list[Difference]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("node", "parameter", "unit", "default", "tuned", "changed"))
-    writer.writerows(_cells(rows))
-    return text.getvalue()
-
-
-def _cells(rows: list[Difference]) -> Iterator[tuple[object, ...]]:
-    for row in rows:
-        values = (csv_cell(value) for value in (row.unit, row.now, row.new))
-        yield row.node, row.parameter, *values, "" if row.equal else "yes"
+    header = ("node", "parameter", "unit", "default", "tuned", "changed")
+    cells = [
+        (row.node, row.parameter, row.unit, row.now, row.new, "" if row.equal else "yes")
+        for row in rows
+    ]
+    return csv_text([header, *cells])

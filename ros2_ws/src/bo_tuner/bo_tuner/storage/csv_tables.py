@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -33,6 +33,13 @@ def export_csv(path: Path, directory: Path) -> None:
     evaluations = [_of_evaluation(evaluation) for evaluation in content.evaluations]
     _write(directory / "trials.csv", trials, "number")
     _write(directory / "evaluations.csv", evaluations, "trial")
+
+
+def csv_text(rows: Iterable[Iterable[object]], end: str = "\n") -> str:
+    """Return rows, the header first, as text for spreadsheets, in which no text is a formula."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator=end).writerows(map(csv_cell, row) for row in rows)
+    return text.getvalue()
 
 
 def _of_trial(trial: Trial) -> dict[str, object]:
@@ -78,8 +85,5 @@ def _columns(section: str, values: Mapping[str, object]) -> dict[str, object]:
 def _write(path: Path, rows: Sequence[Mapping[str, object]], first: str) -> None:
     """Write a table; one without rows has its `first` column alone."""
     columns = list(dict.fromkeys(column for row in rows for column in row)) or [first]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns)
-    writer.writeheader()
-    writer.writerows({column: csv_cell(cell) for column, cell in row.items()} for row in rows)
-    write_atomically(path, text.getvalue())
+    cells = [[row.get(column) for column in columns] for row in rows]
+    write_atomically(path, csv_text([columns, *cells], "\r\n"))
