@@ -1,4 +1,4 @@
-"""The algorithms: I to IV of the paper (Sec. 5.1), and V with a joint model."""
+"""The algorithms: `boundary`, the default; I to IV of the paper (Sec. 5.1); V, a joint model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

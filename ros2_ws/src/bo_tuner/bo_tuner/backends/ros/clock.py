@@ -237,7 +237,7 @@ def to_stamp(nanoseconds: int) -> Time:
 
 
 def check_wall_clock() -> None:
-    """Refuse a wall clock whose time no ROS message can hold: every cut would be refused.
+    """Refuse a wall clock whose time no ROS message can hold: every run would be refused.
 
     Raises
     ------
