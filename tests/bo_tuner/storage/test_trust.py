@@ -183,6 +183,7 @@ class TestFiles:
         (run / "log").mkdir(exist_ok=True)
         (run / "log" / "latest").symlink_to("2026-01-01")
         read_run(run)
+        assert (run / "log" / "latest").is_symlink()
 
     @pytest.mark.timeout(60)
     @pytest.mark.parametrize("kind", ["link", "pipe"])

@@ -56,7 +56,8 @@ def test_a_study(make_study, sections, path, complaint):
 
 
 def test_the_largest_are_taken(make_study):
-    make_study(parameters=many(50, DOUBLE), budget=BUDGET | {"trials": maxima.TRIALS})
+    study = make_study(parameters=many(50, DOUBLE), budget=BUDGET | {"trials": maxima.TRIALS})
+    assert len(study.parameters) == 50
 
 
 @pytest.mark.parametrize("size", ["1e300", "inf", "nan", "10000001", "0", "-1"])

@@ -7,7 +7,7 @@ import pytest
 import yaml
 from signal_runs import signal_study
 
-from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.study.study_file import study_from_mapping, study_to_mapping
 
 PAGE = Path(__file__).parents[3] / "docs" / "procedure.md"
 BLOCKS = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
@@ -23,7 +23,10 @@ STUDY = signal_study(
 def test_a_recipe(block):
     sections = yaml.safe_load(block)
     metrics = STUDY["metrics"] | sections.pop("metrics", {})
-    study_from_mapping(STUDY | sections | {"metrics": metrics})
+    study = study_from_mapping(STUDY | sections | {"metrics": metrics})
+    read = study_to_mapping(study)
+    assert {"metrics", *sections} <= read.keys()
+    assert read["metrics"].keys() == metrics.keys()
 
 
 @pytest.mark.parametrize(

@@ -95,11 +95,15 @@ def test_the_same_seed_asks_the_same(peer):
 
 def test_a_run_of_crashes_only_goes_on(peer):
     problem = ClosedForm(parameters=2, contexts=1)
-    optimizer = load(peer)(problem.study(), seed=5)
+    study = problem.study()
+    optimizer = load(peer)(study, seed=5)
     told(optimizer, problem, count=6, crash=range(6))
+    crashed = optimizer.ask()
+    optimizer.tell(Result(*crashed, None, None))
     parameters, context = optimizer.ask()
-    optimizer.tell(Result(parameters, context, None, None))
-    optimizer.ask()
+    assert (parameters, context) != crashed
+    for name, spec in study.parameters.items():
+        assert spec.bounds[0] <= parameters[name] <= spec.bounds[1]
 
 
 @pytest.mark.parametrize("made", [StableOpt, Carbo])
