@@ -210,7 +210,7 @@ class Trial:
         return self.state is TrialState.FAILED and all(
             evaluation.outcome.spoilt
             for evaluation in self.evaluations
-            if evaluation.outcome.state is not EvaluationState.COMPLETE
+            if not evaluation.outcome.complete
         )
 
     @property

@@ -34,7 +34,7 @@ from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import Constraint, Objective
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, TrialState
+from bo_tuner.trials import Trial, TrialState
 
 OBJECTIVE, OUTLIERS, FAILURES = "objective", "outliers", "failures"
 
@@ -261,7 +261,7 @@ class Fitting:
         return CrashModel.fit(
             np.array([point for point, _ in runs]).reshape(-1, self._space.dimension),
             contexts.cube_of([evaluation.context for _, evaluation in runs]),
-            np.array([e.outcome.state is not EvaluationState.COMPLETE for _, e in runs], bool),
+            np.array([not e.outcome.complete for _, e in runs], bool),
             coding=self._coding,
             contexts=contexts.candidates(),
             neighbours=self.classifier(

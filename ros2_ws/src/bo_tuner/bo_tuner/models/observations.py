@@ -7,7 +7,7 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.parts import Constraint
-from bo_tuner.trials import SEEKING_WORST, EvaluationState, Trial
+from bo_tuner.trials import SEEKING_WORST, Trial
 
 
 def joint_observations(
@@ -22,7 +22,7 @@ def joint_observations(
         (point, evaluation)
         for trial, point in zip(trials, points, strict=True)
         for evaluation in trial.evaluations
-        if evaluation.outcome.state is EvaluationState.COMPLETE
+        if evaluation.outcome.complete
     ]
     return (
         np.array([point for point, _ in complete]).reshape(-1, points.shape[1]),

@@ -26,7 +26,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.optimizers.ranking import Candidate, looks, required_after, runs_until
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Stage, Trial
+from bo_tuner.trials import Stage, Trial
 
 OWN_RUNS = 4
 """Runs of its own that the answer must have where each limit is most doubtful.
@@ -233,7 +233,7 @@ class _Corners:
 def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:
     """Return the number of complete runs of a parameter set near a context."""
     contexts = study.context_space()
-    done = [e.context for e in trial.evaluations if e.outcome.state is EvaluationState.COMPLETE]
+    done = [e.context for e in trial.evaluations if e.outcome.complete]
     if not done:
         return 0
     apart: Array = np.abs(contexts.cube_of(done) - contexts.cube_of([context]))

@@ -20,7 +20,7 @@ from bo_tuner.study.signals import PythonMetric
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import shipped_nodes, study_to_mapping
 
-OF_A_RUN = ("name", "description", "seed", "budget", "start")
+HOW_MUCH = ("name", "description", "seed", "budget", "start")
 """Sections of a study that do not matter: they say how much is run, not what."""
 
 
@@ -88,7 +88,7 @@ def _programs(node: NodeSpec) -> list[str]:
 
 
 def _digest(study: Study) -> str:
-    sections = {k: v for k, v in study_to_mapping(study).items() if k not in OF_A_RUN}
+    sections = {k: v for k, v in study_to_mapping(study).items() if k not in HOW_MUCH}
     return hashlib.sha256(json.dumps(sections, sort_keys=True).encode()).hexdigest()
 
 

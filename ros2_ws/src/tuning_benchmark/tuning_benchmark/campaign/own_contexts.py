@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value
+from bo_tuner.trials import Evaluation, Stage, Trial, TrialState, Value
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import NOBODY
@@ -73,7 +73,7 @@ class OwnContextsRun:
         seed = noise_seed(self.study.seed, Stream.NOISE, number, 0)
         planned = Evaluation(number, 0, Stage.SEARCH, parameters, context, seed)
         done = evaluate(self.study, self.backend, planned, NOBODY)
-        complete = done.outcome.state is EvaluationState.COMPLETE
+        complete = done.outcome.complete
         state = TrialState.COMPLETE if complete else TrialState.FAILED
         return Trial(number, parameters, ORIGIN, state, done.outcome.reason, (done,))
 

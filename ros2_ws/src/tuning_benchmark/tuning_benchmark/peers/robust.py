@@ -12,7 +12,7 @@ from typing import Protocol
 
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Value
+from bo_tuner.trials import Evaluation, Value
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def result_of(study: Study, evaluation: Evaluation) -> Result:
     """
     constraint = worst_case_constraint(study)
     tuned = {name: evaluation.parameters[name] for name in study.search_space().names}
-    if evaluation.outcome.state is not EvaluationState.COMPLETE:
+    if not evaluation.outcome.complete:
         return Result(tuned, evaluation.context, None, None)
     metrics = evaluation.outcome.metrics
     cost = float(study.objective.to_cost(metrics[study.objective.metric]))
