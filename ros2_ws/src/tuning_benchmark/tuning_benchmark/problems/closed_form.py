@@ -52,8 +52,7 @@ from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import study_from_mapping
-from tuning_benchmark.problems.node import ParameterizedNode
+from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
 
 NONE, CONSTANT, HETEROSCEDASTIC = "none", "constant", "heteroscedastic"
 
@@ -261,15 +260,14 @@ class ClosedForm:
 
     def study(self) -> Study:
         """Return the study, which runs in process."""
-        node = {"node": "problem"}
         parameters: dict[str, Any] = {}
         for i in range(self.parameters):
             lower, upper, scale = self.bounds(i)
             middle = 0.0 if scale == "linear" else 1.0
-            parameters[f"p{i + 1}"] = node | {
+            parameters[f"p{i + 1}"] = NODE | {
                 "type": "double", "bounds": [lower, upper], "scale": scale, "default": middle,
             }  # fmt: skip
-        context = node | {
+        context = NODE | {
             "distribution": "truncated_normal", "mean": 0.0, "standard_deviation": SPREAD,
             "bounds": [-1.0, 1.0],
         }  # fmt: skip
@@ -280,29 +278,15 @@ class ClosedForm:
             "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
             "crash": self.crash, **({"steep": True} if self.steep else {}),
         }  # fmt: skip
-        return study_from_mapping(
-            {
-                "name": self.name,
-                "nodes": {
-                    "problem": node
-                    | {"result": "~/result", "object": f"{__name__}:Node", "parameters": settings}
-                },
-                "parameters": parameters,
-                "contexts": {f"w{j + 1}": context for j in range(self.contexts)},
-                "seed_parameter": node | {"parameter": "seed"},
-                "trigger": node | {"service": "~/run"},
-                "metrics": {"cost": node, "stress": node},
-                "objective": {"metric": "cost", "scale": "log"},
-                "constraints": {"stress": limit},
-                # The default is the cube's centre, near the optimum.
-                "start": [],
-                "budget": {
-                    "trials": 40,
-                    "initial_trials": 4 + self.parameters,
-                    "drawn_contexts": 3,
-                    "search_evaluations": 4,
-                },
-            }
+        return problem_study(
+            f"{__name__}:Node",
+            settings,
+            name=self.name,
+            parameters=parameters,
+            contexts={f"w{j + 1}": context for j in range(self.contexts)},
+            metrics={"cost": NODE, "stress": NODE},
+            objective={"metric": "cost", "scale": "log"},
+            constraints={"stress": limit},
         )
 
     def point(self, values: Mapping[str, Any]) -> Array:

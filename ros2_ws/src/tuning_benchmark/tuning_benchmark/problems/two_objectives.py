@@ -27,9 +27,8 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import hypervolume
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import study_from_mapping
 from tuning_benchmark.problems.closed_form import warped
-from tuning_benchmark.problems.node import ParameterizedNode
+from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
 
 LIMIT = 0.8
 LEAN = 0.25
@@ -102,34 +101,19 @@ class TwoObjectives:
 
     def study(self) -> Study:
         """Return the study, which runs in process."""
-        node = {"node": "problem"}
-        parameter = node | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
-        context = node | {"distribution": "uniform", "bounds": [-1.0, 1.0]}
+        parameter = NODE | {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
+        context = NODE | {"distribution": "uniform", "bounds": [-1.0, 1.0]}
         settings = {"parameters": self.parameters, "contexts": self.contexts}
-        return study_from_mapping(
-            {
-                "name": f"two_objectives_{self.parameters}",
-                "nodes": {
-                    "problem": node
-                    | {"result": "~/result", "object": f"{__name__}:Node", "parameters": settings}
-                },
-                "parameters": {f"p{i + 1}": parameter for i in range(self.parameters)},
-                "contexts": {f"w{j + 1}": context for j in range(self.contexts)},
-                "seed_parameter": node | {"parameter": "seed"},
-                "trigger": node | {"service": "~/run"},
-                "metrics": {"first": node, "second": node, "share": node},
-                "objective": {"metric": "first"},
-                "further_objectives": [{"metric": "second"}],
-                "constraints": {"share": {"kind": "worst_case", "metric": "share", "upper": LIMIT}},
-                # The default is the cube's centre, in the middle of the front.
-                "start": [],
-                "budget": {
-                    "trials": 40,
-                    "initial_trials": 4 + self.parameters,
-                    "drawn_contexts": 3,
-                    "search_evaluations": 4,
-                },
-            }
+        return problem_study(
+            f"{__name__}:Node",
+            settings,
+            name=f"two_objectives_{self.parameters}",
+            parameters={f"p{i + 1}": parameter for i in range(self.parameters)},
+            contexts={f"w{j + 1}": context for j in range(self.contexts)},
+            metrics={"first": NODE, "second": NODE, "share": NODE},
+            objective={"metric": "first"},
+            further_objectives=[{"metric": "second"}],
+            constraints={"share": {"kind": "worst_case", "metric": "share", "upper": LIMIT}},
         )
 
     def point(self, values: Mapping[str, Any]) -> Array:
