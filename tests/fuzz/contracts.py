@@ -10,6 +10,7 @@ import shutil
 from pathlib import Path
 
 import made_runs
+from drive_text import places
 from hypothesis import strategies as st
 from made_runs import INITIAL
 
@@ -55,21 +56,12 @@ def one_line(error):
     assert len(text) < 2_000, text[:200]
 
 
-def paths(value, path=()):
-    """Every place in dictionaries and lists."""
-    yield path
-    items = dict(enumerate(value)) if isinstance(value, list) else value
-    for key, inner in items.items() if isinstance(items, dict) else ():
-        yield from paths(inner, (*path, key))
-
-
 @st.composite
 def studies(draw):
     """Text of a study in which some values, keys or lines are changed."""
     mapping = copy.deepcopy(MAPPING)
     for _ in range(draw(st.integers(1, 3))):
-        places = [path for path in paths(mapping) if path]
-        *above, last = draw(st.sampled_from(places))
+        *above, last = draw(st.sampled_from([path for path in places(mapping) if path]))
         parent = mapping
         for key in above:
             parent = parent[key]

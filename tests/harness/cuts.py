@@ -22,6 +22,13 @@ class Constant:
         return self
 
 
+def expected_commands(velocities, reference):
+    """Commands of a controller that measures velocities [m/s], one after the other."""
+    controller = MpcController()
+    controller.start(reference)
+    return [controller.step(v).command for v in velocities]
+
+
 class Tap:
     """Keeps what goes into and out of a controller, by sample: all velocities [m/s]."""
 

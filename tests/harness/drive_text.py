@@ -4,9 +4,7 @@ import pytest
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
-from bo_tuner.study.study_file import (
-    study_from_mapping,
-)
+from bo_tuner.study.study_file import study_from_mapping
 
 STUDY = """\
 name: drive
@@ -39,13 +37,21 @@ def mapping():
 
 
 def put(value, *path):
-    """The study with a value put in; a callable value changes what is there."""
+    """The study with a value put in."""
     changed = mapping()
     inner = changed
     for key in path[:-1]:
         inner = inner[key]
     inner[path[-1]] = value
     return changed
+
+
+def places(value, path=()):
+    """Every path into dictionaries and lists."""
+    yield path
+    if isinstance(value, (dict, list)):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from places(inner, (*path, key))
 
 
 def refusal(changed):

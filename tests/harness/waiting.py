@@ -28,9 +28,14 @@ def catches(pid, signum=signal.SIGTERM):
 
     Python has one for SIGINT from its start on, for others only if the program sets it.
     """
-    status = Path(f"/proc/{pid}/status").read_text()
-    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt:"))
-    return bool(int(mask, 16) >> (signum - 1) & 1)
+    return in_mask(Path(f"/proc/{pid}"), "SigCgt", signum)
+
+
+def in_mask(task, mask, signum):
+    """Whether a signal is in a mask of a process or thread, by its folder in /proc."""
+    status = (task / "status").read_text()
+    (bits,) = (line.split()[1] for line in status.splitlines() if line.startswith(f"{mask}:"))
+    return bool(int(bits, 16) >> (signum - 1) & 1)
 
 
 def count_in(path):

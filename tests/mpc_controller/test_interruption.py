@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from commands import ONE_THREAD, environment, finish, start
-from waiting import DEADLINE, wait_until
+from waiting import DEADLINE, in_mask, wait_until
 
 from bo_tuner.study.study_file import load_study, study_to_mapping
 
@@ -99,13 +99,6 @@ class Slow(MpcController):
 """
 
 
-def takes(task, signum=signal.SIGINT):
-    """Whether a thread of a process may be handed a signal, by its folder in /proc."""
-    status = (task / "status").read_text()
-    (mask,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigBlk:"))
-    return not int(mask, 16) >> (signum - 1) & 1
-
-
 def test_a_run_in_process_ends(tmp_path):
     (tmp_path / "slow.py").write_text(SLOW)
     study = json.loads(json.dumps(study_to_mapping(load_study("benchmark").replace(trials=2))))
@@ -120,6 +113,6 @@ def test_a_run_in_process_ends(tmp_path):
         if task.name != str(process.pid)
     ]
     assert others, "there are those of the linear algebra"
-    assert not any(takes(task) for task in others)
+    assert all(in_mask(task, "SigBlk", signal.SIGINT) for task in others)
     process.send_signal(signal.SIGINT)
     assert finish(process)[0] == 130

@@ -2,13 +2,14 @@
 
 import itertools
 import math
+from functools import partial
 
+import cuts
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from feed_axis_common.ros.messages import cut_identifier
-from mpc_controller.controller import MpcController
 from mpc_controller.node import LONGEST_GAP
 
 pytestmark = pytest.mark.ros
@@ -17,7 +18,7 @@ PERIOD = 20_000_000
 REFERENCE = [0.5] * 4 + [0.7] * 4
 VELOCITIES = [0.5, 0.49, 0.52, 0.5, 0.51, 0.6, 0.66, 0.71]
 
-
+expected_commands = partial(cuts.expected_commands, velocities=VELOCITIES, reference=REFERENCE)
 starts = itertools.count(1_700_000_000_123_456_789, 10**12)
 
 
@@ -25,12 +26,6 @@ starts = itertools.count(1_700_000_000_123_456_789, 10**12)
 def t0():
     """Time [ns] of a cut that no other test has used; the tests share their controller."""
     return next(starts)
-
-
-def expected_commands(velocities=VELOCITIES, reference=REFERENCE):
-    controller = MpcController()
-    controller.start(reference)
-    return [controller.step(v).command for v in velocities]
 
 
 def samples_from(start):
@@ -142,7 +137,7 @@ def test_lost_measurements_are_bridged_by_the_model_and_counted(drive, t0):
     times = [t0 + k * PERIOD for k in (0, 1, 2, 5, 6, 7)]
     velocities = [VELOCITIES[k] for k in (0, 1, 2, 5, 6, 7)]
     gap = [*VELOCITIES[:3], math.nan, math.nan, *VELOCITIES[5:]]
-    expected = expected_commands(gap)
+    expected = expected_commands(velocities=gap)
     assert run(drive, times, velocities) == [expected[k] for k in (0, 1, 2, 5, 6, 7)]
     values, level, message = drive.result()
     assert level == DiagnosticStatus.ERROR
@@ -170,7 +165,7 @@ def test_as_many_measurements_as_allowed_can_be_lost_and_no_more(drive, t0):
 def test_a_measurement_that_is_not_finite_is_left_out_and_counted(drive, t0):
     velocities = [*VELOCITIES[:5], math.inf, *VELOCITIES[6:]]
     drive.reference(REFERENCE, start=t0)
-    assert run(drive, samples_from(t0), velocities) == expected_commands(velocities)
+    assert run(drive, samples_from(t0), velocities) == expected_commands(velocities=velocities)
     values, _, message = drive.result()
     assert message == "sample 5: measurement is inf"
     assert values["fallbacks"] == "1"

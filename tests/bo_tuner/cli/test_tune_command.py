@@ -34,23 +34,17 @@ def study_file(tmp_path, make_study):
 @pytest.fixture
 def tune(tmp_path, study_file):
     """Function that starts the command on the small object."""
-
-    def begin(*arguments, environment=None, **streams):
-        arguments = command(study_file, *arguments)
-        return Fork(*arguments, folder=tmp_path, env=environment, **streams)
-
-    return begin
+    return partial(begin, Fork, tmp_path, study_file)
 
 
 @pytest.fixture
 def fresh_tune(tmp_path, study_file):
     """The same with an interpreter of its own, and options of `subprocess.Popen`."""
+    return partial(begin, start, tmp_path, study_file)
 
-    def begin(*arguments, environment=None, **options):
-        arguments = command(study_file, *arguments)
-        return start(*arguments, folder=tmp_path, env=environment, **options)
 
-    return begin
+def begin(run, folder, study, *arguments, environment=None, **options):
+    return run(*command(study, *arguments), folder=folder, env=environment, **options)
 
 
 def command(study, *arguments):

@@ -4,7 +4,7 @@ import copy
 
 import numpy as np
 import pytest
-from drive_text import mapping, put
+from drive_text import mapping, places, put
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,15 +14,6 @@ from bo_tuner.study.study_file import (
     study_from_mapping,
     study_to_yaml,
 )
-
-
-def places(value, path=()):
-    """Every path into dictionaries and lists."""
-    yield path
-    if isinstance(value, (dict, list)):
-        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from places(inner, (*path, key))
-
 
 PLACES = [path for path in places(mapping()) if path]
 VALUES = st.one_of(

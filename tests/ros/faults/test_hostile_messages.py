@@ -5,6 +5,7 @@ import math
 
 import pytest
 from builtin_interfaces.msg import Duration, Time
+from cuts import expected_commands
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from milling_nodes import Loop
@@ -75,12 +76,6 @@ over_the_wire = settings(
     # Shrinking would run the nodes through hundreds of further cases.
     phases=[Phase.explicit, Phase.generate],
 )
-
-
-def expected_commands(velocities, reference):
-    controller = MpcController()
-    controller.start(reference)
-    return [controller.step(v).command for v in velocities]
 
 
 def check_cut(drive, start):

@@ -35,9 +35,9 @@ CHANGES = [
 ]
 
 
-def make_study(**controller):
+def make_study():
     mapping = study_to_mapping(load_study("full"))
-    mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"} | controller
+    mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
     mapping["nodes"]["plant"]["parameters"] = {"samples_per_level": 20, "command_timeout": 5.0}
     return study_from_mapping(mapping)
 
