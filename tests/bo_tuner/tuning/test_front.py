@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from bo_tuner.numerics.pareto import hypervolume
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.base import ACQUISITION
 from bo_tuner.optimizers.ranking import rank
@@ -25,6 +24,7 @@ from bo_tuner.tuning.recommendation import recommend
 from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
+from tuning_benchmark.problems.two_objectives import hypervolume
 
 NODE = {"node": "axis"}
 SECTIONS = {

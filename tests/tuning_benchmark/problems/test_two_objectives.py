@@ -1,11 +1,23 @@
 """The problem with two objectives: its front, its limit and its runs are what the text says."""
 
+from itertools import chain, combinations
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize
 
 from bo_tuner.numerics.pareto import nondominated
-from tuning_benchmark.problems.two_objectives import DISTANCE, LEAN, LIMIT, Node, TwoObjectives
+from tuning_benchmark.problems.two_objectives import (
+    DISTANCE,
+    LEAN,
+    LIMIT,
+    Node,
+    TwoObjectives,
+    hypervolume,
+)
 
 
 @pytest.fixture(params=[2, 4])
@@ -69,3 +81,33 @@ def test_volumes(problem):
     assert 0.0 < problem.volume(points) < 1.0
     # The front lies in the cube, whose warped coordinates are from 0 to 1, too.
     assert all(end.min() > 0.0 and end.max() < 1.0 for end in problem.ends)
+
+
+def by_inclusion_and_exclusion(costs, reference):
+    """Area of a union of boxes: those of all subsets, with alternating signs."""
+    boxes = [row for row in costs if (row < reference).all()]
+    subsets = chain.from_iterable(combinations(boxes, n) for n in range(1, len(boxes) + 1))
+    return sum(
+        (-1) ** (len(subset) + 1) * np.prod(reference - np.max(subset, axis=0))
+        for subset in subsets
+    )
+
+
+# A coarse grid, so that ties are frequent.
+@given(arrays(np.float64, st.tuples(st.integers(1, 7), st.just(2)), elements=st.integers(0, 5)))
+def test_hypervolume_is_that_of_the_union_of_boxes(costs):
+    reference = np.full(2, 4.5)
+    expected = by_inclusion_and_exclusion(costs, reference)
+    assert hypervolume(costs, reference) == pytest.approx(expected)
+    assert hypervolume(costs[nondominated(costs)], reference) == pytest.approx(expected)
+
+
+def test_hypervolume_of_a_quarter_of_a_disc():
+    angles = np.linspace(0.0, 0.5 * np.pi, 2001)
+    costs = 1.0 - np.column_stack([np.cos(angles), np.sin(angles)])
+    assert hypervolume(costs, np.ones(2)) == pytest.approx(0.25 * np.pi, abs=1e-3)
+
+
+def test_nothing_within_the_reference():
+    assert hypervolume(np.array([[1.0, 0.0]]), np.ones(2)) == 0.0
+    assert hypervolume(np.empty((0, 2)), np.ones(2)) == 0.0

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.pareto import hypervolume
 from bo_tuner.study.study import Study
 from tuning_benchmark.problems.closed_form import warped
 from tuning_benchmark.problems.node import NODE, ParameterizedNode, problem_study
@@ -119,6 +118,17 @@ class TwoObjectives:
     def point(self, values: Mapping[str, Any]) -> Array:
         """Unit-cube coordinates (d,) of the parameters ``p1`` to ``pd``."""
         return np.array([values[f"p{i + 1}"] for i in range(self.parameters)])
+
+
+def hypervolume(costs: Array, reference: Array) -> float:
+    """Return the area that points of costs (n, 2) dominate, up to a reference point (2,).
+
+    Points beyond the reference in a cost add nothing.
+    """
+    inside = costs[(costs < reference).all(axis=1)]
+    first, second = inside[np.argsort(inside[:, 1], kind="stable")].T
+    heights = np.diff(second, append=reference[1])
+    return float(sum(heights * (reference[0] - np.minimum.accumulate(first))))
 
 
 class Node(ParameterizedNode):
