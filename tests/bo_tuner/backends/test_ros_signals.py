@@ -3,10 +3,13 @@
 import contextlib
 from types import SimpleNamespace
 
+import pytest
+from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Header
 
-from bo_tuner.backends.ros.signals import DEPTH, _Topic
+from bo_tuner.backends.ros.clock import WallClock
+from bo_tuner.backends.ros.signals import DEPTH, _Topic, _Track
 
 
 class Flood(contextlib.nullcontext):
@@ -26,3 +29,30 @@ def test_a_topic_faster_than_its_reader_lets_the_reader_go_on():
     topic.poll()
     assert 0 < flood.taken <= DEPTH
     assert topic.lost == 0
+
+
+def heard(stamps):
+    """A track of a message each second, which tells its number and has one of `stamps` [s]."""
+    track = _Track(lambda message: message.number, True, WallClock(), in_run=True)
+    for number, stamp in enumerate(stamps):
+        header = Header(stamp=Time(sec=stamp))
+        track.add(SimpleNamespace(header=header, number=float(number)), number * 1_000_000_000)
+    return track
+
+
+@pytest.mark.parametrize(
+    ("stamps", "stale", "late"),
+    [
+        ([10, 11, 12, 13], 0, []),
+        ([10, 12, 11, 13, 15, 14], 0, [2, 5, 5]),
+        ([10, 99, 12, 13, 14], 86, [2, 3, 4, 4]),
+        ([10, 11, 5, 6], 5, [2, 3, 3]),
+        ([0, 0, 0, 0, 0], 3, [1, 2, 3, 4, 4]),
+    ],
+    ids=["in order", "reordered", "one ahead", "set back", "none"],
+)
+def test_stamps_that_do_not_go_on(stamps, stale, late):
+    """How long a message after a late one is late, too, and what late ones say, with the last."""
+    track = heard(stamps)
+    assert track.stale == stale * 1_000_000_000
+    assert list(track.take_late()) == late

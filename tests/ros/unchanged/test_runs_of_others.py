@@ -8,7 +8,7 @@ from rclpy.parameter import Parameter
 from servo import Sensor, failure, run, study
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros import procedure, suspension, tuner_node
+from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
 from bo_tuner.errors import StudyError
 from bo_tuner.study import maxima
 from bo_tuner.trials import EvaluationState
@@ -213,6 +213,27 @@ def test_a_run_is_aborted_also_by_a_message_with_a_stamp_ahead(backend, system):
     system.ahead = 2 * DEADLINE
     made = backend(run=FOR_LONG | {"abort_when": "abs(angle) > 0.8"})
     assert failure(run(made)).startswith("aborted at 600.")
+
+
+def set_back(system):
+    """As by a clock that is set; the machine moves on."""
+    system.ahead, system.setpoint = -3600.0, 9.0
+
+
+def test_a_run_is_aborted_also_by_late_messages(backend, system, in_run, monkeypatch):
+    monkeypatch.setattr(signals, "LARGEST_JUMP", 2 * 3600.0)
+    made = backend(run={"end": {"after": 5.0}, "abort_when": "angle > 3"})
+    in_run(made, lambda: set_back(system))
+    assert failure(run(made)).startswith("aborted at ")
+
+
+def test_a_run_whose_messages_are_all_late_is_spoilt(backend, system, in_run):
+    """It would count by what came before."""
+    made = backend(run={"end": {"after": 5.0}})
+    in_run(made, lambda: set_back(system))
+    outcome = run(made)
+    assert outcome.spoilt
+    assert outcome.reason.startswith("the stamps of signal angle (/joint_states) stand still or go")
 
 
 @pytest.mark.parametrize(

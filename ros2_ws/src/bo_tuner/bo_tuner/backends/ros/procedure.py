@@ -128,7 +128,8 @@ class Procedure:
         LostError
             If a service or an action does not answer, or the clock stands still.
         DisturbedError
-            If the clock is set in the run, or another node publishes a signal, too.
+            If the clock is set in the run, the stamps of a signal do not go on, or another node
+            publishes it, too.
         """
         self.recording = self._record()
         if problems := self._cancel():
@@ -240,6 +241,8 @@ class Procedure:
             If it is to be aborted, a goal has failed, or the signals will not be whole.
         LostError
             If the server of a goal is gone.
+        DisturbedError
+            If the stamps of a signal do not go on.
         """
         now = self._now
         self._recorder.poll()
@@ -247,10 +250,15 @@ class Procedure:
         since = max(self._judged - OVERLAP, 0.0)
         # Whatever its stamp, a message that is here tells how the machine was.
         aborted = self._holds(self._abort, since, max(seen, self._recorder.latest))
+        if aborted is None and self._holds_late(self._abort, now):
+            aborted = now
         if aborted is not None:
             raise FailedRunError(
                 f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
             )
+        if stale := self._recorder.stale:
+            # Two clocks may be behind them.
+            raise DisturbedError(self._recorder.mixed or stale)
         self._recorder.recording(seen, since).check_latest(self._study.signals, OVERLAP)
         for goal in self._started:
             goal.check()
@@ -276,6 +284,13 @@ class Procedure:
         times, values = _sampled(condition, self._recorder.recording(now, since))
         held = np.flatnonzero(np.isfinite(values) & (values != 0.0) & (times >= since))
         return float(times[held[0]]) if len(held) else None
+
+    def _holds_late(self, condition: Expression | None, now: float) -> bool:
+        """Whether a condition holds by what came last, of late messages by each since the last."""
+        if condition is None:
+            return False
+        found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
+        return any(bool(np.any(np.isfinite(v) & (v != 0.0))) for v in found)
 
     @property
     def _all_after(self) -> list[int]:

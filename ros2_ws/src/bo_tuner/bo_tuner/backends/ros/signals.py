@@ -1,7 +1,7 @@
 """Hears the signals of a study, each from the one node that publishes it."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +24,7 @@ from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
 from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.building import under
 from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 
@@ -112,6 +113,22 @@ class SignalRecorder:
                 return f"{heard.name} has no publisher any more"
         return ""
 
+    @property
+    def stale(self) -> str:
+        """Tell in a line of a signal whose messages are all late for too long; empty if none.
+
+        Those that are reordered are late one by one. Several in a row, by long, come after a stamp
+        that was wrong, or of a clock that was set or stands still.
+        """
+        for name, spec in self._signals.items():
+            stale = self._track(name).stale * 1e-9
+            if stale > LARGEST_JUMP:
+                return (
+                    f"the stamps of signal {name} ({spec.topic}) stand still or go back, "
+                    f"for {stale:.3g} s"
+                )
+        return ""
+
     def begin(self, in_run: bool = True) -> None:
         """Count time from now on, and of what came before only the latest.
 
@@ -175,6 +192,17 @@ class SignalRecorder:
             heard.problem = ""
         return next(filter(None, problems), "")
 
+    def take_late(self) -> Iterator[dict[str, Array]]:
+        """Yield the late messages of a topic that came since the last call, and what came last.
+
+        Values (n,) of its signals by their names, and beside them the newest of the others, ().
+        """
+        newest = {name: np.array(self._track(name).newest) for name in self._signals}
+        for heard in self._heard.values():
+            late = {name: track.take_late() for name, track in heard.tracks.items()}
+            if any(map(len, late.values())):
+                yield newest | {name: values for name, values in late.items() if len(values)}
+
     def recording(self, end: float, since: float = -np.inf) -> Recording:
         """Return what was recorded until `end` [s], from the last message before `since` [s] on."""
         latest = self._began + round(end * 1e9)
@@ -200,6 +228,9 @@ class SignalRecorder:
     def close(self) -> None:
         """Hear no more."""
         self.node.destroy_node()
+
+    def _track(self, name: str) -> "_Track":
+        return self._heard[self.node.resolve_topic_name(self._signals[name].topic)].tracks[name]
 
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
@@ -249,18 +280,33 @@ class SignalRecorder:
 
 @dataclass
 class _Track:
-    """The values of one signal, and when each was true [ns since the epoch]."""
+    """The values of one signal, and when each was true [ns since the epoch].
+
+    Attributes
+    ----------
+    newest
+        What came last, late or not.
+    late
+        Messages in the run whose stamp is not after that of one before.
+    stale
+        Longest time [ns] for which several of them in a row lie behind, or have come.
+    """
 
     read: Callable[[Any], float]
     by_header: bool
     clock: RunClock
     stamps: list[int] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
+    newest: float = np.nan
     late: int = 0
+    stale: int = 0
     in_run: bool = False
+    late_values: list[float] = field(default_factory=list)
+    in_a_row: int = 0
+    row_began: int = 0
 
     def add(self, message: Any, received: int) -> None:
-        value = self.read(message)
+        value = self.newest = self.read(message)
         if self.by_header:
             stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         else:
@@ -271,19 +317,36 @@ class _Track:
                 return
         if self.stamps and stamp <= self.stamps[-1]:
             if self.in_run:
-                self.late += 1
+                self._add_late(value, self.stamps[-1] - stamp, self.clock.at(received))
                 return
             self.stamps.clear()
             self.values.clear()
+        self.in_a_row = 0
         self.stamps.append(stamp)
         self.values.append(value)
+
+    def take_late(self) -> Array:
+        """Return the late values since the last call, and what came last if that is behind."""
+        values = [*self.late_values, self.newest] if self.late_values or self.in_a_row else []
+        self.late_values.clear()
+        return np.array(values)
+
+    def _add_late(self, value: float, behind: int, received: int) -> None:
+        self.late += 1
+        self.late_values.append(value)
+        self.in_a_row += 1
+        if self.in_a_row == 1:
+            self.row_began = received
+        else:
+            self.stale = max(self.stale, behind, received - self.row_began)
 
     def begin(self, now: int, in_run: bool) -> None:
         self.in_run = in_run
         del self.stamps[:-1], self.values[:-1]
         # A stamp may lie ahead, as of a clock that was set back: the value holds now all the same.
         self.stamps[:] = [min(stamp, now - 1) for stamp in self.stamps]
-        self.late = 0
+        self.late = self.stale = self.in_a_row = 0
+        self.late_values.clear()
 
 
 @dataclass
