@@ -25,7 +25,7 @@ class Flood(contextlib.nullcontext):
 
 def test_a_topic_faster_than_its_reader_lets_the_reader_go_on():
     flood = Flood()
-    topic = _Topic("flood", None, SimpleNamespace(handle=flood, msg_type=Float64), False)
+    topic = _Topic("flood", "node", None, SimpleNamespace(handle=flood, msg_type=Float64), False)
     topic.poll()
     assert 0 < flood.taken <= DEPTH
     assert topic.lost == 0

@@ -266,15 +266,22 @@ def test_what_a_dead_sensor_said_last_is_not_waited_for_with_success(backend, sy
 SENSED = {"sensed": {"topic": "sensed", "field": "data"}}
 
 
-def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(backend, system, join, leave):
-    """It tells nothing of the parameters, though the node that has these is there."""
+def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(
+    backend, system, join, leave, monkeypatch
+):
+    """It tells nothing of the parameters; without what would abort it, it does not even begin."""
+    monkeypatch.setattr(procedure, "DISCOVERED", 0.1)
     sensor = join(Sensor)
-    made = backend(signals=SENSED)
+    may_be_silent = {"sensed": SENSED["sensed"] | {"minimum_messages": 0}}
+    made = backend(signals=may_be_silent)
     assert run(made).state is EvaluationState.COMPLETE
     leave(sensor)
-    found = run(made)
-    assert found.state is EvaluationState.LOST
-    assert found.reason == "/sensed has no publisher any more"
+    wait_until(lambda: made._procedure._recorder.unpublished, "the sensor is gone")
+    for _ in range(2):
+        found = run(made)
+        assert found.state is EvaluationState.LOST
+        assert found.reason.startswith("/sensed has no publisher any more")
+    assert system.setpoint == 0.0
     join(Sensor)
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
 

@@ -36,6 +36,8 @@ from bo_tuner.study.study import Study
 
 OVERLAP = 0.5
 """Time [s] of a run that a condition is judged on again, for messages that come in late."""
+DISCOVERED = 2.0
+"""Time [s] in which the publisher of a node that was just started is known."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
 UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
@@ -107,7 +109,10 @@ class Procedure:
         self.recording = NOTHING_RECORDED
 
     def prepare(self) -> None:
-        """Perform the steps before a run; raises as `perform`."""
+        """Perform the steps before a run; raises as `perform`.
+
+        A step may start the publisher of a signal, so that one has to be there only then.
+        """
         self.forget()
         # A publisher that was killed and is back counts twice until its lease ends.
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
@@ -115,6 +120,8 @@ class Procedure:
         self._started.clear()
         self._due = self._all_after
         self._perform("before")
+        self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
+        self.expect_publishers()
 
     def perform(self) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
@@ -126,11 +133,13 @@ class Procedure:
             that the run is to be aborted, or signals are not whole. Then, as after whatever else
             ends a run, `leave` it.
         LostError
-            If a service or an action does not answer, or the clock stands still.
+            If a service or an action does not answer, nothing publishes a signal, or the clock
+            stands still.
         DisturbedError
             If the clock is set in the run, the stamps of a signal do not go on, or another node
             publishes it, too.
         """
+        self.expect_publishers()
         self.recording = self._record()
         if problems := self._cancel():
             raise FailedRunError(problems[0])
@@ -240,7 +249,7 @@ class Procedure:
         FailedRunError
             If it is to be aborted, a goal has failed, or the signals will not be whole.
         LostError
-            If the server of a goal is gone.
+            If the server of a goal, or the publisher of a signal, is gone.
         DisturbedError
             If the stamps of a signal do not go on.
         """
@@ -259,6 +268,7 @@ class Procedure:
         if stale := self._recorder.stale:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
+        self.expect_publishers()
         self._recorder.recording(seen, since).check_latest(self._study.signals, OVERLAP)
         for goal in self._started:
             goal.check()

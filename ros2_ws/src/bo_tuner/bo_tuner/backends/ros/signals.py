@@ -110,7 +110,8 @@ class SignalRecorder:
         """Tell in a line of a topic that nobody publishes any more; empty if none."""
         for heard in self._heard.values():
             if heard.publishers == 0:
-                return f"{heard.name} has no publisher any more"
+                of = f", which was {heard.node}" if heard.node != UNKNOWN_NODE else ""
+                return f"{heard.name} has no publisher any more{of}"
         return ""
 
     @property
@@ -262,7 +263,7 @@ class SignalRecorder:
             raise StudyError(error.problem, ("field",)) from None
         if topic not in self._heard:
             subscribed = self._subscribe(topic, cls, publisher.qos_profile)
-            self._heard[topic] = _Topic(topic, self._clock, *subscribed)
+            self._heard[topic] = _Topic(topic, publisher.node_name, self._clock, *subscribed)
         by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
         self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
 
@@ -354,6 +355,7 @@ class _Topic:
     """A subscription and the signals in its messages."""
 
     name: str
+    node: str
     clock: RunClock
     subscription: Subscription
     is_latched: bool
