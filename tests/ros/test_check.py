@@ -102,6 +102,17 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
+def test_safe_values_do_not_stay(servo, tmp_path):
+    """Not even those that are to stay after a run."""
+    code, _, err = study(
+        tmp_path,
+        parameters={"gain": {"node": "servo", "type": "double", "bounds": [0.0, 0.9]}},
+        park={"parameters": {"gain": 0.5}, "between_runs": True},
+    )
+    assert (code, err) == (0, "")
+    assert servo.get_parameter("gain").value == 0.25
+
+
 def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
     """What the default does not keep, and runs that do not begin alike."""
     limit = {"kind": "worst_case", "metric": "error", "upper": 0.001}

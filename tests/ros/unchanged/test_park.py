@@ -134,12 +134,18 @@ def test_at_the_end_the_steps_after_a_run_are_done_and_the_node_has_what_it_had(
     assert gain(system) == 0.375
 
 
-def test_safe_values_that_the_study_names_stay(backend, system):
+def test_safe_values_that_the_study_names_stay(backend, system, capfd):
     system.set_gain(0.375)
-    made = backend(run={"before": []}, park={"parameters": {"gain": SAFE}})
+    park = {"parameters": {"gain": SAFE}}
+    made = backend(run={"before": []}, park=park)
     run(made, 0.75)
     made.close()
     assert gain(system) == SAFE
+    said = "servo is left with the park values: gain 0.25 (was 0.375)"
+    assert capfd.readouterr().err.count(said) == 1
+    # What the node has already is not worth a line.
+    backend(run={"before": []}, park=park).close()
+    assert "park values" not in capfd.readouterr().err
 
 
 @pytest.fixture

@@ -142,6 +142,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
             study,
             Path(folder),
             attach=True,
+            keep_parked=False,
             ros_arguments=list(ros_arguments),
             interrupted=interruption.check,
         )

@@ -167,7 +167,7 @@ def _add_running_nodes(parser: Parser) -> None:
         metavar="NAME|FILE",
         help="check a study against the nodes that are running, name every mistake in parameters, "
         "contexts, signals and steps of the run, try two runs of the default, and say how long the "
-        "study would take; nothing is recorded, and the nodes get back their values",
+        "study would take; nothing is recorded, and the nodes get back all their values",
     )
     parser.add_argument(
         "--init",

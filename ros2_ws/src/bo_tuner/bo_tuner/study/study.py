@@ -185,6 +185,10 @@ class Study:
         space = self.search_space()
         return space.completed(space.defaults | dict(self.park.parameters))
 
+    def without_safe_parameters(self) -> "Study":
+        """Return the study as it is if ``park`` names no parameters."""
+        return dataclasses.replace(self, park=dataclasses.replace(self.park, parameters={}))
+
     def nominal_assignments(
         self, parameters: Mapping[str, Value]
     ) -> dict[str, dict[str, checks.ParameterValue]]:

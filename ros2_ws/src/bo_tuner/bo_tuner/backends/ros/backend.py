@@ -12,7 +12,12 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
+from bo_tuner.backends.ros.held_parameters import (
+    compare_with_earlier,
+    divide,
+    left_parked,
+    safe_parameters,
+)
 from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.isolation import (
     LEASE,
@@ -64,6 +69,8 @@ class RosBackend(SequentialBackend):
         Use nodes that run already instead of starting them. They are looked for in the domain
         and with the discovery settings of the environment, and have in the end the parameters
         that they had before.
+    keep_parked
+        Leave attached nodes, in the end, with the safe parameters that the study names.
     run_log
         Log directory of the run that this repeats a part of, if it is not this one's own.
     ros_arguments
@@ -83,6 +90,7 @@ class RosBackend(SequentialBackend):
         log_directory: Path,
         *,
         attach: bool = False,
+        keep_parked: bool = True,
         run_log: Path | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
@@ -93,6 +101,7 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(study, self._sources)
         self._log_directory = log_directory
         self._attach = attach
+        self._restored = study if keep_parked else study.without_safe_parameters()
         self._run_log = run_log
         self._ros_arguments = ros_arguments or []
         self._namespace = namespace_of(self._ros_arguments)
@@ -106,6 +115,7 @@ class RosBackend(SequentialBackend):
         self._unfinished: list[str] = []
         self._safe: dict[str, dict[str, object]] = {}
         self._previous: PreviousParameters | None = None
+        self._left: list[str] = []
         self._started = StartedNodes(study, self._namespace, log_directory)
 
     def open(self) -> None:
@@ -151,12 +161,13 @@ class RosBackend(SequentialBackend):
                 raise BackendError(f"{twins}; end all but one")
             found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
             if self._attach:
-                self._previous = PreviousParameters(self._study, tuner, client.parameters)
+                self._previous = PreviousParameters(self._restored, tuner, client.parameters)
                 self._previous.undo_killed(found)
             own, others = divide(self._study, found)
             self._safe = safe_parameters(self._study)
             if self._previous is not None:
                 self._previous.begin(own, self._safe)
+                self._left = left_parked(self._restored, own)
             initial = InitialParameters(self._study, tuner, client.parameters)
             initial.set_constants()
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
@@ -360,7 +371,7 @@ class RosBackend(SequentialBackend):
         """Leave the machine safe, end the started nodes, restore attached ones, and leave ROS.
 
         An attached node has its previous parameters in the end, but for safe ones that the study
-        names.
+        names and that are to be kept; which these are is said.
 
         Raises
         ------
@@ -379,6 +390,8 @@ class RosBackend(SequentialBackend):
                     self._client.parameters.forget_all()
                     problems = self._previous.restore(self._restore_timeout)
                     self._previous = None
+                    for text in [] if problems else self._left:
+                        self._tuner.warn(text)
         self._started.stop()
         if self._procedure is not None:
             self._procedure.close()

@@ -9,7 +9,9 @@ from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import HELD_PARAMETERS, read_text
+from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import Study
+from bo_tuner.text import brief, shown
 from bo_tuner.trials import Value
 
 
@@ -33,6 +35,36 @@ def divide(
         own[key] = {name: value for name, value in found.items() if name in names}
         others[key] = {name: value for name, value in found.items() if name not in names}
     return own, others
+
+
+def left_parked(study: Study, previous: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """Tell in a line of each node with which of the values that ``park`` names it is left.
+
+    Parameters
+    ----------
+    study
+        The study.
+    previous
+        What the nodes had before, by key; what has the same value then is not worth a word.
+    """
+    safe = _assigned(study, study.safe_parameters)
+    changes: dict[str, dict[str, str]] = {}
+    for item in (study.parameters[name] for name in study.park.parameters):
+        name = item.array or item.parameter
+        value, had = safe[item.node][name], previous[item.node].get(name)
+        if not same_value(value, had):
+            of_node = changes.setdefault(study.nodes[item.node].node, {})
+            of_node[name] = f"{name} {_shown(value)} (was {_shown(had)})"
+    return [
+        f"{node} is left with the park values: {', '.join(texts.values())}"
+        for node, texts in changes.items()
+    ]
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool | float):
+        return shown(value)
+    return "not set" if value is None else brief(str(value))
 
 
 def _assigned(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
