@@ -56,6 +56,10 @@ def test_a_run_and_its_metrics(backend, system):
         ({"topic": "twice", "field": "data"}, "topic: /twice has 2 publishers (idle and servo)"),
         ({"type": "std_msgs/msg/Float64"}, "type: /joint_states carries sensor_msgs/msg/Joint"),
         ({"field": "positon[motor]"}, "no field 'positon'; did you mean 'position'?"),
+        (
+            {"field": "position[moto]"},
+            "field: a message on /joint_states has no 'moto' among its names; did you mean 'motor",
+        ),
         ({"field": "position"}, "position is an array; name one item, such as position[0] or"),
         ({"field": "name[0]"}, "field: name is text; expected a number"),
         ({"field": "header.stamp"}, "header.stamp is a builtin_interfaces/msg/Time; name one"),
@@ -142,8 +146,18 @@ def test_a_run_without_a_message(backend, system):
 def test_a_joint_that_is_not_in_the_messages(backend, system):
     made = backend()
     system.names = ["other", "engine"]
-    expected = "a message on /joint_states has no 'motor' among its names other, engine"
+    expected = (
+        "a message on /joint_states has no 'motor' among its names; expected one of other, engine"
+    )
     assert failure(run(made)) == expected
+
+
+def test_messages_that_name_nothing_before_the_run(backend, system):
+    """A machine may tell its joints once it is enabled."""
+    system.names = []
+    made = backend()
+    system.names = ["motor", "other"]
+    assert run(made).state is EvaluationState.COMPLETE
 
 
 def test_a_message_that_is_too_large(backend, monkeypatch):

@@ -19,6 +19,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.building import under
 from bo_tuner.study.offers import MOST_ITEMS
 from bo_tuner.study.signals import FieldPart
+from bo_tuner.text import brief
 
 FLOATS = ("float", "double", "long double")
 OCTET = "octet"
@@ -33,7 +34,19 @@ NO_SIGNALS = (
 
 
 class ItemMissingError(Exception):
-    """A message has not the item of an array that a signal needs."""
+    """A message has not the item of an array that a signal needs.
+
+    Parameters
+    ----------
+    problem
+        What it has not.
+    names
+        Those of its items, if the one that is needed is not among them.
+    """
+
+    def __init__(self, problem: str, names: Sequence[str] = ()) -> None:
+        super().__init__(problem)
+        self.names = names
 
 
 def interface_class(name: str) -> Any:
@@ -105,7 +118,7 @@ def number_reader(cls: Any, path: Sequence[FieldPart]) -> Callable[[Any], float]
                 index = part.item
                 value = value[list(holder.name).index(index) if isinstance(index, str) else index]
             except (ValueError, IndexError):
-                raise ItemMissingError(_missing(part, holder, value)) from None
+                raise _missing(part, holder, value) from None
         return float(value)
 
     return read
@@ -205,10 +218,11 @@ def _item_type(types: Mapping[str, AbstractType], part: FieldPart, shown: str) -
     return kind.value_type
 
 
-def _missing(part: FieldPart, holder: Any, value: Sequence[object]) -> str:
+def _missing(part: FieldPart, holder: Any, value: Sequence[object]) -> ItemMissingError:
     if isinstance(part.item, str) and part.item not in list(holder.name):
-        return f"has no '{part.item}' among its names {', '.join(holder.name) or '(none)'}"
-    return f"has {len(value)} items in {part.name}, none for [{part.item}]"
+        near = brief(checks.suggestion(part.item, holder.name))
+        return ItemMissingError(f"has no '{part.item}' among its names; {near}", holder.name)
+    return ItemMissingError(f"has {len(value)} items in {part.name}, none for [{part.item}]")
 
 
 def _value(kind: AbstractType, value: object) -> Any:

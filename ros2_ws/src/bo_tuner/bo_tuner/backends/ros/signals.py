@@ -1,5 +1,6 @@
 """Hears the signals of a study, each from the one node that publishes it."""
 
+import time
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,8 @@ from bo_tuner.study.signals import HEADER, RECEPTION, Signal, field_path
 NODE_NAME = f"{TUNER}_signals"
 DEPTH = 5000
 """Messages of a topic that may wait between two looks at it: 5 s at 1 kHz."""
+LISTEN = 1.0
+"""Time [s] to hear a message, which tells the names of items."""
 
 
 class SignalRecorder:
@@ -75,7 +78,8 @@ class SignalRecorder:
         Raises
         ------
         StudyError
-            If a topic has no publisher, or two, or other messages than expected.
+            If a topic has no publisher, or two, or other messages than expected, also in that
+            they name the items of an array, and not the one of the signal.
         """
         self._clock = clock
         for name, spec in self._signals.items():
@@ -86,6 +90,7 @@ class SignalRecorder:
         # So that also what is published only now and then has a value when a run starts.
         latched = [heard for heard in self._heard.values() if heard.is_latched]
         wait(lambda: all(heard.has_message() for heard in latched))
+        self._refuse_unknown_items(wait)
 
     @property
     def publishers(self) -> set[str]:
@@ -267,6 +272,33 @@ class SignalRecorder:
         by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
         self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
 
+    def _refuse_unknown_items(self, wait: Callable[[Callable[[], bool]], bool]) -> None:
+        """Refuse an item by a name that messages do not have; a silent topic may have it later."""
+        named = [
+            (name, self._heard[self.node.resolve_topic_name(spec.topic)])
+            for name, spec in self._signals.items()
+            if any(isinstance(part.item, str) for part in field_path(spec.field))
+        ]
+        deadline = time.monotonic() + LISTEN
+
+        def all_heard() -> bool:
+            for _, heard in named:
+                heard.poll()
+            return all(heard.tracks[name].stamps for name, heard in named)
+
+        wait(lambda: all_heard() or time.monotonic() > deadline)
+        for name, heard in named:
+            track = heard.tracks[name]
+            if track.stamps or heard.message is None:
+                continue
+            try:
+                track.read(heard.message)
+            except ItemMissingError as error:
+                # Without any name a message tells nothing: it may be filled once the machine runs.
+                if error.names:
+                    problem = f"a message on {heard.name} {error}"
+                    raise StudyError(problem, ("signals", name, "field")) from None
+
     def _subscribe(self, topic: str, cls: Any, offered: QoSProfile) -> tuple[Subscription, bool]:
         qos = QoSProfile(
             depth=DEPTH, reliability=offered.reliability, durability=offered.durability
@@ -352,7 +384,7 @@ class _Track:
 
 @dataclass
 class _Topic:
-    """A subscription and the signals in its messages."""
+    """A subscription, the signals in its messages, and the last one that could be read."""
 
     name: str
     node: str
@@ -363,6 +395,7 @@ class _Topic:
     latest: int = 0
     lost: int = 0
     problem: str = ""
+    message: Any = None
 
     def begin(self, now: int, in_run: bool) -> None:
         self.lost = 0
@@ -393,7 +426,7 @@ class _Topic:
                 data, info = item
                 self._count_lost(info["publication_sequence_number"] or 0)
                 try:
-                    message = decode(data, self.subscription.msg_type)
+                    message = self.message = decode(data, self.subscription.msg_type)
                     for track in self.tracks.values():
                         track.add(message, info["received_timestamp"])
                 except (UnreadableError, ItemMissingError) as error:
