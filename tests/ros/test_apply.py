@@ -319,7 +319,7 @@ def test_no_such_node(ros_environment, record, capsys, monkeypatch):
     code, out, err = apply(capsys, record, "--yes", "--ros-args", "-r", "__ns:=/nowhere")
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
-    assert line.startswith("error: milling_plant: no such node in ROS domain ")
+    assert line.startswith("error: /nowhere/milling_plant and /nowhere/mpc_controller: no such")
 
 
 @pytest.mark.parametrize(

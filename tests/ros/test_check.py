@@ -1,5 +1,6 @@
 """`tune --check` on running nodes: every mistake at once, then two runs of the default."""
 
+import contextlib
 import itertools
 import json
 import re
@@ -11,8 +12,10 @@ from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 from std_msgs.msg import Float64
+from waiting import DEADLINE
 
-from bo_tuner.backends.ros import preparation, steps
+from bo_tuner.backends.ros import others, preparation, steps
+from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
 
 pytestmark = pytest.mark.ros
@@ -171,6 +174,37 @@ def test_nodes_that_were_not_started(empty_domain, tmp_path):
         f"error: servo: no such node; no other node runs in ROS domain {empty_domain}: start "
         "yours, or set their ROS_DOMAIN_ID"
     ]
+
+
+@pytest.fixture
+def node_in_cell(empty_domain):
+    with at_work(lambda context: Node("controller", context=context, namespace="cell")) as node:
+        yield node
+
+
+@pytest.mark.parametrize(
+    ("namespace", "name", "full", "meant"),
+    [
+        ("/", "cell/contrler", "cell/contrler", "cell/controller"),
+        ("/", "controller", "controller", "cell/controller"),
+        ("/cell", "cell/controller", "/cell/cell/controller", "controller"),
+        ("/hall", "controller", "/hall/controller", "/cell/controller"),
+    ],
+)
+def test_the_name_that_is_meant_is_that_of_a_study(
+    node_in_cell, empty_domain, namespace, name, full, meant
+):
+    """It is relative to the namespace of the tuner, as far as the node is in it."""
+    tuner = TunerNode(None, ["--ros-args", "-r", f"__ns:={namespace}"], lambda: None)
+    with contextlib.closing(tuner):
+        assert tuner.wait_until(lambda: others.nodes(tuner.node) == [meant], DEADLINE)
+        assert others.absent([name], tuner.node) == (
+            f"{full}: no such node in ROS domain {empty_domain}; did you mean '{meant}'?"
+        )
+        # It has no services for its parameters yet, or none at all.
+        assert others.absent([meant], tuner.node).endswith(
+            "controller: found, but not with all services and topics that are needed"
+        )
 
 
 def test_every_mistake_is_named_at_once(servo, tmp_path):

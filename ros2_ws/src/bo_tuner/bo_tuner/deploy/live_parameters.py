@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
@@ -93,11 +94,13 @@ class LiveParameters:
             raise NodeError(f"{self._tuner.repeated(node)}; end all but one")
 
     def _wait_for_nodes(self) -> None:
-        deadline = time.monotonic() + DISCOVERY_TIMEOUT
-        for node, client in self._clients.items():
-            if not self._tuner.wait_until(client.is_ready, deadline - time.monotonic()):
-                raise BackendError(self._tuner.absent(node, DISCOVERY_TIMEOUT))
-            # A request that changes values is sent only once, so test the connection first.
+        def missing() -> list[str]:
+            return [node for node, client in self._clients.items() if not client.is_ready()]
+
+        if not self._tuner.wait_until(lambda: not missing(), DISCOVERY_TIMEOUT):
+            raise BackendError(others.absent(missing(), self._tuner.node))
+        # A request that changes values is sent only once, so test the connection first.
+        for client in self._clients.values():
             try:
                 client.expect_answers(time.monotonic() + CALL_TIMEOUT)
             except SilentError as error:

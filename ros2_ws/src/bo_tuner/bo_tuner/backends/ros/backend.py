@@ -187,7 +187,7 @@ class RosBackend(SequentialBackend):
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
         except LostError as loss:
-            hint = "; start it, or leave out --attach" if self._attach else ""
+            hint = " (--attach starts no node)" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
 
     @property

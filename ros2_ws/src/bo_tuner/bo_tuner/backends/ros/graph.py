@@ -79,8 +79,7 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     client = ParameterClient(tuner, node, ListParameters, DescribeParameters, GetParameters)
     try:
         if not tuner.wait_until(client.is_ready, DISCOVERY):
-            near = others.instead(node, others.nodes(tuner.node), tuner.node)
-            raise BackendError(f"{node}: no such node; {near}")
+            raise BackendError(others.absent([node], tuner.node))
         # One that was killed is in the graph until its lease has ended.
         if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
             raise BackendError(f"{tuner.repeated(node)}; end all but one")

@@ -1,10 +1,10 @@
 """What others have in the graph, to be offered in place of a name that is not there."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 from rclpy.node import Node
 
-from bo_tuner.backends.ros.tuner_node import NODE_NAME
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, full_name
 from bo_tuner.study import checks
 
 OF_ROS = ("/rosout", "/parameter_events", "/clock")
@@ -26,9 +26,43 @@ def is_hidden(name: str) -> bool:
     return any(part.startswith("_") for part in name.split("/"))
 
 
+def relative(node: Node, name: str, namespace: str) -> str:
+    """Return a name relative to the namespace of `node`; empty if it is in another one."""
+    own = node.get_namespace().rstrip("/") + "/"
+    full = full_name(namespace, name)
+    return full.removeprefix(own) if full.startswith(own) else ""
+
+
 def nodes(node: Node) -> list[str]:
-    """Return the names of other nodes than the tuner's own."""
-    return _others(node.get_node_names())
+    """Return the names of other nodes than the tuner's own, as a study has them.
+
+    They are relative to the namespace of `node`; of what is in another one the name is in full.
+    """
+    return _others(
+        relative(node, name, namespace) or full_name(namespace, name)
+        for name, namespace in node.get_node_names_and_namespaces()
+    )
+
+
+def absent(missing: Sequence[str], node: Node) -> str:
+    """Tell in a line which nodes are not there, and what to do about it.
+
+    Parameters
+    ----------
+    missing
+        Their names, relative to the namespace, at least one.
+    node
+        A node of the tuner's.
+    """
+    namespace = node.get_namespace().rstrip("/")
+    names = " and ".join(f"{namespace}/{name}" if namespace else name for name in missing)
+    known = nodes(node)
+    if missing[0] in known:
+        return f"{names}: found, but not with all services and topics that are needed"
+    # Where nobody is, what to do instead names the domain.
+    where = f" in ROS domain {node.context.get_domain_id()}" if known else ""
+    what = "no such nodes" if missing[1:] else "no such node"
+    return f"{names}: {what}{where}; {instead(missing[0], known, node)}"
 
 
 def topics(node: Node) -> list[str]:

@@ -5,6 +5,7 @@ import time
 from rclpy.client import Client
 from rclpy.expand_topic_name import expand_topic_name
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.parameter_client import meet
@@ -71,7 +72,8 @@ class Presence:
         deadline = time.monotonic() + timeout
         while absent := self.absent():
             if time.monotonic() > deadline:
-                raise LostError(self._tuner.absent(self._study.nodes[absent[0]].node, timeout))
+                names = [self._study.nodes[key].node for key in absent]
+                raise LostError(others.absent(names, self._node))
             self._tuner.spin_once()
         for key, client in self._parameters.clients.items():
             client.expect_answers(deadline)

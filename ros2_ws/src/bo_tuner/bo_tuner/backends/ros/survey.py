@@ -10,7 +10,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
-from bo_tuner.backends.ros.others import OF_ROS, is_hidden
+from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
@@ -86,18 +86,11 @@ def _nodes(tuner: TunerNode) -> list[str]:
     """Return the names of the nodes with parameters, relative to the namespace."""
     services = {name for name, _ in tuner.node.get_service_names_and_types()}
     found = {
-        _relative(tuner, name, namespace)
+        relative(tuner.node, name, namespace)
         for name, namespace in tuner.node.get_node_names_and_namespaces()
         if f"{full_name(namespace, name)}/list_parameters" in services
     }
     return sorted(name for name in found if name and not is_hidden(name))
-
-
-def _relative(tuner: TunerNode, name: str, namespace: str) -> str:
-    """Return a node's name relative to the namespace; empty if it is in another one."""
-    own = tuner.node.get_namespace().rstrip("/") + "/"
-    full = full_name(namespace, name)
-    return full.removeprefix(own) if full.startswith(own) else ""
 
 
 def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
@@ -144,7 +137,8 @@ def _ends(tuner: TunerNode, found: Sequence[TopicEndpointInfo]) -> tuple[str, ..
     """Return the names of the nodes at one end of a topic, one for each publisher or listener."""
     return tuple(
         sorted(
-            _relative(tuner, end.node_name, end.node_namespace) or end.node_name for end in found
+            relative(tuner.node, end.node_name, end.node_namespace) or end.node_name
+            for end in found
         )
     )
 

@@ -100,10 +100,6 @@ class TunerNode:
                 "use another namespace or ROS_DOMAIN_ID"
             )
 
-    def absent(self, name: str, timeout: float) -> str:
-        """Tell that a node was not found within `timeout` seconds."""
-        return f"{name}: no such node in ROS domain {self.domain} after {timeout:g} s"
-
     def repeated(self, name: str) -> str:
         """Tell that several nodes or services have a name."""
         return f"{name} runs more than once in ROS domain {self.domain}"
