@@ -88,6 +88,26 @@ def test_anything_else_is_refused_in_one_line(text):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("x => 40", "not an expression: expected >= instead of => at character 3"),
+        ("x > 1 && y", "not an expression: expected and instead of && at character 7"),
+        ("x || y", "not an expression: expected or instead of || at character 3"),
+        ("x != 1 and !y", "not an expression: expected not instead of ! at character 12"),
+        ("x >= 1 AND y == 2", "not an expression: expected and instead of AND at character 8"),
+        ("x = 1", "not an expression: expected == instead of = at character 3"),
+        ("x > 1; y", "not an expression at character 6, ';'"),
+        ("x >", "not an expression: something is missing at its end"),
+        ("(x\n* > 2)", "not an expression in its line 2"),
+    ],
+)
+def test_the_place_of_a_mistake(text, complaint):
+    with pytest.raises(ExpressionError) as caught:
+        Expression(text, ("x", "y"))
+    assert str(caught.value) == complaint
+
+
 def test_a_huge_power_takes_no_time():
     assert np.isinf(Expression("9 ** 9 ** 9 ** 9", ())({}))
 

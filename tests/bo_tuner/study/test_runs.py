@@ -161,7 +161,11 @@ def test_no_path_of_a_field(text):
         ("run/timeout", 1e5, "run.timeout: expected at most 86400 s"),
         ("run/before", [{"wait": 1}] * 101, "run.before: expected at most 100 entries, found 101"),
         ("signals", {f"s{k}": {"topic": "a", "field": "b"} for k in range(101)}, "at most 100 e"),
-        ("run/abort_when", "position >", "run.abort_when: not an expression, in 'position >'"),
+        ("run/abort_when", "position >", "run.abort_when: not an expression: something is missing "
+         "at its end, in 'position >'"),
+        ("run/end", "results", "run.end: expected result, or a mapping such as {after: 2.0}; did "
+         "you mean 'result'?"),
+        ("run/end", 2.0, "run.end: expected result, or a mapping such as {after: 2.0}; found 2.0"),
         ("run/abort_wen", "position > 1", "unknown key; did you mean 'abort_when'?"),
         ("run/before", {"wait": 1}, "run.before: expected a list of steps, found a mapping"),
         ("run/before/2/wait", -1, "run.before[2].wait: expected a number above 0"),

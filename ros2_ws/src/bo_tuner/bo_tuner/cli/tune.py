@@ -68,7 +68,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     """Run the command: a `common.Run`."""
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
-    arguments = parser.parse_args(own)
+    arguments, unknown = parser.parse_known_args(own)
+    if unknown:
+        only_a_study = len(unknown) == 1 and not unknown[0].startswith("-")
+        hint = f"; did you mean --study {unknown[0]}?" if only_a_study else ""
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
     if arguments.init is not None:
         if arguments.study is not None or arguments.check is not None:
             parser.error("--init writes a study, and takes none")
@@ -107,7 +111,7 @@ def _run(
         backend=plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        record=RecordOptions(arguments.record or Policy.NOTABLE, arguments.record_limit),
+        record=RecordOptions(Policy(arguments.record or Policy.NOTABLE), arguments.record_limit),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
         carried=plan.earlier.trials if plan.earlier else (),

@@ -116,11 +116,9 @@ def _add_study(parser: Parser) -> None:
 def _add_record(parser: Parser) -> None:
     parser.add_argument(
         "--record",
-        type=Policy,
-        choices=tuple(Policy),
-        metavar="{" + ",".join(Policy) + "}",
-        help="bags of trials to keep, on ROS: all, none, or notable ones, which were the best so "
-        "far, are the worst one, or failed (default: notable)",
+        choices=[policy.value for policy in Policy],
+        help="bags of trials to keep, on ROS: all, none, or notable: a new best, the worst so far, "
+        "or failed (default: notable)",
     )
     parser.add_argument(
         "--record-limit",

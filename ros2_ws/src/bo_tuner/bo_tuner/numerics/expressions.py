@@ -10,6 +10,7 @@ known where the other side decides (Kleene 1952, §64, the strong three-valued l
 """
 
 import ast
+import re
 from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
@@ -85,6 +86,16 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 """Functions that an expression may call, of one or two arguments."""
 
 
+_OURS = {
+    "=>": ">=", "=<": "<=", "<>": "!=", "=": "==",
+    "&&": "and", "||": "or", "!": "not", "and": "and", "or": "or", "not": "not",
+}  # fmt: skip
+_FOREIGN = re.compile(
+    r"=>|=<|<>|(?<![<>=!])=(?!=)|&&|\|\||!(?!=)|\b(?!and\b|or\b|not\b)(?i:and|or|not)\b"
+)
+"""Operators of other languages, where Python's grammar does not go on."""
+
+
 class ExpressionError(ValueError):
     """A text is no expression that can be evaluated; the message is one line."""
 
@@ -126,7 +137,9 @@ class Expression:
             raise ExpressionError(f"expected at most {LONGEST} characters")
         try:
             self._tree = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
+        except SyntaxError as error:
+            raise ExpressionError(_what_is_wrong(text.strip(), error)) from None
+        except (ValueError, RecursionError, MemoryError):
             raise ExpressionError("not an expression") from None
         self.text = text
         called = {id(n.func) for n in ast.walk(self._tree) if isinstance(n, ast.Call)}
@@ -172,6 +185,18 @@ class Expression:
             raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
             raise ExpressionError(f"cannot be evaluated: {one_line(str(error))}") from None
+
+
+def _what_is_wrong(text: str, error: SyntaxError) -> str:
+    """Tell where a text is no expression, and what other languages' operators are called here."""
+    if found := _FOREIGN.search(text):
+        place, known = found.start() + 1, _OURS[found[0].lower()]
+        return f"not an expression: expected {known} instead of {found[0]} at character {place}"
+    if (error.lineno or 1) > 1:
+        return f"not an expression in its line {error.lineno}"
+    if error.offset and error.offset <= len(text):
+        return f"not an expression at character {error.offset}, {text[error.offset - 1]!r}"
+    return "not an expression: something is missing at its end"
 
 
 def _number(node: ast.Constant) -> float:

@@ -11,6 +11,7 @@ from bo_tuner.study.steps import Step, build_steps
 
 PHASES = ("before", "start", "after", "recover")
 WALL, SIM = "wall", "sim"
+RESULT = "result"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,10 +140,21 @@ def build_run(value: object) -> Run:
     """
     fields = arguments(Run, value)
     with under("end"):
-        # The word alone says as much.
-        end = {"result": True} if fields["end"] == "result" else fields["end"]
-        fields["end"] = build(End, end)
+        fields["end"] = _build_end(fields["end"])
     for phase in PHASES:
         with under(phase):
             fields[phase] = build_steps(fields.get(phase, ()))
     return Run(**fields)
+
+
+def _build_end(value: object) -> End:
+    """Return what ends a run; the word ``result`` alone says as much as its mapping."""
+    if value == RESULT:
+        return End(result=True)
+    if not isinstance(value, dict):
+        near = checks.meant(value, (RESULT,)) if isinstance(value, str) else ""
+        raise StudyError(
+            f"expected {RESULT}, or a mapping such as {{after: 2.0}}; "
+            f"{near or f'found {checks.show(value)}'}"
+        )
+    return build(End, value)

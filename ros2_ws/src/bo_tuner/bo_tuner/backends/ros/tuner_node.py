@@ -1,6 +1,7 @@
 """The tuner's ROS node: it is served while the tuner waits, and calls services with a deadline."""
 
 import contextlib
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -14,9 +15,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.errors import BackendError
 
 NODE_NAME = "bo_tuner"
+NAMESPACE = re.compile(r"/|(/[A-Za-z_]\w*)+/?", re.ASCII)
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
 CALL_TIMEOUT = 5.0
@@ -185,6 +188,13 @@ class TunerNode:
 
 def _make_node(name: str, ros_arguments: Sequence[str], domain: int | None) -> Node:
     """Make a node with a context of its own."""
+    namespace = namespace_of(list(ros_arguments))
+    if not NAMESPACE.fullmatch(namespace):
+        # Of this rcl tells in three lines, in terms of its own parser.
+        raise BackendError(
+            f"cannot use --ros-args: __ns:={namespace}: a namespace begins with a slash, "
+            "such as /cell; letters, digits and _ follow, no digit first"
+        )
     context = Context()
     try:
         rclpy.init(
