@@ -18,8 +18,11 @@ from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
+from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
+from bo_tuner.tuning.limits import verdict
 from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
@@ -83,6 +86,25 @@ class TestLines:
         trial = dataclasses.replace(trial, evaluations=(evaluation,))
         line = describe(trial, make_study()).replace(JOIN, " ")
         assert line.endswith("FAILED: axis: stalled (context none; seed 0)")
+
+    @pytest.mark.parametrize(
+        ("outcome", "word"),
+        [
+            (Outcome(EvaluationState.LOST, {}, "gone"), "LOST"),
+            (Outcome(EvaluationState.FAILED, {}, "gone", {DISTURBED: "gone"}), "DISTURBED"),
+        ],
+    )
+    def test_what_was_not_its_own_failure(self, make_study, make_trial, outcome, word):
+        """As the record has it; the report and the status use the same word."""
+        trial = make_trial(7, {"gain": 0.5})
+        evaluation = dataclasses.replace(trial.evaluations[0], outcome=outcome)
+        trial = dataclasses.replace(trial, reason="gone", evaluations=(evaluation,))
+        study = make_study()
+        assert f"  {word}: gone (context load 1.500; seed 0)" in describe(trial, study).replace(
+            JOIN, " "
+        )
+        assert verdict(study, trial) == outcome.ending == word.lower()
+        assert TrialOutcome(trial.ending) == word.lower()
 
     def test_one_evaluation(self, make_study, make_trial):
         line = describe(make_trial(7, {"gain": 0.5}, [1.0]), make_study())

@@ -94,7 +94,9 @@ def test_counts_of_what_went_wrong(status, make_trial, failed):
     )
     tell(status, dataclasses.replace(lost, evaluations=(evaluation,), origin="space-filling"))
     now = status.now
-    assert (now.failed, now.violating, now.lost, now.fallbacks) == (1, 1, 1, 1)
+    assert (now.failed, now.violating, now.lost, now.fallbacks) == (0, 1, 1, 1)
+    tell(status, make_trial(3, {"gain": 0.5}))
+    assert (status.now.failed, status.now.lost) == (1, 1)
 
 
 class TestDiagnostics:

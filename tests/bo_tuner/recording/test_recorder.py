@@ -151,7 +151,9 @@ class TestVerdict:
     def test_follows_the_constraints(self):
         assert verdict(STUDY, trial_of(0)) == "within limits"
         assert verdict(STUDY, trial_of(0, worst=0.5)) == "violates overshoot"
-        assert verdict(STUDY, trial_of(0, state=TrialState.FAILED)) == "failed"
+        stalled = evaluation_of(0, outcome=Outcome(EvaluationState.FAILED, {}, "stalled"))
+        failed = replace(trial_of(0, state=TrialState.FAILED), evaluations=(stalled,))
+        assert verdict(STUDY, failed) == "failed"
         metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1.0}
         slow = evaluation_of(0, outcome=Outcome(EvaluationState.COMPLETE, metrics))
         assert verdict(STUDY, replace(trial_of(0), evaluations=(slow,))) == "violates real_time"

@@ -9,12 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom, norm, ttest_1samp
 
+from bo_tuner.monitoring.progress import describe
+from bo_tuner.text import JOIN
 from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning import recommendation
 from bo_tuner.tuning.limits import (
     judge_sample,
     most_violations,
     refuted,
+    verdict,
     violated,
     worst_case_holds,
 )
@@ -33,6 +36,31 @@ def worst_case(make_study, probability=None):
     limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
     given = {} if probability is None else {"probability": probability}
     return make_study(constraints={"peak": limit | given}).constraints["peak"]
+
+
+@pytest.mark.parametrize(
+    ("worst", "probability", "found"),
+    [
+        (0.5, 0.9, "within limits"),
+        # Ten of a hundred runs are beyond a mean plus 1.28 deviations of 0.1.
+        (0.86, 0.9, "within limits"),
+        (0.88, 0.9, "may violate peak"),
+        (0.88, None, "within limits"),
+        (1.01, 0.9, "violates peak"),
+        (1.01, None, "violates peak"),
+    ],
+)
+def test_a_worst_case_within_its_limit_is_not_called_a_violation(
+    make_study, make_trial, worst, probability, found
+):
+    limit = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+    given = {} if probability is None else {"probability": probability}
+    study = make_study(constraints={"peak": limit | given})
+    trial = make_trial(0, {"gain": 0.5}, [1.0], worst=worst, noise=0.1)
+    assert verdict(study, trial) == found
+    assert describe(trial, study).endswith(f"  {found}  [1{JOIN}evaluation]") is (
+        found != "within limits"
+    )
 
 
 @pytest.mark.parametrize(("count", "probability"), [(10, 0.85), (25, 0.85), (25, 0.5), (300, 0.99)])

@@ -88,6 +88,11 @@ class Outcome:
         """Whether it tells nothing of its parameters: its nodes were lost, or others disturbed."""
         return self.state is EvaluationState.LOST or DISTURBED in self.details
 
+    @property
+    def ending(self) -> str:
+        """How it ended, in a word: its state, or that others disturbed it."""
+        return DISTURBED if DISTURBED in self.details else str(self.state)
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -219,6 +224,13 @@ class Trial:
         return self.spoilt and all(
             evaluation.outcome.state is not EvaluationState.LOST for evaluation in self.evaluations
         )
+
+    @property
+    def ending(self) -> str:
+        """How it ended, in a word: its state, or, if that spoilt it, lost or disturbed."""
+        if not self.spoilt:
+            return str(self.state)
+        return DISTURBED if self.disturbed else str(EvaluationState.LOST)
 
     @property
     def unchecked(self) -> "Trial":

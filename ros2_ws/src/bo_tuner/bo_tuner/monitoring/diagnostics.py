@@ -13,7 +13,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import BAGS, trial_bag
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-from bo_tuner.tuning.limits import tightest, verdict, violated
+from bo_tuner.tuning.limits import WITHIN, tightest, verdict
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"
@@ -157,7 +157,7 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
 def _level(study: Study, trial: Trial) -> Level:
     if trial.state is TrialState.FAILED:
         return Level.ERROR
-    return Level.WARN if violated(study, trial) else Level.OK
+    return Level.OK if verdict(study, trial) == WITHIN else Level.WARN
 
 
 def _of_incumbent(best: Candidate | None) -> dict[str, object]:

@@ -16,7 +16,7 @@ from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
-from bo_tuner.tuning.limits import violated
+from bo_tuner.tuning.limits import WITHIN, verdict
 from bo_tuner.verdict.table import print_line
 
 NUMBER_WIDTH = 9
@@ -210,17 +210,17 @@ def describe(trial: Trial, study: Study) -> str:
         evaluation = trial.evaluations[-1]
         context = ", ".join(f"{name} {value:.3f}" for name, value in evaluation.context.items())
         conditions = f"context {context or 'none'}; seed {evaluation.seed}"
-        return f"{where}  FAILED: {trial.reason} ({conditions})"
+        return f"{where}  {trial.ending.upper()}: {trial.reason} ({conditions})"
     mean = trial.mean(study.objective.metric)
     text = f"{where}  {trial.origin if mean is None else _pair(study.objective.metric, mean)}"
     for objective in study.further_objectives:
-        found = trial.mean(objective.metric)
-        text += "" if found is None else f"  {_pair(objective.metric, found)}"
+        further = trial.mean(objective.metric)
+        text += "" if further is None else f"  {_pair(objective.metric, further)}"
     for worst in study.worst_case_constraints:
         name = f"worst {worst.limited}".replace(" ", JOIN)
         value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if broken := violated(study, trial):
-        text += f"  violates {', '.join(broken)}"
+    if (found := verdict(study, trial)) != WITHIN:
+        text += f"  {found}"
     count = len(trial.evaluations)
     return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"

@@ -42,7 +42,7 @@ class Snapshot:
     advice
         The advice to stop; None while there is none.
     failed, violating
-        Number of trials that failed, and of complete ones that violate a constraint.
+        Number of trials that failed by themselves, and of complete ones that violate a constraint.
     lost
         Number of evaluations that were lost because a node stopped.
     fallbacks
@@ -146,8 +146,9 @@ class RunStatus(RunObserver):
 
     def _take(self, trial: Trial) -> None:
         self._optimizer_seconds += trial.seconds
-        failed = trial.state is TrialState.FAILED
-        violating = not failed and bool(violated(self._study, trial))
+        failed = trial.ending == TrialState.FAILED
+        complete = trial.state is TrialState.COMPLETE
+        violating = complete and bool(violated(self._study, trial))
         self._update(
             done=self.now.done + 1,
             trials=self.now.trials + 1,

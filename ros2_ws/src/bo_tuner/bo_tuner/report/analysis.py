@@ -17,7 +17,7 @@ from bo_tuner.report.sections.certificate import CertificateFile, certificate
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
-from bo_tuner.tuning.limits import WITHIN, verdict
+from bo_tuner.tuning.limits import uncertain, violated
 from bo_tuner.tuning.recommendation import with_check
 from bo_tuner.tuning.settling import estimated, repetitions_of, with_repetitions
 from bo_tuner.verdict.verdict import Verdict
@@ -26,12 +26,19 @@ T = TypeVar("T")
 
 
 class TrialOutcome(StrEnum):
-    """TrialOutcome of a trial, as displayed."""
+    """Outcome of a trial, as displayed; the rule is that of `tuning.limits`."""
 
     WITHIN = "within limits"
+    UNCERTAIN = "may violate"
     VIOLATES = "violating"
     OUTLIER = "outlying"
     FAILED = "failed"
+    LOST = "lost"
+    DISTURBED = "disturbed"
+
+
+OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)
+"""Outcomes of the trials that tell of their parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +162,12 @@ class Analysis:
     def outcome(self, trial: Trial) -> TrialOutcome:
         """Return the outcome of a trial."""
         if trial.state is TrialState.FAILED:
-            return TrialOutcome.FAILED
+            return TrialOutcome(trial.ending)
         if trial.number in self.models.outliers:
             return TrialOutcome.OUTLIER
-        within = verdict(self.study, trial) == WITHIN
-        return TrialOutcome.WITHIN if within else TrialOutcome.VIOLATES
+        if violated(self.study, trial):
+            return TrialOutcome.VIOLATES
+        return TrialOutcome.UNCERTAIN if uncertain(self.study, trial) else TrialOutcome.WITHIN
 
     def mean_objective(self, trial: Trial) -> float:
         """Return the mean of the objective's metric over the drawn contexts; NaN without any."""

@@ -112,7 +112,7 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
 
 
 def _state(item: Evaluation) -> str:
-    state = str(item.outcome.state)
+    state = item.outcome.ending
     return f"{state}: {item.outcome.reason}" if item.outcome.reason else state
 
 

@@ -43,9 +43,12 @@ At even distances, the models of hundreds of trials would take most of the time 
 
 LOOKS = {
     TrialOutcome.WITHIN: (Color.GREEN, Marker.CIRCLE, True),
+    TrialOutcome.UNCERTAIN: (Color.SKY, Marker.CIRCLE, False),
     TrialOutcome.VIOLATES: (Color.ORANGE, Marker.TRIANGLE, False),
     TrialOutcome.OUTLIER: (Color.PURPLE, Marker.DIAMOND, False),
     TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
+    TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
+    TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
 }
 """Colour, marker and whether the marker is filled, by the outcome of a trial."""
 
@@ -125,7 +128,7 @@ def _objective(analysis: Analysis) -> Figure:
         name="convergence",
         title=f"Mean {study.objective.metric} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
-        f"there; its line is {line}. Failed trials, which have no value, and values far above the "
+        f"there; its line is {line}. Failed and lost trials, which have no value, and values far above the "
         "others are at the top, and so is the line.",
         alternative=_summary(analysis, found),
         panels=panels,
@@ -150,7 +153,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
         name=name,
         title=f"Worst {metric.name} found for each trial",
         caption=f"The {constraint.extreme} value over all contexts, as estimated by the search of "
-        f"stage two. {side}. Failed trials and values far beyond are at the {edge}.",
+        f"stage two. {side}. Failed and lost trials, and values far beyond are at the {edge}.",
         alternative=f"{within} of {len(found)} trials keep the limit of "
         f"{quantity(constraint.limit, metric.unit)}.",
         panels=[

@@ -37,7 +37,7 @@ def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:
             [
                 str(r.whose),
                 r.stage,
-                r.outcome.state,
+                r.outcome.ending,
                 r.outcome.reason,
                 values(analysis.tuned_values(r.parameters)),
                 values(r.context),

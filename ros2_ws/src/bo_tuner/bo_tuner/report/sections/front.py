@@ -16,7 +16,7 @@ from bo_tuner.figures.figure import (
     Panel,
     Points,
 )
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.parts import Objective
@@ -73,9 +73,8 @@ def _figure(analysis: Analysis, points: Sequence[Point]) -> Figure:
 
 def _panel(analysis: Analysis, points: Sequence[Point], pair: tuple[Objective, Objective]) -> Panel:
     first, second = (item.metric for item in pair)
-    trials = [t for t in analysis.trials if analysis.outcome(t) is not TrialOutcome.FAILED]
     # Off the charts are outliers: they would leave no room for the others.
-    trials = [t for t in trials if analysis.outcome(t) is not TrialOutcome.OUTLIER]
+    trials = [t for t in analysis.trials if analysis.outcome(t) in OF_VALUE]
     x, y = (np.array([_or_nan(t.mean(name)) for t in trials]) for name in (first, second))
     elements: list[Element] = []
     if len(analysis.study.objectives) == 2:

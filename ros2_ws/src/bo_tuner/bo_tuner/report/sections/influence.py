@@ -10,7 +10,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.numerics.sobol_indices import total_indices
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table
 from bo_tuner.trials import Trial, pooled
 
@@ -27,7 +27,7 @@ def influence(analysis: Analysis) -> Section | None:
         trial
         # A repetition in the worst context alone has no mean of its own.
         for trial in pooled(analysis.trials)
-        if analysis.outcome(trial) in (TrialOutcome.WITHIN, TrialOutcome.VIOLATES)
+        if analysis.outcome(trial) in OF_VALUE
     ]
     if space.dimension < 2 or len(chosen) < FEWEST_FOR_EACH * space.dimension:
         return None

@@ -13,6 +13,7 @@ FEWEST = 4
 
 LOOKS = {
     TrialOutcome.VIOLATES: (Color.ORANGE, Dash.DOTTED, 1.0),
+    TrialOutcome.UNCERTAIN: (Color.SKY, Dash.DOTTED, 1.2),
     TrialOutcome.WITHIN: (Color.GREEN, Dash.DASHED, 1.5),
 }
 """Colour, dash and width by the outcome of a trial; the others say little of the parameters."""

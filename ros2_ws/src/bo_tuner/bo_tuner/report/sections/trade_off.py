@@ -18,7 +18,7 @@ from bo_tuner.figures.figure import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.pareto import nondominated
-from bo_tuner.report.analysis import Analysis, TrialOutcome
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.parts import UPPER, Constraint
@@ -41,7 +41,7 @@ def trade_off(analysis: Analysis) -> Section | None:
     trials = [
         trial
         for trial in analysis.trials
-        if analysis.outcome(trial) in (TrialOutcome.WITHIN, TrialOutcome.VIOLATES)
+        if analysis.outcome(trial) in OF_VALUE
     ]
     constraints = study.worst_case_constraints
     if not constraints or not trials:
