@@ -1,8 +1,6 @@
 """A certificate, and its files in the run folder."""
 
-import csv
 import hashlib
-import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,12 +27,12 @@ from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank, ranking_models
 from bo_tuner.storage.atomic import write_atomically
+from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.text import csv_cell
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
 from bo_tuner.verdict.verdict import FAIL, PASS
 
@@ -259,21 +257,21 @@ def _sensitivity(found: ParameterSensitivity | None) -> dict[str, object] | None
 
 def _table(study: Study, evidence: Mapping[str, Evidence]) -> str:
     """Return all evaluations as CSV, a row each."""
-    text = io.StringIO()
     contexts, metrics = list(study.contexts), list(study.metrics)
     # A context and a metric may have the same name.
     columns = [*(f"context.{n}" for n in contexts), *(f"metric.{n}" for n in metrics)]
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["parameter_set", "stage", "index", "seed", "state", *columns, "reason"])
+    rows: list[list[object]] = [
+        ["parameter_set", "stage", "index", "seed", "state", *columns, "reason"]
+    ]
     for name, found in evidence.items():
         for evaluation in found.evaluations:
             outcome = evaluation.outcome
-            writer.writerow(
+            rows.append(
                 [
                     *(name, evaluation.stage, evaluation.index, evaluation.seed, outcome.state),
                     *(repr(evaluation.context[n]) for n in contexts),
                     *(repr(outcome.metrics[n]) if n in outcome.metrics else "" for n in metrics),
-                    csv_cell(outcome.reason),
+                    outcome.reason,
                 ]
             )
-    return text.getvalue()
+    return csv_text(rows)

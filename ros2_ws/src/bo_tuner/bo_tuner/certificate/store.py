@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.certificate.verdict import most_draws_needed
-from bo_tuner.errors import OutputError, RunRecordError
+from bo_tuner.errors import RunRecordError
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
@@ -49,10 +50,8 @@ def next_path(folder: Path) -> Path:
         If the folder cannot be made.
     """
     directory = folder / CERTIFICATES
-    try:
+    with writing(directory):
         directory.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{directory}: cannot be written: {error.strerror}") from error
     return directory / f"{next_attempt(folder):04d}.json"
 
 

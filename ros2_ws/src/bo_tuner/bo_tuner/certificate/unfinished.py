@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bo_tuner.certificate.store import CERTIFICATES, next_attempt, parameters_sha256
-from bo_tuner.errors import OutputError, StudyError
+from bo_tuner.errors import StudyError
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.journal import COLUMNS, evaluation_row
 from bo_tuner.storage.provenance import sources, study_sha256
 from bo_tuner.storage.rows import evaluation_of
@@ -70,25 +71,21 @@ class Unfinished(RunObserver):
         head = _head(study, parameters, backend, attempt)
         lines = self._read(head)
         self.evaluations = [evaluation for evaluation, _ in lines]
-        try:
+        with writing(self._path):
             self._path.parent.mkdir(exist_ok=True)
             # Written anew, without a line that a crash has cut off.
             self._file = self._path.open("w", encoding="utf-8")
             self._write(head)
             for _, line in lines:
                 self._write(line)
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""
         if evaluation.recorded or evaluation.outcome.spoilt:
             return
         row = dict(zip(COLUMNS["evaluation"], evaluation_row(evaluation), strict=True))
-        try:
+        with writing(self._path):
             self._write(json.dumps(row))
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
         """Keep the file for a later session."""
