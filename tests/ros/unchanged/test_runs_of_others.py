@@ -297,6 +297,7 @@ def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(
         assert found.reason.startswith("/sensed has no publisher any more")
     assert system.setpoint == 0.0
     join(Sensor)
+    wait_until(lambda: not made._procedure._recorder.unpublished, "the sensor is back")
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
 
 
@@ -318,6 +319,7 @@ def test_a_second_publisher_of_a_signal_spoils_a_run(backend, system, join, leav
         assert outcome.spoilt
         assert outcome.reason == "/sensed has 2 publishers, whose messages mix"
     leave(sensor)
+    wait_until(lambda: not made._procedure._recorder.mixed, "the first sensor is gone")
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))
 
 
