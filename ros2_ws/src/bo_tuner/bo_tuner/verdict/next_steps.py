@@ -33,6 +33,10 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     more = Step(f"tune --resume {where} --trials N", "continue the run to N trials in all")
     validate = Step(f"validate {where}", "certify the result: PASS or FAIL")
     both = Step(f"validate {where}{trial} --with-default", "certify the default, too, to compare")
+    others = Step(
+        f"validate {where}{trial} --until-pass 3",
+        "certify it again, and after a FAIL the next best candidates",
+    )
     replay = Step(f"replay {where}{replayed}", "repeat its worst evaluation and compare")
     apply = Step(f"apply {where}{trial}", "show the difference, ask, set it on the live nodes")
     rollback = Step(f"apply {where} --rollback", "restore the previous values")
@@ -51,4 +55,4 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         case State.CERTIFIED:
             return (apply, rollback, replay)
         case State.REFUSED:
-            return (more, replay)
+            return (others, more, replay)
