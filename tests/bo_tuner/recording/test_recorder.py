@@ -4,6 +4,7 @@ import json
 import shutil
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from bag_readers import READERS, with_mcap, with_rosbags
@@ -25,6 +26,7 @@ from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, tim
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import MADE, Policy, RecordOptions, custom_data
 from bo_tuner.recording.run_recording import RunRecording
+from bo_tuner.recording.topic_listener import TopicListener
 from bo_tuner.trials import (
     EvaluationState,
     Outcome,
@@ -145,6 +147,14 @@ class TestBag:
     def test_types_of_other_packages_are_not_known(self):
         with pytest.raises(KeyError):
             make_topic("/spindle", "spindle_msgs/msg/Load")
+
+    def test_hidden_topics_of_such_types_are_left_out_in_silence(self):
+        """Those of an action, of which only its own name is known to whoever looks at a run."""
+        said = []
+        listener = SimpleNamespace(_sink=SimpleNamespace(warn=said.append))
+        for name in ("/load", "/turn/_action/feedback"):
+            TopicListener._subscribe(listener, name, "spindle_msgs/msg/Load")
+        assert said == ["/load is not recorded: its type spindle_msgs/msg/Load is not known here"]
 
 
 class TestVerdict:

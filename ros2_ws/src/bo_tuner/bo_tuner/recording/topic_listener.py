@@ -9,6 +9,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
 from bo_tuner.backends.ros.messages import interface_class
 from bo_tuner.errors import StudyError
@@ -121,7 +122,11 @@ class TopicListener:
             topic = make_topic(name, message_type)
             message_class = interface_class(message_type)
         except (KeyError, StudyError):
-            self._sink.warn(f"{name} is not recorded: its type {message_type} is not known here")
+            # Of hidden topics, such as those of each action, nobody expects to find them.
+            if not topic_or_service_is_hidden(name):
+                self._sink.warn(
+                    f"{name} is not recorded: its type {message_type} is not known here"
+                )
             return
         publishers = self._node.get_publishers_info_by_topic(name)
         best_effort = any(
