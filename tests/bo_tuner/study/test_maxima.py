@@ -82,7 +82,7 @@ def test_an_answer_of_megabytes(make_study):
         {"axis": {"status": "ok", "error": "1", "peak": "1"} | said}
     )
     assert outcome.state is EvaluationState.FAILED
-    assert outcome.reason == "axis: says 100003 values; at most 1000 are taken"
+    assert outcome.reason == "axis: reports 100003 values; at most 1000 are accepted"
     assert outcome.details == {}
 
 

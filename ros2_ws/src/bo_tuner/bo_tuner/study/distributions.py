@@ -129,8 +129,10 @@ class TruncatedNormal(_Continuous):
 
     Attributes
     ----------
-    mean, standard_deviation : float
-        Those of the normal distribution before the truncation.
+    mean : float
+        Mean of the normal distribution before the truncation.
+    standard_deviation : float
+        Its standard deviation before the truncation.
     """
 
     kind: ClassVar[str] = "truncated_normal"
@@ -181,8 +183,10 @@ class Beta(_Continuous):
 
     Attributes
     ----------
-    a, b : float
-        The shapes, above 0.
+    a : float
+        First shape, above 0; the larger it is, the more the values lie at the upper bound.
+    b : float
+        Second shape, above 0; the larger it is, the more the values lie at the lower bound.
     """
 
     kind: ClassVar[str] = "beta"

@@ -24,8 +24,10 @@ class NodeSpec:
     result : str, optional
         Topic with the metrics of an evaluation; `~/` stands for the node's own name. Required of
         a node that is triggered or reports metrics.
-    package, executable : str, optional
-        Executable to start. A node that does not run already needs these, `command` or `launch`.
+    package : str, optional
+        Package of the `executable`.
+    executable : str, optional
+        Executable to start. A node that does not run already needs this, `command` or `launch`.
     command : str, optional
         Program to start, with its arguments as in a shell, but without one.
     launch : str, optional

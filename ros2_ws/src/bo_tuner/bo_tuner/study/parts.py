@@ -62,7 +62,15 @@ class ContextVariable:
 
 @dataclass(frozen=True, kw_only=True)
 class SeedParameter:
-    """The integer `parameter` of `node` that seeds the noise of an evaluation."""
+    """The parameter that seeds the noise of an evaluation.
+
+    Attributes
+    ----------
+    node : str
+        Node of the study.
+    parameter : str
+        Its integer parameter.
+    """
 
     node: str
     parameter: str
@@ -74,7 +82,17 @@ class SeedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Trigger:
-    """The `service` (std_srvs/Trigger) of `node` that starts a run, with a `timeout` [s]."""
+    """The service that starts a run.
+
+    Attributes
+    ----------
+    node : str
+        Node of the study.
+    service : str
+        Its service, of type std_srvs/srv/Trigger; `~/` stands for the node's own name.
+    timeout : float
+        Longest time [s] of a run, from the call to the result.
+    """
 
     node: str
     service: str
@@ -110,11 +128,21 @@ class Metric(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class ReportedMetric:
-    """A number that `node` reports after an evaluation, under `key` (its `name` unless given).
+    """A number that a node reports after an evaluation.
 
-    A metric that depends on measured time is not `reproducible`: over ROS it differs when the same
-    evaluation is repeated, and `replay` does not judge it.
-    The `unit` is for display only.
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    node : str
+        Node of the study.
+    key : str
+        Key of the number in what the node reports; the metric's name unless given.
+    unit : str
+        Unit, for display only.
+    reproducible : bool
+        Whether a repeated evaluation gives the same number. One that depends on measured time
+        differs over ROS, and `replay` does not judge it.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What a study records of a system's topics, and the metrics that are computed of it."""
+"""What a study records of a system's topics, and the metrics that are computed from it."""
 
 import re
 from collections.abc import Iterable
@@ -116,7 +116,7 @@ class Signal:
 
 @dataclass(frozen=True, kw_only=True)
 class SignalMetric:
-    """A number that is computed of the signals of a run.
+    """A number that is computed from the signals of a run.
 
     Attributes
     ----------
@@ -125,13 +125,16 @@ class SignalMetric:
     of : str
         A signal, or an expression of several.
     measure : str
-        What is computed of it, such as `iae` or `overshoot`; docs/interfaces.md lists all.
+        What is computed from it, such as `iae` or `overshoot`; docs/interfaces.md lists all.
     unit : str
         Unit, for display only.
     target : float or str, optional
-        Where a step shall end: a number, or an expression, whose value at the end counts.
-    percent, band : float, optional
-        Further arguments of the measure.
+        Where a step should end: a number, or an expression, whose value at the end counts.
+    percent : float, optional
+        Percentage of the time in which `percentile` is not exceeded, 0 to 100.
+    band : float, optional
+        Distance from `target` within which `settling_time` takes the step as settled, as a share of
+        the step; 0.02 unless given.
     """
 
     name: str
@@ -183,7 +186,7 @@ class SignalMetric:
 
 @dataclass(frozen=True, kw_only=True)
 class PythonMetric:
-    """A number that a function of the user computes of the signals of a run.
+    """A number that a function of the user computes from the signals of a run.
 
     Attributes
     ----------

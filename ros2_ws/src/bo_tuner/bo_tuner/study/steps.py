@@ -14,10 +14,17 @@ TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 
 @dataclass(frozen=True, kw_only=True)
 class Publish:
-    """A `message` for a `topic`: its fields by name; those that are left out are zero.
+    """A message that is published once.
 
-    A header without a stamp gets the present time. The message's `type` is that of the topic's
-    subscribers unless given.
+    Attributes
+    ----------
+    topic : str
+        Topic.
+    message : mapping
+        Fields of the message by name; those that are left out are zero. A header without a stamp
+        gets the present time.
+    type : str
+        Type of the message; that of the topic's subscribers unless given.
     """
 
     topic: str
@@ -35,9 +42,16 @@ class Publish:
 
 @dataclass(frozen=True, kw_only=True)
 class Call:
-    """A call of a `service` with the fields of its `request`, of any type that is installed.
+    """A call of a service; an answer that has a field `success` must have it true.
 
-    It must answer within `timeout` [s]; an answer that has a field `success` must have it true.
+    Attributes
+    ----------
+    service : str
+        Service, of any type that is installed.
+    request : mapping
+        Fields of the request by name; those that are left out are zero.
+    timeout : float
+        Longest time [s] until the answer.
     """
 
     service: str
@@ -52,10 +66,19 @@ class Call:
 
 @dataclass(frozen=True, kw_only=True)
 class SendGoal:
-    """A goal for an `action`, with the fields of the `goal`, of any type that is installed.
+    """A goal for an action server.
 
     In `start` the run goes on while the goal is executed, and the goal is cancelled when the run
-    ends before it; elsewhere the step waits for its result, at most `timeout` [s].
+    ends before it; elsewhere the step waits for its result.
+
+    Attributes
+    ----------
+    action : str
+        Action, of any type that is installed.
+    goal : mapping
+        Fields of the goal by name; those that are left out are zero.
+    timeout : float
+        Longest time [s] that a step outside of `start` waits for the result.
     """
 
     action: str
@@ -70,10 +93,19 @@ class SendGoal:
 
 @dataclass(frozen=True, kw_only=True)
 class Lifecycle:
-    """A `transition` of a lifecycle `node`, which may take `timeout` [s].
+    """A transition of a lifecycle node.
 
     To deactivate a node that is not active, or to clean one up that is not configured, is no
     mistake.
+
+    Attributes
+    ----------
+    node : str
+        ROS name of the node.
+    transition : str
+        `configure`, `activate`, `deactivate`, `cleanup` or `shutdown`.
+    timeout : float
+        Longest time [s] of the transition.
     """
 
     node: str
@@ -88,7 +120,17 @@ class Lifecycle:
 
 @dataclass(frozen=True, kw_only=True)
 class WaitUntil:
-    """A wait until a `condition` on signals has held for `hold` [s], at most `timeout` [s]."""
+    """A wait for a condition on signals.
+
+    Attributes
+    ----------
+    condition : str
+        An expression, such as `abs(position) < 0.1`.
+    hold : float
+        Time [s] for which it must hold without a break.
+    timeout : float
+        Longest time [s] of the wait; a run in which it does not hold until then fails.
+    """
 
     condition: str
     hold: float = 0.1

@@ -74,7 +74,7 @@ class Study:
     run : Run, optional
         The procedure that is an evaluation of nodes which know nothing of the tuner.
     signals : mapping from str to Signal
-        What is recorded of such a run.
+        What is recorded in such a run.
     park : Park
         What the nodes are set to while no run is performed.
     further_objectives : tuple of Objective
