@@ -136,7 +136,7 @@ def test_without_a_terminal_it_only_shows(record, now, capsys):
     before = now()
     code, out, err = apply(capsys, record)
     assert code == 2
-    assert err == "error: no terminal to confirm in; use --yes\n"
+    assert err == "error: no terminal to confirm on; use --yes\n"
     assert f"{record.trials[1].parameters['lambda_mpc']:.6g}" in out
     assert now() == before
 
@@ -268,7 +268,7 @@ def test_in_a_terminal_it_asks(record, now):
     ("kind", "code", "complaint"),
     [
         ("full", 1, "error: output: No space left on device"),
-        ("pipe", 141, "error: nobody reads the output any more"),
+        ("pipe", 141, "error: the output pipe was closed"),
     ],
 )
 def test_what_cannot_be_shown_is_not_set(record, now, kind, code, complaint, to_error):
@@ -296,7 +296,7 @@ def test_what_is_set_stays_set_when_the_output_goes_after_that(record, now, caps
 
     monkeypatch.setattr(command, "say", gone)
     code, _, err = apply(capsys, record, "--yes")
-    assert (code, err) == (141, "error: nobody reads the output any more\n")
+    assert (code, err) == (141, "error: the output pipe was closed\n")
     assert now() == tuned(record)
     assert rollback_file(record) == before
 

@@ -109,7 +109,7 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
             folder=tmp_path,
         )
     assert (code, err) == (0, "")
-    assert "study.yaml: 1 parameter and 1 signal; now read it" in out
+    assert "study.yaml: 1 parameter and 1 signal; now review it and" in out
     text = (tmp_path / "study.yaml").read_text()
     offered = re.sub(r"^  # (other: |mass: )", r"  \1", text, flags=re.MULTILINE)
     assert offered != text
@@ -192,9 +192,7 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path):
     mine.write_text("mine")
     code, out, err = run("tune", "--init", "mine.yaml", folder=tmp_path)
     assert (code, out) == (2, "")
-    assert err == (
-        "error: mine.yaml: is there already, and is not overwritten; give another name\n"
-    )
+    assert err == ("error: mine.yaml: already exists and is not overwritten; give another name\n")
     assert mine.read_text() == "mine"
 
 

@@ -175,7 +175,7 @@ class TestWorstCase:
         for count, passed in ((73, False), (74, True)):
             found = judge(make_study(), evidence(draws, [[0.0] * count]), 0.95)
             assert found.passed is passed
-            assert any("tell too little of the noise" in text for text in found.reasons) != passed
+            assert any("say too little about the noise" in text for text in found.reasons) != passed
         # What equal runs seemed to show is not shown once one differs.
         found = judge(make_study(), evidence(draws, [[*[0.0] * 40, 20.0]]), 0.95)
         assert not found.passed

@@ -96,7 +96,7 @@ def test_a_terminal_that_is_gone_leaves_a_record_that_goes_on(runs, tmp_path):
 
 
 FULL = "error: output: No space left on device"
-UNREAD = "error: nobody reads the output any more"
+UNREAD = "error: the output pipe was closed"
 GONE = pytest.mark.parametrize(
     ("kind", "code", "complaint"), [("full", 1, FULL), ("pipe", 128 + signal.SIGPIPE, UNREAD)]
 )

@@ -238,7 +238,7 @@ class TestBadInput:
             (["--algorithm", "VI"], "argument --algorithm: invalid choice: 'VI'"),
             (["--backend", "ross"], "argument --backend: invalid choice: 'ross'"),
             (["--tri", "3"], "unrecognized arguments: --tri 3"),
-            (["--record", "some"], "argument --record: invalid choice: 'some' (choose from 'all', "),
+            (["--record", "some"], "argument --record: invalid choice: 'some' (choose from 'all'"),
             (["a.yaml"], "unrecognized arguments: a.yaml; did you mean --study a.yaml?"),
             (["--ros-args", "-r", "__ns:=cell"], "__ns:=cell: a namespace begins with a slash"),
             (["--attach", "--backend", "inprocess"], "--attach needs --backend ros"),

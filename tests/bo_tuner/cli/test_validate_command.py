@@ -287,9 +287,9 @@ class TestInterruption:
         (begun,) = [
             remark
             for remark in run_verdict(with_summary(read_run(folder), pytest.fail)).remarks
-            if "begun" in remark
+            if "unfinished" in remark
         ]
-        assert begun.startswith("A certificate was begun and not finished: 59 evaluations")
+        assert begun.startswith("An unfinished certificate has 59 evaluations")
         # A line that was cut off counts as not made.
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)

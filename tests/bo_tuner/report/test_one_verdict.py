@@ -167,7 +167,7 @@ def compare_screens(tuned_run, folder, default, tuned, passed_check, certified):
     if verdict.certificate == FAIL:
         assert f"expected {PASS}, found {FAIL}" in refusal
     elif verdict.apply_refuses:
-        assert f"apply refuses it all the same: {refusal}." in verdict.remarks
+        assert f"apply still refuses it: {refusal}." in verdict.remarks
     elif verdict.certificate != PASS:
         assert f"no certificate of trial {verdict.trial}" in refusal
 
@@ -421,6 +421,12 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     opened = dataclasses.replace(verdict, apply_refuses=False)
     commands = [step.command for step in next_steps(opened, "run")]
     assert commands[0] == f"apply run --trial {number}"
+    failed = dataclasses.replace(verdict, state=State.REFUSED, is_result=True)
+    assert [step.command for step in next_steps(failed, "run")] == [
+        "validate run --until-pass 3",
+        "tune --resume run --trials N",
+        "replay run",
+    ]
     assert run_verdict(run).certificate == ""
 
 

@@ -132,7 +132,7 @@ def broken_limits(found):
 
     A certificate ends with the first limit that is not kept, when another may have few runs.
     """
-    open_yet = ("are too few to bound the mean", "tell too little of the noise")
+    open_yet = ("are too few to bound the mean", "say too little about the noise")
     return {
         c.name
         for c in found.constraints

@@ -15,7 +15,7 @@ from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.validated import validated
 from bo_tuner.verdict.verdict import Quantity, State, Status, Verdict
 
-LOAD = "Only return_time exceeded a limit, which other load on this machine can also cause."
+LOAD = "Only return_time exceeded a limit; other load on this machine can cause this too."
 
 
 def validation(study, violations):

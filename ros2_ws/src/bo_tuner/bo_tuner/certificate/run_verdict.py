@@ -49,8 +49,8 @@ def run_verdict(record: RunRecord) -> Verdict:
     trial = result(record)
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
-            f"A certificate was begun and not finished: {counted(begun, 'evaluation')} on record, "
-            "from which validate goes on."
+            f"An unfinished certificate has {counted(begun, 'evaluation')} on record; validate "
+            "continues from there."
         )
         verdict = replace(verdict, remarks=(*verdict.remarks, remark))
     return verdict
@@ -149,7 +149,7 @@ def _certified(
     passed = content["verdict"] == PASS
     problem = certificate_problem(record, trial) if passed else ""
     if problem:
-        remarks.append(f"apply refuses it all the same: {problem}.")
+        remarks.append(f"apply still refuses it: {problem}.")
     try:
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
         overall = min(float(content["confidence"]), *_confidences(record))

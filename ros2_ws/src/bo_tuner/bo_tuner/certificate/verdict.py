@@ -259,7 +259,8 @@ def _worst_case(
     if not worst:
         return False, "its worst contexts were not evaluated"
     if failures := sum(w.failures for w in worst):
-        return False, f"{failures} evaluations failed in the worst contexts (none may)"
+        failed = text.counted(failures, "evaluation")
+        return False, f"{failed} failed in the worst contexts (none is allowed)"
     passed = all(w.shown for w in worst)
     on_mean = constraint.statistic == EXPECTATION
     # The context with the largest mean need not have the largest bound.
@@ -289,8 +290,8 @@ def _worst_case(
         )
     if on_mean and not passed and not constraint.violations(_mean_bound(constraint, top)):
         return False, (
-            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts tell too "
-            "little of the noise to show that the mean over it is within the limit"
+            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts say too "
+            "little about the noise to show that the mean over it is within the limit"
         )
     if on_mean:
         if passed and constraint.sign < 0.0:

@@ -63,20 +63,20 @@ exit codes:
   0    the nodes have the values, as read back from them
   1    a node refused, did not answer or read back another value; the previous
        values were restored, or the message names the node where that failed
-  2    bad input: run, option or nodes, or no terminal to confirm in
+  2    bad input: run, option or nodes, or no terminal to confirm on
   3    nothing was set: no certificate allows it, you did not confirm, or the
        nodes' values changed before you did
   130  interrupted by Ctrl-C before anything was set (143: by SIGTERM, 129: the
        terminal was closed)
-  141  nobody read the output any more, and 1 if it cannot be written: see by
-       another apply what the nodes have
+  141  if the output pipe was closed, 1 if output could not be written; run
+       apply again to see the nodes' values
 
 examples:
   apply runs/latest                              show the difference, ask, set
   apply runs/latest --yes                        without asking
   apply runs/latest --trial 12                   another certified parameter set
   apply runs/latest --rollback                   restore the previous values
-  apply runs/latest --without-certificate        on your own responsibility
+  apply runs/latest --without-certificate        at your own risk
   apply runs/latest --ros-args -r __ns:=/x_axis  nodes in a namespace
 """
 
@@ -149,7 +149,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                     return EXIT_OK
                 if not arguments.yes:
                     if not sys.stdin.isatty():
-                        return _refuse("no terminal to confirm in; use --yes", EXIT_USAGE)
+                        return _refuse("no terminal to confirm on; use --yes", EXIT_USAGE)
                     if not _confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
                         say("nothing was set")
                         return EXIT_INFEASIBLE

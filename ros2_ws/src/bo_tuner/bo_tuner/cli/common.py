@@ -142,7 +142,7 @@ def _fault(error: OSError, interruption: Interruption) -> int:
         # A terminal that is gone sends SIGHUP, and takes no more output.
         return EXIT_SIGNAL + interruption.signum
     if isinstance(error, BrokenPipeError):
-        say_error("error: nobody reads the output any more")
+        say_error("error: the output pipe was closed")
         return EXIT_SIGNAL + signal.SIGPIPE
     where = f"{error.filename}: " if error.filename else "output: "
     say_error(f"error: {where}{error.strerror or error}")

@@ -196,8 +196,8 @@ def write_first_study(
     except FileExistsError:
         _check_path(path)
     found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
-    say(f"{path}: {found}; now read it, and settle")
-    say("each CHECK in it: bounds, what a run does, what good means; then")
+    say(f"{path}: {found}; now review it and")
+    say("resolve each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  tune --check {path}")
     return EXIT_OK
 
@@ -252,6 +252,6 @@ def _check_path(path: Path) -> None:
     if path.suffix not in (".yaml", ".yml"):
         raise StudyError(f"--init: expected a file name that ends in .yaml, found {path}")
     if path.exists() or path.is_symlink():
-        raise StudyError(f"{path}: is there already, and is not overwritten; give another name")
+        raise StudyError(f"{path}: already exists and is not overwritten; give another name")
     if not path.absolute().parent.is_dir():
         raise StudyError(f"{path}: there is no folder {path.parent}")

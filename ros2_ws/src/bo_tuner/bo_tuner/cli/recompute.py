@@ -30,7 +30,7 @@ exit codes:
   2    bad input: run, bag or study, or a file that cannot be written
   3    a metric differs from the record; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: nobody reads the output any more)
+       141: the output pipe was closed)
 
 examples:
   recompute latest                              is the record right?

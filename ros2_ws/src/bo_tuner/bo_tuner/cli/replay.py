@@ -65,7 +65,7 @@ exit codes:
        cannot be written
   3    the result differs; the table shows where
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: nobody reads the output any more)
+       141: the output pipe was closed)
 
 examples:
   replay runs/latest                           the result's worst evaluation

@@ -38,7 +38,7 @@ exit codes:
   1    standard output cannot be written
   2    bad input: run folder, option, or a file that cannot be written
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: nobody reads the output any more)
+       141: the output pipe was closed)
 
 examples:
   report latest                           the latest run in runs/

@@ -28,9 +28,8 @@ exit codes:
   3    the run is complete, but no feasible parameter set was found; with
        --check, a run of the default failed
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
-       page, 129: the terminal was closed, 141: nobody reads the output any
-       more); the nodes are stopped, the record is kept, and --resume continues
-       the run
+       page, 129: the terminal was closed, 141: the output pipe was closed);
+       the nodes are stopped, the record is kept, and --resume continues the run
 
 examples:
   tune                                 the benchmark study on nodes of its own
@@ -103,7 +102,7 @@ def _add_study(parser: Parser) -> None:
         "--seed",
         type=whole_number,
         metavar="N",
-        help="seed of everything random (default: the study's)",
+        help="random seed of the run (default: the study's)",
     )
     parser.add_argument(
         "--output",
@@ -145,8 +144,8 @@ def _add_known(parser: Parser) -> None:
         nargs="+",
         metavar="FILE",
         help="parameter sets to try first, after those that the study names (the default unless "
-        "it says otherwise): YAML files of values by name, or parameter files of nodes; what a "
-        "file leaves out has its default",
+        "it says otherwise): YAML files of values by name, or parameter files of nodes; values "
+        "missing from the file take their defaults",
     )
     parser.add_argument(
         "--from",
@@ -165,7 +164,7 @@ def _add_running_nodes(parser: Parser) -> None:
         metavar="NAME|FILE",
         help="check a study against the nodes that are running, name every mistake in parameters, "
         "contexts, signals and steps of the run, try two runs of the default, and say how long the "
-        "study would take; nothing is recorded, and the nodes get back all their values",
+        "study would take; nothing is recorded, and all values of the nodes are restored",
     )
     parser.add_argument(
         "--init",
@@ -174,7 +173,7 @@ def _add_running_nodes(parser: Parser) -> None:
         const=FIRST_STUDY,
         metavar="FILE",
         help="look at the nodes that are running and write a first study for them, with comments, "
-        f"to a new file (default: {FIRST_STUDY}); asks on a terminal what to take of them",
+        f"to a new file (default: {FIRST_STUDY}); on a terminal, asks what to include",
     )
     for option, what in (
         ("--nodes", "nodes to tune"),
@@ -213,7 +212,7 @@ def _add_web(parser: Parser) -> None:
         const=0,
         metavar="PORT",
         help="serve the report of the run in progress, read-only, on this machine only, at an "
-        "address with a token that is printed (default port: any that is free); it lists and "
+        "address with a token that is printed (default: any free port); it lists and "
         "compares the other runs in the same folder, too",
     )
     parser.add_argument(

@@ -59,10 +59,13 @@ from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
 
+DRAWS = "draws"
+"""The first phase of a certification; the others are searches."""
+
 DESCRIPTION = """\
 Certify the result of a run: evaluate it in fresh draws of context and noise,
 search for the worst context again, and report PASS or FAIL for the constraints
-of the study. It ends as soon as the verdict is clear, and goes on where an
+of the study. It ends as soon as the verdict is clear, and continues where an
 interrupted one stopped.
 """
 
@@ -86,11 +89,11 @@ parameters.
 exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full); an
-       existing certificate is kept, and the next call goes on from here
+       existing certificate is kept, and the next call continues from here
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
-       141: nobody reads the output any more); as 1
+       141: the output pipe was closed); as 1
 
 examples:
   validate latest                          as many draws as the study requires
@@ -356,7 +359,8 @@ class _Bar(RunObserver):
             self.progress.remove_task(task)
         self.progress.add_task(phase, total=total)
         if self.progress.disable:
-            self._console.print(f"{phase}: {total} steps", soft_wrap=True)
+            most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
+            self._console.print(f"{phase}: {most}", soft_wrap=True)
 
     def advance(self) -> None:
         for task in self.progress.task_ids:

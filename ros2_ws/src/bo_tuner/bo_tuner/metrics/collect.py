@@ -60,7 +60,9 @@ class Collector:
                 reason = f"{node}: answered {type(pairs).__name__}; expected a mapping"
                 return Outcome(EvaluationState.FAILED, {}, reason)
             if len(pairs) > maxima.ANSWER:
-                reason = f"{node}: says {len(pairs)} values; at most {maxima.ANSWER} are taken"
+                reason = (
+                    f"{node}: reports {len(pairs)} values; at most {maxima.ANSWER} are accepted"
+                )
                 return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
             f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]

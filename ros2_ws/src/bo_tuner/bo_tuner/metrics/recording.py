@@ -1,4 +1,4 @@
-"""The signals of one run, and the metrics that are computed of them."""
+"""The signals of one run, and the metrics that are computed from them."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class RecordedSignal:
 
 @dataclass(frozen=True)
 class Recording:
-    """What was recorded of a run.
+    """What was recorded in a run.
 
     Between two of its messages a signal has the value of the first one (zero-order hold), and so
     have signals whose messages come at different times.
@@ -209,7 +209,7 @@ class SignalSource:
     study
         The study, for its signals.
     recording
-        Returns what was recorded of the last run.
+        Returns what was recorded in the last run.
     """
 
     def __init__(
@@ -255,7 +255,7 @@ class PythonSource:
     metric
         The metric.
     recording
-        Returns what was recorded of the last run.
+        Returns what was recorded in the last run.
 
     Raises
     ------
@@ -299,7 +299,7 @@ class PythonSource:
 
 
 def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str, MetricSource]:
-    """Make the source of each metric of a study that is computed of signals, by its name.
+    """Make the source of each metric of a study that is computed from signals, by its name.
 
     Raises
     ------

@@ -75,7 +75,7 @@ PRIOR_DEGREES = 2.0
 
 
 class _Latest(Generic[T]):
-    """What was computed of the latest array, for mean and variance there need the same kernel.
+    """What was computed from the latest array, for mean and variance there need the same kernel.
 
     Arrays are compared by content, since a caller may change one in place. The pair is assigned at
     once, since threads may share a process.
@@ -93,7 +93,7 @@ class _Latest(Generic[T]):
 
 
 class _Known:
-    """What a process has computed of the latest parameter sets and contexts."""
+    """What a process has computed from the latest parameter sets and contexts."""
 
     def __init__(self) -> None:
         self.kernel = _Latest[Array]()

@@ -37,13 +37,13 @@ def check_recorded(record: RunRecord, study: Study) -> None:
     Raises
     ------
     RunRecordError
-        If a metric is not computed of signals, or of other signals than were recorded.
+        If a metric is not computed from signals, or from other signals than were recorded.
     """
     recorded = record.study.signals
     for name, metric in study.metrics.items():
         if isinstance(metric, ReportedMetric):
             raise RunRecordError(
-                f"{record.path}: metric {name} is reported by a node, and not computed of signals"
+                f"{record.path}: metric {name} is reported by a node, and not computed from signals"
             )
     for name, signal in study.signals.items():
         known = recorded.get(name)

@@ -44,7 +44,7 @@ class JournalContent:
     evaluations
         All evaluations, in the order in which they were recorded.
     damage
-        What could not be read; empty if nothing is amiss.
+        What could not be read; empty if nothing is wrong.
     """
 
     sessions: tuple[Mapping[str, str], ...]

@@ -28,7 +28,7 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     content
         What could be read.
     text
-        What was done, in a line; empty if nothing was amiss.
+        What was done, in a line; empty if nothing was wrong.
 
     Raises
     ------

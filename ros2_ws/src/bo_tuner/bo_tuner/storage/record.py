@@ -46,7 +46,7 @@ class RunRecord:
         The content of its file; None without a readable one. `bo_tuner.tuning.summary` checks it,
         and makes it from the journal.
     damage
-        What of the record could not be read, in a line; empty if nothing is amiss.
+        What of the record could not be read, in a line; empty if nothing is wrong.
     """
 
     path: Path

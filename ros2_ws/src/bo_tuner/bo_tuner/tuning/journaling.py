@@ -16,7 +16,7 @@ class JournalObserver(RunObserver):
     journal
         The journal, open.
     check
-        Called before each record; raises what shall end the run.
+        Called before each record; raises what should end the run.
     """
 
     def __init__(self, journal: Journal, check: Callable[[], None] = lambda: None) -> None:

@@ -236,8 +236,8 @@ def _choice(study: Study) -> str:
         return ""
     names = [objective.metric for objective in study.objectives]
     return (
-        f"Between {', '.join(names[:-1])} and {names[-1]} the tuned parameter set is {RULE}. For "
-        "another point of the front use validate and then apply with --trial N."
+        f"Of the trade-offs between {', '.join(names[:-1])} and {names[-1]}, the tuned parameter "
+        f"set is {RULE}. For another point of the front use validate and then apply with --trial N."
     )
 
 
@@ -266,4 +266,4 @@ def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
     if all(sample.holds for sample in samples) or not all(m.measures_time for m in metrics):
         return ()
     names = ", ".join(metric.name for metric in metrics)
-    return (f"Only {names} exceeded a limit, which other load on this machine can also cause.",)
+    return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)

@@ -186,7 +186,8 @@ class SimClock:
         self.update()
         if now - self._advanced > LONGEST_STANDSTILL:
             raise LostError(
-                f"{TOPIC} stands still at {self.now * 1e-9:.3f} s for {LONGEST_STANDSTILL:g} s"
+                f"{TOPIC} has not advanced for {LONGEST_STANDSTILL:g} s; it is at "
+                f"{self.now * 1e-9:.3f} s"
             )
 
     def at(self, received: int) -> int:

@@ -48,7 +48,7 @@ def opened_node(
     ros_arguments
         ``--ros-args`` of the node.
     interrupted
-        Asked while waiting; raises what shall end the wait.
+        Asked while waiting; raises what should end the wait.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class TunerNode:
     ros_arguments
         ``--ros-args`` of the node.
     watch
-        Called at least every `SPIN_PERIOD` seconds while waiting; raises what shall end the wait.
+        Called at least every `SPIN_PERIOD` seconds while waiting; raises what should end the wait.
     name
         Its name.
 

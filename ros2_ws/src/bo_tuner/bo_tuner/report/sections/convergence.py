@@ -128,8 +128,8 @@ def _objective(analysis: Analysis) -> Figure:
         name="convergence",
         title=f"Mean {study.objective.metric} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
-        f"there; its line is {line}. Failed and lost trials, which have no value, and values far above the "
-        "others are at the top, and so is the line.",
+        f"there; its line is {line}. Failed and lost trials, which have no value, and values far "
+        "above the others are at the top, and so is the line.",
         alternative=_summary(analysis, found),
         panels=panels,
         columns=2,

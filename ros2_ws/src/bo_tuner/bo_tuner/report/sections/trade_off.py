@@ -38,11 +38,7 @@ def trade_off(analysis: Analysis) -> Section | None:
     study = analysis.study
     if len(study.objectives) > 1:
         return None
-    trials = [
-        trial
-        for trial in analysis.trials
-        if analysis.outcome(trial) in OF_VALUE
-    ]
+    trials = [trial for trial in analysis.trials if analysis.outcome(trial) in OF_VALUE]
     constraints = study.worst_case_constraints
     if not constraints or not trials:
         return None
