@@ -34,11 +34,13 @@ class Servo(Node):
         self.angle = self.setpoint = 0.0
         self.starts = itertools.repeat(0.0)
         self.angles = self.create_publisher(Float64, "angle", 10)
+        self.speeds = self.create_publisher(Float64, "speed", 10)
         self.create_subscription(Float64, "setpoint", self.follow, 10)
         self.create_timer(0.01, self.step)
 
     def follow(self, message):
         self.setpoint, self.angle = message.data, next(self.starts)
+        self.speeds.publish(Float64(data=self.setpoint))
 
     def step(self):
         self.angle += self.get_parameter("gain").value * (self.setpoint - self.angle)
@@ -80,14 +82,17 @@ def write_study(tmp_path, **changes):
     (tmp_path / "servo.yaml").write_text(json.dumps(mapping | sections))
 
 
-def study(tmp_path, **changes):
+def study(tmp_path, *options, **changes):
     write_study(tmp_path, **changes)
-    return finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
+    return finish(Fork("tune", "--check", "servo.yaml", *options, folder=tmp_path))
 
 
 def test_a_study_that_is_right(servo, tmp_path):
-    """Bounds, types, defaults and the array come from the node, which is left as it was."""
-    code, out, err = study(tmp_path)
+    """Bounds, types, defaults and the array come from the node, which is left as it was.
+
+    Not even safe values stay, as they do after a run.
+    """
+    code, out, err = study(tmp_path, park={"parameters": {"gain": 0.5}, "between_runs": True})
     assert (code, err) == (0, "")
     assert "as the study says: 3 parameters and 2 signals" in out
     assert "metrics of the default" in out
@@ -105,29 +110,30 @@ def test_a_study_that_is_right(servo, tmp_path):
     assert not (tmp_path / "runs").exists()
 
 
-def test_safe_values_do_not_stay(servo, tmp_path):
-    """Not even those that are to stay after a run."""
-    code, _, err = study(
-        tmp_path,
-        parameters={"gain": {"node": "servo", "type": "double", "bounds": [0.0, 0.9]}},
-        park={"parameters": {"gain": 0.5}, "between_runs": True},
-    )
-    assert (code, err) == (0, "")
-    assert servo.get_parameter("gain").value == 0.25
-
-
 def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
-    """What the default does not keep, and runs that do not begin alike."""
+    """What the default does not keep, also below a limit, and runs that do not begin alike."""
     limit = {"kind": "worst_case", "metric": "error", "upper": 0.001}
     servo.starts = itertools.cycle([0.0, 0.9])
     try:
-        code, out, err = study(tmp_path, constraints={"error": limit})
+        code, out, err = study(
+            tmp_path,
+            *("--attach", "--trials", "2"),
+            signals={
+                "angle": {"topic": "/angle", "field": "data"},
+                "setpoint": {"topic": "setpoint", "field": "data"},
+                "speed": {"topic": "/speed", "field": "data"},
+            },
+            constraints={"error": limit, "room": limit | {"upper": 0.3}},
+        )
     finally:
         servo.starts = itertools.repeat(0.0)
     assert (code, err) == (0, "")
+    assert "note: the initial design takes all of the 2 trials; none is proposed" in out
     assert "2 of 2" in out
     assert "note: error: the default does not keep ≤ 0.001" in out
     assert re.search(r"note: error: differs by [0-9.]+ between runs of the same parameters", out)
+    (began,) = [line for line in out.splitlines() if "at the start of run 2" in line]
+    assert began.startswith("note: speed: has a value at the start of run 2 and none at that of ")
 
 
 def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):

@@ -213,13 +213,18 @@ class TestReplace:
         assert str(caught.value).startswith(message)
 
     def test_fewer_trials_than_the_initial_design(self):
-        assert parse_study(STUDY).replace(trials=2).budget.initial_trials == 2
+        """An option and the file are read alike."""
+        study = parse_study(STUDY)
+        assert (study.budget.initial_trials < 12, study.budget.warning) == (True, "")
+        fewer = study.replace(trials=2)
+        assert fewer.budget.initial_trials == 2
+        assert fewer.budget.warning.startswith("the initial design takes all of the 2 trials")
+        assert study.replace(initial_trials=13).budget.initial_trials == 12
 
     @pytest.mark.parametrize(
         ("change", "message"),
         [
             ({"trials": 0}, "budget.trials: expected an integer of at least 1, found 0"),
-            ({"initial_trials": 13}, "budget.initial_trials: 13 are more than the 12 trials"),
             ({"validation_draws": 0}, "budget.validation_draws: expected an integer of at least 1"),
             ({"seed": -1}, "seed: expected an integer of at least 0, found -1"),
         ],

@@ -141,7 +141,6 @@ class TestRefusedValues:
             ),
             ("trigger/timeout", 0, "expected a number above 0, found 0.0"),
             ("budget/search_evaluations", -1, "expected an integer of at least 0, found -1"),
-            ("budget/initial_trials", 13, "13 are more than the 12 trials in all"),
             ("metrics", {}, "expected at least one"),
             (
                 "name",

@@ -4,7 +4,6 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,7 +14,6 @@ from rich.table import Table
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import (
     describe,
-    describe_nodes,
     opened_node,
     signal_problems,
 )
@@ -34,8 +32,8 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.descriptors import node_problems
+from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted, shown
 from bo_tuner.trials import TUNED, Evaluation, Stage
 from bo_tuner.tuning.recommendation import most_check_evaluations
@@ -48,16 +46,18 @@ BESIDE_PLOT = 44
 """Characters of the other columns of the table of signals, and of its lines, but for the names."""
 LARGE_SPREAD = 0.2
 """Difference of two equal runs, of the larger value, from which on it is worth a note."""
+SMALL = 0.01
+"""Share of a limit below which values may differ by as much as they do just there."""
 BARS = " ▁▂▃▄▅▆▇█"
 
 
-def check_study(given: str, ros_arguments: Sequence[str], interruption: Interruption) -> int:
+def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
     """Check a study on the nodes that are running; returns the exit code.
 
     Parameters
     ----------
-    given
-        Name or path of the study.
+    study
+        The study.
     ros_arguments
         ``--ros-args`` of the tuner's node.
     interruption
@@ -65,15 +65,9 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
 
     Raises
     ------
-    StudyError
-        If the study is not valid in itself.
     BackendError
         If the nodes cannot be had.
     """
-    study = load_study(
-        given,
-        partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check),
-    )
     with opened_node(ros_arguments, interruption.check) as tuner:
         problems, notes = _look(study, tuner)
     for note in notes:
@@ -92,7 +86,8 @@ def check_study(given: str, ros_arguments: Sequence[str], interruption: Interrup
 
 def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     """Hold parameters, signals and steps against the graph; problems and notes, a line each."""
-    problems, notes = [], []
+    problems: list[str] = []
+    notes = [study.budget.warning] if study.budget.warning else []
     defaults = study.search_space().defaults
     absent = 0
     for key, spec in study.nodes.items():
@@ -123,12 +118,16 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
     if study.run is not None and not study.run.start:
         notes.append("run.start: missing, so nothing sends a reference when a run starts")
     # What a run itself publishes has no publisher yet.
-    steps = () if study.run is None else study.run.steps
-    own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
-    heard = {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
-    problems += [str(error) for error in signal_problems(tuner, heard)]
+    problems += [str(error) for error in signal_problems(tuner, _heard(study))]
     problems += [str(error) for error in run_problems(study, tuner)]
     return problems, notes
+
+
+def _heard(study: Study) -> dict[str, Signal]:
+    """Return the signals that the run does not publish itself."""
+    steps = () if study.run is None else study.run.steps
+    own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
+    return {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
 
 
 def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
@@ -148,15 +147,22 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
         )
         try:
             backend.open()
+            held = []
             for index in range(RUNS):
                 seed = noise_seed(study.seed, Stream.NOISE, 0, index)
                 planned = Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)
                 done += backend.run([planned])
-            recording = backend.recording
+                recording = backend.recording
+                held.append({n for n, s in recording.signals.items() if np.any(s.time < 0.0)})
         finally:
             with contextlib.suppress(BackendError):
                 backend.close()
     _plot(study, recording)
+    for name in sorted((held[-1] - held[0]) & _heard(study).keys()):
+        say(
+            f"note: {name}: has a value at the start of run {RUNS} and none at that of run 1: it "
+            "is published in runs only (docs/procedure.md, signals at the start)"
+        )
     failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
         say_error(
@@ -241,7 +247,7 @@ def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
     Such noise is possible, but more often one run did not begin as the other. What is small beside
     its limits may differ.
     """
-    largest = max(abs(value) for value in (*values, *limits))
+    largest = max(*map(abs, values), *(SMALL * limit for limit in limits))
     spread = max(values) - min(values)
     if spread <= LARGE_SPREAD * largest:
         return ""

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -89,6 +89,22 @@ class Parser(argparse.ArgumentParser):
             help=f"{condition}start the programs and import the objects that the run's study "
             "names, now and later; read the study first if the run is not yours",
         )
+
+    def refuse_others(
+        self, arguments: argparse.Namespace, option: str, allowed: Collection[str]
+    ) -> None:
+        """Refuse what is given besides an `option` and those that are `allowed` with it.
+
+        ``--attach`` is, where it says what the option does anyway.
+        """
+        for action in self._actions:
+            value = getattr(arguments, action.dest, action.default)
+            is_other = action.nargs == 0 and action.const not in (None, value)
+            if action.dest in (option, *allowed) or value == action.default or is_other:
+                continue
+            if action.dest == "attach" and value:
+                continue
+            self.error(f"{action.option_strings[0]} does not go with --{option}; leave it out")
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line on the error, without the usage."""

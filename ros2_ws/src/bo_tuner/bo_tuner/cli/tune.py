@@ -38,6 +38,10 @@ from bo_tuner.web.address import listen
 
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
+OF_INIT = ("nodes", "parameters", "signals")
+"""Options that go with ``--init``, and with nothing else."""
+OF_CHECK = ("trials", "evaluations", "seed")
+"""Options that go with ``--check``."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +78,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         hint = f"; did you mean --study {unknown[0]}?" if only_a_study else ""
         parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
     if arguments.init is not None:
-        if arguments.study is not None or arguments.check is not None:
-            parser.error("--init writes a study, and takes none")
+        parser.refuse_others(arguments, "init", OF_INIT)
         return write_first_study(
             arguments.init,
             arguments.nodes,
@@ -84,21 +87,24 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             ros_arguments,
             interruption,
         )
-    for name in ("nodes", "parameters", "signals"):
+    for name in OF_INIT:
         if getattr(arguments, name) is not None:
             parser.error(f"--{name} needs --init")
+    look = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
     if arguments.check is not None:
-        return check_study(arguments.check, ros_arguments, interruption)
-    return _run(arguments, parser, ros_arguments, interruption)
+        parser.refuse_others(arguments, "check", OF_CHECK)
+        study = _changed(_load(arguments.check, True, look), arguments)
+        return check_study(study, ros_arguments, interruption)
+    return _run(arguments, parser, look, ros_arguments, interruption)
 
 
 def _run(
     arguments: argparse.Namespace,
     parser: Parser,
+    look: Describe,
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
-    look = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
     if arguments.resume is not None:
         plan = _resumed(arguments, parser)
     elif arguments.earlier is not None:

@@ -90,7 +90,8 @@ def _add_study(parser: Parser) -> None:
         "--trials",
         type=whole_number,
         metavar="N",
-        help="number of trials, in place of the study's budget of trials and evaluations",
+        help="number of trials, in place of the study's budget of trials and evaluations; the "
+        "initial design has at most as many",
     )
     parser.add_argument(
         "--evaluations",
@@ -164,7 +165,8 @@ def _add_running_nodes(parser: Parser) -> None:
         metavar="NAME|FILE",
         help="check a study against the nodes that are running, name every mistake in parameters, "
         "contexts, signals and steps of the run, try two runs of the default, and say how long the "
-        "study would take; nothing is recorded, and all values of the nodes are restored",
+        "study would take (also with --trials, --evaluations or --seed); nothing is recorded, and "
+        "all values of the nodes are restored",
     )
     parser.add_argument(
         "--init",

@@ -63,6 +63,8 @@ class RunProgress(Display):
         self.tell(f"run folder {folder}")
         if units := units_in_words(self._study):
             self.tell(units)
+        if warning := self._study.budget.warning:
+            self.tell(warning)
 
     def begin(self, phase: str, total: int) -> None:
         """Start counting `total` steps of `phase`."""

@@ -414,7 +414,7 @@ class Budget:
     trials : int
         Trials, each of one parameter set, including the initial design.
     initial_trials : int
-        Trials of the initial design.
+        Trials of the initial design, which are at most all.
     drawn_contexts : int, optional
         Evaluations per trial in contexts drawn from their distribution. Unless given, the
         algorithm's: 5, or 2 for boundary.
@@ -445,6 +445,13 @@ class Budget:
             left = min(left, math.ceil((self.evaluations - evaluations) / each))
         return max(left, 0)
 
+    @property
+    def warning(self) -> str:
+        """Tell in a line that no trial is left after the initial design; empty if some are."""
+        if self.initial_trials < self.trials:
+            return ""
+        return f"the initial design takes all of the {self.trials} trials; none is proposed"
+
     def is_spent(self, trials: int, evaluations: int) -> bool:
         """Return whether so many trials, with so many evaluations, use up the budget."""
         return self.remaining(trials, evaluations) == 0
@@ -456,8 +463,4 @@ class Budget:
             lowest = 0 if item.name == "search_evaluations" else 1
             most = MOST[item.name]
             checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)
-        if self.initial_trials > self.trials:
-            raise StudyError(
-                f"{self.initial_trials} are more than the {self.trials} trials in all",
-                ("initial_trials",),
-            )
+        object.__setattr__(self, "initial_trials", min(self.initial_trials, self.trials))

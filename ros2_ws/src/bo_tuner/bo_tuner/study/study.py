@@ -315,8 +315,8 @@ class Study:
 
         The parameter sets in `start` are tried after those that the study has.
 
-        With `trials` alone, the initial design shrinks to that number if necessary, and no number
-        of evaluations limits the run; with `evaluations` alone, no other number of trials does.
+        With `trials` alone, no number of evaluations limits the run; with `evaluations` alone, no
+        other number of trials does.
 
         Raises
         ------
@@ -336,8 +336,6 @@ class Study:
             changes["evaluations"] = None
         if evaluations is not None and trials is None:
             changes["trials"] = max(evaluations, self.budget.initial_trials)
-        if trials is not None and initial_trials is None:
-            changes["initial_trials"] = max(1, min(self.budget.initial_trials, trials))
         with under("budget"):
             budget = dataclasses.replace(self.budget, **changes)
         return dataclasses.replace(
