@@ -7,15 +7,21 @@ import sys
 import pytest
 from commands import environment, run
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from in_process import call
 from node_threads import at_work
+from rclpy.action import ActionServer
 from rclpy.node import Node
 from sensor_msgs.msg import JointState, LaserScan
 from servo import System, study
 from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
+from test_msgs.action import Fibonacci
+from waiting import DEADLINE
 
 from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.backends.ros.messages import number_fields, number_reader
+from bo_tuner.backends.ros.survey import _look
+from bo_tuner.cli import tune
 from bo_tuner.cli.init import numbers
 from bo_tuner.errors import StudyError
 from bo_tuner.study.signals import field_path
@@ -28,6 +34,12 @@ pytestmark = pytest.mark.ros
 def servo():
     with at_work(System) as node:
         yield node
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """What runs in this process is discovered at once."""
+    monkeypatch.setattr("bo_tuner.backends.ros.graph.LOOK_AROUND", 0.1)
 
 
 def test_no_node_is_told_in_a_line(empty_domain, tmp_path):
@@ -52,6 +64,7 @@ def test_an_idle_node_is_told_in_a_line(empty_domain, tmp_path):
     assert code == 2
     assert out == (
         "note: left out: /joint_states: silent for 1 s, so the items of its arrays are unknown\n"
+        "nodes found: idle\n"
     )
     assert err == ("error: no topic has a number that could be a signal while the nodes are idle\n")
     assert not list(tmp_path.iterdir())
@@ -93,6 +106,43 @@ def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
     code, out, err = run("tune", "--check", "servo.yaml", folder=tmp_path)
     assert (code, err) == (0, "")
     assert "as the study says: 1 parameter and 2 signals" in out
+
+
+def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch):
+    """A busy machine shows its nodes one by one."""
+    monkeypatch.setattr("bo_tuner.backends.ros.survey.DISCOVERY", DEADLINE)
+    monkeypatch.setattr("bo_tuner.backends.ros.survey.QUIET", 0.0)
+    looks = []
+
+    def look(tuner):
+        seen, notes = _look(tuner)
+        looks.append(seen)
+        if len(looks) == 2:
+            servo.declare_parameter("late", 1.0)
+        return seen, notes
+
+    monkeypatch.setattr("bo_tuner.backends.ros.survey._look", look)
+    try:
+        code, out, err = call(
+            tune, capsys, "--init", tmp_path / "study.yaml", "--parameters", "servo:late"
+        )
+    finally:
+        servo.undeclare_parameter("late")
+    assert (code, err) == (0, "")
+    assert len(looks) >= 3
+    assert "nodes found: servo\n" in out
+    assert list(load_study(tmp_path / "study.yaml").parameters) == ["late"]
+
+
+def test_an_action_is_offered(servo, quick, tmp_path, capsys):
+    server = ActionServer(servo, Fibonacci, "count", lambda goal: Fibonacci.Result())
+    try:
+        code, _, err = call(tune, capsys, "--init", tmp_path / "study.yaml")
+    finally:
+        server.destroy()
+    assert (code, err) == (0, "")
+    step = "- send_goal: {action: /count, goal: {}}  # test_msgs/action/Fibonacci: order (int32)"
+    assert step in (tmp_path / "study.yaml").read_text()
 
 
 def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path):
@@ -157,13 +207,17 @@ def test_the_end_of_the_input_is_no_answer(servo, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_not_there_is_refused_with_the_nearest_name(servo, tmp_path):
+def test_what_is_not_there_is_refused_with_the_nearest_name(
+    servo, quick, tmp_path, capsys, monkeypatch
+):
+    # All that is there is found at once, and for what is not there nobody waits.
+    monkeypatch.setattr("bo_tuner.cli.init._has", lambda *_: True)
     for option, name, near in (
         ("--nodes", "sevro", "servo"),
         ("--parameters", "gian", "gain"),
         ("--signals", "/joint_staets", "/joint_states"),
     ):
-        code, _, err = run("tune", "--init", option, name, folder=tmp_path)
+        code, _, err = call(tune, capsys, "--init", tmp_path / "study.yaml", option, name)
         assert code == 2
         assert err == f"error: {option}: there is no '{name}'; did you mean '{near}'?\n"
     assert not list(tmp_path.iterdir())
@@ -201,7 +255,13 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path):
     [
         (("--init", "mine"), "expected a file name that ends in .yaml, found mine"),
         (("--init", "none/mine.yaml"), "none/mine.yaml: there is no folder none"),
-        (("--init", "mine.yaml", "--check", "benchmark"), "--init writes a study, and takes none"),
+        (("--init", "mine.yaml", "--check", "benchmark"), "--check does not go with --init; leave"),
+        (("--init", "mine.yaml", "--no-attach"), "--attach does not go with --init; leave it out"),
+        (("--init", "mine.yaml", "--json-lines"), "--json-lines does not go with --init; leave"),
+        (("--check", "benchmark", "--study", "full"), "--study does not go with --check; leave it"),
+        (("--check", "benchmark", "--web"), "--web does not go with --check; leave it out"),
+        (("--check", "benchmark", "--stop-early"), "--stop-early does not go with --check; leave"),
+        (("--check", "benchmark", "--trials", "0"), "--trials: expected an integer of at least 1"),
         (("--nodes", "pid"), "--nodes needs --init"),
     ],
 )

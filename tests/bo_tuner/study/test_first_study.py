@@ -9,6 +9,7 @@ from bo_tuner.study.descriptors import Described
 from bo_tuner.study.first_study import first_study
 from bo_tuner.study.offers import (
     Seen,
+    SeenAction,
     SeenNode,
     SeenTopic,
     SignalOffer,
@@ -223,6 +224,30 @@ class TestStudy:
         for name in ("filter", "port"):
             text = text.replace(f"# {name}: {{", f"{name}: {{")
         assert set(parse_study(text).parameters) == {"kp", "filter", "port"}
+
+    def test_what_sets_it_in_motion_is_something_that_is_there(self):
+        turn = SeenAction("/turn", "x_msgs/action/Turn", {"angle": "double"})
+        parameters = parameter_offers(pid())[0]
+        for actions, expected in (((turn,), "/turn"), ((), "docs/procedure.md")):
+            seen = Seen((pid(),), (STATES,), (), actions)
+            text = first_study("first.yaml", seen, seen.nodes, parameters, signal_offers(STATES))
+            assert "/setpoint" not in text
+            assert expected in text
+            parse_study(text)
+        seen = Seen((pid(),), (STATES,), (), (turn,))
+        text = first_study("first.yaml", seen, seen.nodes, parameters, signal_offers(STATES))
+        text = text.replace("# start:", "start:").replace("#   - send_goal", "  - send_goal")
+        (step,) = parse_study(text).run.start
+        assert step.send_goal.action == "/turn"
+        assert "# x_msgs/action/Turn: angle (double)" in text
+
+    def test_a_seed_is_not_tuned(self):
+        """Uncommented, it is the study's."""
+        node = pid(seed=Described("integer", 0, 0.0, 2.0**31 - 1))
+        text, study = written([node], [STATES])
+        assert list(study.parameters) == ["kp"]
+        study = parse_study(text.replace("# seed_parameter:", "seed_parameter:"))
+        assert (study.seed_parameter.node, study.seed_parameter.parameter) == ("pid", "seed")
 
     def test_names_of_signals_are_valid_and_differ(self):
         topics = [

@@ -181,9 +181,10 @@ def write_first_study(
     """
     _check_path(path)
     with opened_node(ros_arguments, interruption.check) as tuner:
-        seen, notes = survey(tuner)
+        seen, notes = survey(tuner, lambda seen: _has(seen, nodes, parameters, signals))
     for note in notes:
         say(f"note: {note}")
+    say(f"nodes found: {', '.join(node.name for node in seen.nodes)}")
     if not seen.topics:
         raise BackendError("no topic has a number that could be a signal while the nodes are idle")
     tuned, chosen, recorded = _choose(seen, nodes, parameters, signals, Chooser(interruption))
@@ -200,6 +201,28 @@ def write_first_study(
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
     say(f"  tune --check {path}")
     return EXIT_OK
+
+
+def _has(
+    seen: Seen,
+    nodes: Sequence[str] | None,
+    parameters: Sequence[str] | None,
+    signals: Sequence[str] | None,
+) -> bool:
+    """Whether everything that is named is there."""
+    names = {node.name for node in seen.nodes}
+    known = {str(offer) for topic in seen.topics for offer in signal_offers(topic)}
+    known |= {topic.name for topic in seen.topics}
+    of_nodes: set[str] = set()
+    for node in seen.nodes:
+        offers, others = parameter_offers(node)
+        for name in (*(offer.name for offer in offers), *others):
+            of_nodes |= {name, f"{node.name}:{name}"}
+    return (
+        names.issuperset(name.lstrip("/") for name in nodes or ())
+        and of_nodes.issuperset(parameters or ())
+        and known.issuperset(signals or ())
+    )
 
 
 def _choose(

@@ -15,9 +15,11 @@ from bo_tuner.study.offers import (
     CHECK,
     ParameterOffer,
     Seen,
+    SeenAction,
     SeenNode,
     SeenTopic,
     SignalOffer,
+    is_seed,
     parameter_offers,
     signal_offers,
 )
@@ -81,6 +83,7 @@ def first_study(
         "",
         "parameters:",
         *_parameter_lines(nodes, parameters, keys),
+        *_seed_lines(nodes, keys),
         "",
         "signals:",
         *_signal_lines(seen.topics, names),
@@ -133,6 +136,16 @@ def _parameter_lines(
             yield f"  {mark}{dump_line(name)}: {dump_line(fields)}{remark}"
         for name, why in others.items():
             yield f"  # {one_line(name)} of {keys[node.name]}: {one_line(why)}"
+
+
+def _seed_lines(nodes: Sequence[SeenNode], keys: Mapping[str, str]) -> Iterator[str]:
+    for node in nodes:
+        for name, described in node.parameters.items():
+            if is_seed(name, described) and not described.read_only:
+                fields = {"node": keys[node.name], "parameter": name}
+                yield ""
+                yield f"# {CHECK}: if it seeds the noise, each run gets a seed of its own."
+                yield f"# seed_parameter: {dump_line(fields)}"
 
 
 def _signal_names(signals: Iterable[SignalOffer]) -> dict[SignalOffer, str]:
@@ -190,17 +203,27 @@ def _run_lines(
     if wanted is not None and not wanted.topic.publishers:
         yield f"  start:  # {CHECK}: this moves the machine."
         yield f"    - publish: {dump_line(_message(wanted, 1.0))}"
+        yield from (f"    # {line}" for line in _goals(seen.actions))
     else:
         yield f"  # {CHECK}: what sets it in motion; without it a run only watches."
-        yield "  # start:"
         silent = [topic for topic in seen.topics if not topic.publishers and topic.fields]
-        topic = silent[0] if silent else SeenTopic("/setpoint", "", {"data": 0.0})
-        offer = SignalOffer(topic, next(iter(topic.fields)))
-        yield f"  #   - publish: {dump_line(_message(offer, 1.0))}"
-    yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]"
+        offers = [SignalOffer(topic, next(iter(topic.fields))) for topic in silent[:1]]
+        known = offers or seen.actions
+        yield f"  # start:{'' if known else '  # docs/procedure.md lists the steps'}"
+        yield from (f"  #   - publish: {dump_line(_message(offer, 1.0))}" for offer in offers)
+        yield from (f"  #   {line}" for line in _goals(seen.actions))
+    until = ", or result: until a goal of start is done" if seen.actions else ""
+    yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]{until}"
     measured = next((name for offer, name in names.items() if offer != wanted), None)
     if measured is not None:
         yield f"  # abort_when: abs({measured}) > 2  # ends a bad run at once"
+
+
+def _goals(actions: Iterable[SeenAction]) -> Iterator[str]:
+    for action in actions:
+        fields = ", ".join(f"{name} ({kind})" for name, kind in action.fields.items())
+        step = dump_line({"action": action.name, "goal": {}})
+        yield f"- send_goal: {step}  # {action.type}: {fields or 'no fields'}"
 
 
 def _message(offer: SignalOffer, value: float) -> dict[str, Any]:

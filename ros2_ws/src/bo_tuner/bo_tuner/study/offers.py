@@ -24,6 +24,8 @@ TUNABLE = re.compile(
 """In the name of a parameter: controllers and estimators are tuned by it."""
 MOST_ITEMS = 12
 """Of an array whose items are offered; longer ones are images, scans, covariances."""
+SEED = re.compile(r"(^|[_.])seed$", re.IGNORECASE)
+"""Name of a parameter that seeds noise."""
 DECADES = 100.0
 """Ratio of positive bounds from which the logarithm is searched."""
 CHECK = "CHECK"
@@ -61,12 +63,22 @@ class SeenTopic:
 
 
 @dataclass(frozen=True)
+class SeenAction:
+    """An action: its name and type, and the types of a goal's fields by their names."""
+
+    name: str
+    type: str
+    fields: Mapping[str, str] = field(hash=False)
+
+
+@dataclass(frozen=True)
 class Seen:
-    """What runs: nodes with parameters, topics with numbers, and services that need no request."""
+    """What runs: nodes with parameters, topics with numbers, services without request, actions."""
 
     nodes: tuple[SeenNode, ...]
     topics: tuple[SeenTopic, ...]
     services: tuple[str, ...] = ()
+    actions: tuple[SeenAction, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -119,8 +131,9 @@ class SignalOffer:
 def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, str]]:
     """Return the parameters of a node that could be tuned, and why the others could not, by name.
 
-    Suggested are real numbers, and integers whose range the node gives; any other integer may be a
-    port or a count, and a truth value or a text a choice of the user's.
+    Suggested are real numbers, and integers whose range the node gives, unless their name is that
+    of a seed; any other integer may be a port or a count, and a truth value or a text a choice of
+    the user's.
     """
     offers: list[ParameterOffer] = []
     others: dict[str, str] = {}
@@ -206,7 +219,15 @@ def _offer(node: str, name: str, described: Described) -> ParameterOffer:
         remark += f"{'; ' if remark else ''}{one_line(described.description)}"
     # Whatever a study would refuse is no offer.
     Parameter(name=name, node=node, **fields)
-    return ParameterOffer(node, name, fields, remark, described.type == "double" or has_range)
+    suggested = described.type == "double" or has_range
+    if is_seed(name, described):
+        remark, suggested = "by its name a seed of noise: seed_parameter takes it", False
+    return ParameterOffer(node, name, fields, remark, suggested)
+
+
+def is_seed(name: str, described: Described) -> bool:
+    """Whether a parameter may seed the noise of a node."""
+    return described.type == "integer" and SEED.search(name) is not None
 
 
 def _items(node: str, name: str, values: Sequence[object]) -> Iterator[ParameterOffer]:

@@ -1,8 +1,9 @@
 """A survey of the running graph: what could be tuned, and what could be a signal."""
 
+import contextlib
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from rclpy.qos import QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -13,23 +14,32 @@ from bo_tuner.backends.ros.messages import interface_class, number_fields, type_
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.offers import Seen, SeenNode, SeenTopic
+from bo_tuner.study.offers import Seen, SeenAction, SeenNode, SeenTopic
 
 QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
 LISTEN = 1.0
 """Time [s] to hear a message, which tells the items of arrays."""
+GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
+"""Ends of the name and the type of the service that takes the goals of an action."""
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
 
 
-def survey(tuner: TunerNode) -> tuple[Seen, list[str]]:
+def survey(tuner: TunerNode, is_whole: Callable[[Seen], bool]) -> tuple[Seen, list[str]]:
     """Look at all that runs.
+
+    Parameters
+    ----------
+    tuner
+        The node that looks.
+    is_whole
+        Whether nothing is missing that is known to run; else it is looked for, up to `DISCOVERY`.
 
     Returns
     -------
     Seen
-        Nodes in the tuner's namespace that have parameters, topics with numbers, and services that
-        need no request.
+        Nodes in the tuner's namespace that have parameters, topics with numbers, services that
+        need no request, and actions.
     list of str
         What was left out, and why, a line each.
 
@@ -38,7 +48,15 @@ def survey(tuner: TunerNode) -> tuple[Seen, list[str]]:
     BackendError
         If there is no node with parameters.
     """
-    _settle(tuner)
+    deadline = time.monotonic() + DISCOVERY
+    while True:
+        _settle(tuner)
+        seen, notes = _look(tuner)
+        if is_whole(seen) or time.monotonic() > deadline:
+            return seen, notes
+
+
+def _look(tuner: TunerNode) -> tuple[Seen, list[str]]:
     names = _nodes(tuner)
     if not names:
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
@@ -54,12 +72,24 @@ def survey(tuner: TunerNode) -> tuple[Seen, list[str]]:
             notes.append(f"left out: {error}")
     topics, unknown = _topics(tuner)
     notes += [f"left out: {text}" for text in unknown]
-    services = sorted(
-        name
-        for name, types in tuner.node.get_service_names_and_types()
-        if types[0] in WITHOUT_REQUEST and not is_hidden(name)
-    )
-    return Seen(tuple(nodes), tuple(topics), tuple(services)), notes
+    found = sorted(tuner.node.get_service_names_and_types())
+    services = [n for n, types in found if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
+    actions = [
+        SeenAction(name, kind, interface_class(kind).Goal.get_fields_and_field_types())
+        for name, kind in _actions(found)
+    ]
+    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(actions)), notes
+
+
+def _actions(services: Iterable[tuple[str, list[str]]]) -> Iterator[tuple[str, str]]:
+    """Yield names and types of actions that are installed here, by the services that they are."""
+    for name, (kind, *_) in services:
+        action = name.removesuffix(GOAL_SERVICE)
+        if action == name or is_hidden(action):
+            continue
+        with contextlib.suppress(StudyError):
+            interface_class(kind.removesuffix(GOAL_TYPE))
+            yield action, kind.removesuffix(GOAL_TYPE)
 
 
 def _settle(tuner: TunerNode) -> None:
