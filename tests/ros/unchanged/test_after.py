@@ -1,21 +1,24 @@
 """The steps after a run, which bring the machine to rest whatever happens meanwhile."""
 
 import re
+from functools import partial
 
 import pytest
 from rclpy.node import Node
-from servo import failure, run
+from servo import LATCHED, failure, run
 from std_msgs.msg import Float64
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.interruption import Interrupted
+from bo_tuner.trials import EvaluationState
 
 pytestmark = pytest.mark.ros
 
 STOP = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
 AT_REST = {"wait_until": {"condition": "angle < -0.2", "timeout": DEADLINE}}
 OPEN = {"publish": {"topic": "clamp", "message": {"data": 1.0}}}
+LIMIT = {"topic": "limit", "field": "data", "minimum_messages": 0}
 SLOW = {"parameters": {"gain": 0.1}}
 ABORTED = {"end": {"after": DEADLINE}, "timeout": DEADLINE, "abort_when": "angle > 0.9"}
 
@@ -88,3 +91,31 @@ def test_a_message_that_cannot_be_read_does_not_cut_a_wait_short(backend, system
         assert re.fullmatch(r"aborted at [0-9.]+ s: 'angle > 0.9'", failure(run(made)))
     finally:
         system.destroy_subscription(watch)
+
+
+def test_somebody_who_cannot_hear_the_tuner_does_not_keep_it_from_stopping_the_machine(
+    backend, system, join
+):
+    made = backend(run={"before": [], "after": [STOP]}, signals={"setpoint": LIMIT})
+    onlooker = join(partial(Node, "onlooker"))
+    onlooker.create_subscription(Float64, "setpoint", lambda message: None, LATCHED)
+    count = made._tuner.node.count_subscribers
+    wait_until(lambda: count("/setpoint") == 2, "the tuner knows of the onlooker")
+    assert run(made).state is EvaluationState.COMPLETE
+    wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+
+
+def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(
+    backend, patience, join, leave
+):
+    """The graph may be behind."""
+    clamp = join(Clamp, None)
+    made = backend(run={"after": [OPEN]})
+    published = []
+    publisher = made._procedure._publishers["/clamp"]
+    leave(clamp)
+    wait_until(lambda: publisher.get_subscription_count() == 0, "the clamp is gone")
+    publisher.publish = published.append
+    patience(0.1)
+    assert failure(run(made)) == "nothing subscribes to /clamp"
+    assert len(published) == 1

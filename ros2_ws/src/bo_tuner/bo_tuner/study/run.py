@@ -9,7 +9,9 @@ from bo_tuner.study.building import arguments, build, under
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import Step, build_steps
 
-PHASES = ("before", "start", "after", "recover")
+AFTER = "after"
+"""Phase of the steps that bring the machine to rest."""
+PHASES = ("before", "start", AFTER, "recover")
 WALL, SIM = "wall", "sim"
 RESULT = "result"
 

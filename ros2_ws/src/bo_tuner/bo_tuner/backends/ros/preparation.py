@@ -18,7 +18,7 @@ from bo_tuner.backends.ros.steps import (
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
-from bo_tuner.study.run import SIM
+from bo_tuner.study.run import AFTER, SIM
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
 
@@ -69,7 +69,10 @@ class Preparation:
             if step.call is not None:
                 return ServiceCall.prepare(self._tuner, step.call, path)
             if step.publish is not None:
-                return Publication.prepare(self._tuner, step.publish, self._clock, self.publishers)
+                is_stop = path[1] == AFTER
+                return Publication.prepare(
+                    self._tuner, step.publish, self._clock, self.publishers, is_stop
+                )
             if step.lifecycle is not None:
                 return LifecycleChange.prepare(self._tuner, step.lifecycle)
             if step.send_goal is not None:

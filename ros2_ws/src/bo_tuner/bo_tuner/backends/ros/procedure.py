@@ -29,7 +29,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
-from bo_tuner.study.run import SIM, Run
+from bo_tuner.study.run import AFTER, SIM, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
@@ -46,8 +46,6 @@ OWN_FAULTS = (FailedRunError, SilentError, RefusedError, DisturbedError, Backend
 """What a step may raise for itself: to repeat it at once would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
 """What a step may raise; others end the whole run."""
-AFTER = "after"
-"""Phase of the steps that bring the machine to rest."""
 
 
 class Procedure:

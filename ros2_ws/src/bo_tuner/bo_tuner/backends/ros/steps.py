@@ -1,13 +1,19 @@
 """The steps of a run, found in the graph beforehand so that mistakes show before the first run."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
+from rclpy.duration import Infinite
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSDurabilityPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    qos_check_compatible,
+)
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, to_stamp
@@ -82,14 +88,21 @@ class ServiceCall:
 
 @dataclass(frozen=True)
 class Publication:
-    """A message for a topic."""
+    """A message for a topic.
+
+    Attributes
+    ----------
+    is_stop
+        Whether it is to bring the machine to rest: it is published as soon as anybody hears it,
+        and in the end also if nobody seems to.
+    """
 
     tuner: TunerNode
     publisher: Publisher
-    subscribers: Callable[[], list[Any]]
     publish: Publish
     kind: Any
     clock: RunClock
+    is_stop: bool
 
     @classmethod
     def prepare(
@@ -98,6 +111,7 @@ class Publication:
         publish: Publish,
         clock: RunClock,
         publishers: dict[str, Publisher],
+        is_stop: bool,
     ) -> "Publication":
         """Find the subscribers and make the publisher, unless it is in `publishers`.
 
@@ -131,30 +145,53 @@ class Publication:
             durability = QoSDurabilityPolicy.VOLATILE
             if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
                 durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
-            qos = QoSProfile(depth=10, durability=durability)
+            # In full, as the graph tells those of subscribers: by default they do not compare.
+            qos = QoSProfile(
+                depth=10,
+                durability=durability,
+                deadline=Infinite,
+                liveliness=QoSLivelinessPolicy.AUTOMATIC,
+                liveliness_lease_duration=Infinite,
+            )
             publishers[topic] = node.create_publisher(kind, topic, qos)
-        made = cls(tuner, publishers[topic], subscribers, publish, kind, clock)
-        try:
-            made.wait()
-        except FailedRunError as error:
-            raise StudyError(str(error), ("publish", "topic")) from None
+        made = cls(tuner, publishers[topic], publish, kind, clock, is_stop)
+        if not tuner.wait_until(made._reaches_all, CONNECT_TIMEOUT) and not made._reaches_any():
+            raise StudyError(made._unheard, ("publish", "topic"))
         return made
 
-    def wait(self) -> None:
-        """Wait until those who subscribe are connected, as what is published earlier is lost."""
-
-        def connected() -> bool:
-            count = len(self.subscribers())
-            return 0 < count <= self.publisher.get_subscription_count()
-
-        if not self.tuner.wait_until(connected, CONNECT_TIMEOUT):
-            raise FailedRunError(f"nothing subscribes to {self.publisher.topic_name}")
-
     def perform(self) -> None:
-        """Publish it."""
-        self.wait()
-        stamp = to_stamp(self.clock.now)
-        self.publisher.publish(make_message(self.kind, self.publish.message, stamp))
+        """Publish it, once those who subscribe are connected: what comes earlier is lost."""
+        connected = self._reaches_any if self.is_stop else self._reaches_all
+        is_heard = self.tuner.wait_until(connected, CONNECT_TIMEOUT) or self._reaches_any()
+        if is_heard or self.is_stop:
+            stamp = to_stamp(self.clock.now)
+            self.publisher.publish(make_message(self.kind, self.publish.message, stamp))
+        if not is_heard:
+            raise FailedRunError(self._unheard)
+
+    @property
+    def _unheard(self) -> str:
+        return f"nothing subscribes to {self.publisher.topic_name}"
+
+    def _subscribers(self) -> tuple[int, int]:
+        """Count the subscribers that can hear the publisher: the tuner's own, and others."""
+        own = others = 0
+        for info in self.tuner.node.get_subscriptions_info_by_topic(self.publisher.topic_name):
+            offered, asked = self.publisher.qos_profile, info.qos_profile
+            if qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR:
+                is_own = info.node_name.startswith(NODE_NAME)
+                own, others = own + is_own, others + (not is_own)
+        return own, others
+
+    def _reaches_any(self) -> bool:
+        """Whether a subscriber of others is connected."""
+        own, _ = self._subscribers()
+        return bool(self.publisher.get_subscription_count() > own)
+
+    def _reaches_all(self) -> bool:
+        """Whether all subscribers of others are connected, and there are some."""
+        own, others = self._subscribers()
+        return others > 0 and bool(self.publisher.get_subscription_count() >= own + others)
 
 
 @dataclass(frozen=True)
