@@ -12,6 +12,7 @@ from waiting import wait_until
 
 from bo_tuner.backends.ros import goals
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import EvaluationState
 
@@ -29,6 +30,7 @@ class Counter(Node):
         super().__init__("counter", context=context)
         self.orders, self.ends = [], []
         self.accepts = self.succeeds = True
+        self.obeys = lambda: True
         self.asked = False
         self.delay = 0.0
         self._ticks = []
@@ -64,7 +66,7 @@ class Counter(Node):
             tick = Future()
             self._ticks.append(tick)
             await tick
-            if goal.is_cancel_requested:
+            if goal.is_cancel_requested and self.obeys():
                 self.ends.append("cancelled")
                 goal.canceled()
                 return Fibonacci.Result()
@@ -136,6 +138,9 @@ def test_a_server_that_is_lost(backend, counter, monkeypatch):
     found = run(made)
     assert found.state is EvaluationState.LOST
     assert found.reason.startswith("the server of /fibonacci is lost")
+    # It may go on behind a network that is cut.
+    with pytest.raises(BackendError, match="^/fibonacci does not end its goal$"):
+        made.close()
 
 
 def test_a_goal_may_bring_the_machine_home(backend, counter, system):
@@ -199,6 +204,54 @@ def test_a_goal_whose_answer_an_interruption_does_not_wait_for_is_cancelled(
         assert (counter.orders, counter.ends) == ([10_000], ["cancelled"])
     finally:
         made.close()
+
+
+def test_while_a_goal_does_not_end_nothing_else_begins(backend, counter, monkeypatch):
+    """Neither the way home nor another run; it is named in the end."""
+    monkeypatch.setattr(goals, "CALL_TIMEOUT", 0.3)
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    steps = {"start": [long], "end": {"after": 0.2}, "recover": [GOAL]}
+    made = backend(run=TO_ITS_RESULT | steps, signals=FEW)
+    counter.obeys = lambda: False
+    late = "/fibonacci does not end its goal within 0.3 s of the request to cancel it"
+    reason = failure(run(made))
+    assert reason.startswith(late)
+    assert reason.endswith("; not recovered: /fibonacci does not end its goal")
+    again = run(made)
+    assert again.state is EvaluationState.LOST
+    assert again.reason.startswith(late)
+    assert counter.orders == [10_000]
+    with pytest.raises(BackendError, match="^/fibonacci does not end its goal$"):
+        made.close()
+    counter.obeys = lambda: True
+    wait_until(lambda: counter.ends, "the goal has ended")
+
+
+def test_a_goal_of_a_server_that_was_started_anew_is_over(backend, counter, join, monkeypatch):
+    """It does not know the goal, and the next run may begin."""
+    monkeypatch.setattr(goals, "CALL_TIMEOUT", 0.3)
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    made = backend(run=TO_ITS_RESULT | {"start": [long], "end": {"after": 0.2}}, signals=FEW)
+    counter.create_timer(0.05, lambda: counter.orders and counter.stop())
+    run(made)
+    anew = join(Counter)
+    try:
+        wait_until(lambda: run(made).state is EvaluationState.COMPLETE, "the next run")
+        assert anew.orders
+    finally:
+        anew.stop()
+
+
+def test_a_machine_is_stopped_ahead_of_the_end_of_a_goal(backend, counter, system):
+    """Which may take its time."""
+    long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
+    move = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    stop = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    steps = {"start": [long, move], "after": [stop], "abort_when": "angle > 0.5"}
+    made = backend(run=TO_ITS_RESULT | steps)
+    counter.obeys = lambda: system.setpoint == -0.5
+    assert failure(run(made)).endswith(" s: 'angle > 0.5'")
+    assert counter.ends == ["cancelled"]
 
 
 def test_a_node_that_takes_no_parameters_while_it_executes_a_goal(backend, counter, system):

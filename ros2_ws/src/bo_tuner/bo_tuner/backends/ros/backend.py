@@ -258,6 +258,7 @@ class RosBackend(SequentialBackend):
             run = None
             if self._procedure is not None:
                 self._procedure.forget()
+                self._procedure.expect_rest()
                 prepared = self._study.park.between_runs
                 if prepared:
                     self._prepare(self._procedure)
@@ -376,9 +377,10 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         BackendError
-            If an attached node does not have them; all else is closed then.
+            If an attached node does not have them, or does not end a goal; all else is closed then.
         """
-        problems = []
+        problems: list[str] = []
+        unended: list[str] = []
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
         if self._tuner is not None and self._client is not None:
@@ -386,6 +388,8 @@ class RosBackend(SequentialBackend):
                 if self._procedure is not None:
                     for problem in self.park() + self._procedure.leave():
                         self._tuner.warn(problem)
+                    # A node that the tuner has started ends with it.
+                    unended = self._procedure.unended if self._attach else []
                 if self._previous is not None:
                     self._client.parameters.forget_all()
                     problems = self._previous.restore(self._restore_timeout)
@@ -403,7 +407,9 @@ class RosBackend(SequentialBackend):
             self._claim.release()
             self._claim = None
         if problems:
-            raise BackendError(f"{'; '.join(problems)}; the next command with --attach does that")
+            problems.append("the next command with --attach does that")
+        if unended or problems:
+            raise BackendError("; ".join([*unended, *problems]))
 
     @property
     def _restore_timeout(self) -> float:

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, get_action_names_and_types
 from rclpy.task import Future
 
-from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.errors import LostError, SilentError
 from bo_tuner.backends.ros.messages import interface_class, make_message
 from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import StudyError
@@ -21,6 +22,7 @@ ENDS = {
     GoalStatus.STATUS_ABORTED: "aborted the goal",
     GoalStatus.STATUS_CANCELED: "cancelled the goal, which the tuner did not ask for",
 }
+UNKNOWN_GOAL = CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID
 
 
 class Goal:
@@ -54,11 +56,17 @@ class Goal:
         self._asked: Future | None = None
         self._handle: Any = None
         self._result: Future | None = None
+        self._is_cancelled = False
 
     @property
     def is_active(self) -> bool:
-        """Whether the goal was accepted and there is no result yet."""
+        """Whether the goal was accepted and is not known to have ended."""
         return self._result is not None and not self._result.done()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is active, or might yet be: the server has not answered."""
+        return self._asked is not None or self.is_active
 
     def send(self) -> None:
         """Send the goal, and wait until it is accepted.
@@ -68,14 +76,18 @@ class Goal:
         FailedRunError
             If it is refused.
         LostError
-            If the server does not answer.
+            If the server does not answer, or has not ended the goal before.
         """
+        if self.is_active:
+            raise LostError(f"{self.name} has not ended its goal")
         self._handle = self._result = None
+        self._is_cancelled = False
         asked = self._asked = self._client.send_goal_async(self._message)
         asked.add_done_callback(self._take)
         if not self._tuner.wait_until(lambda: self._asked is None, CALL_TIMEOUT):
-            self._asked = None
-            raise LostError(f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s")
+            raise SilentError(
+                f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s"
+            )
         if self._result is None:
             raise FailedRunError(f"{self.name} refused the goal")
 
@@ -90,6 +102,8 @@ class Goal:
             handle.cancel_goal_async()
         else:
             self._handle, self._result = handle, handle.get_result_async()
+            if self._is_cancelled:
+                self.request_cancel()
 
     def check(self) -> None:
         """Look how it is.
@@ -122,22 +136,34 @@ class Goal:
             raise FailedRunError(f"{self.name} has no result within {self._spec.timeout:g} s")
 
     def request_cancel(self) -> None:
-        """Ask for the end of the goal if it is active, and do not wait for it."""
+        """Ask for the end of the goal, if it has none yet, and do not wait for it."""
+        # One that is accepted only later, such as after an interruption, would be executed.
+        self._is_cancelled = True
         if self.is_active:
-            self._handle.cancel_goal_async()
+            self._handle.cancel_goal_async().add_done_callback(self._take_cancelled)
 
-    def cancel(self, timeout: float = CALL_TIMEOUT) -> str:
-        """Cancel the goal if it is active; returns what went wrong, in a line."""
-        # A signal may have ended the wait for the answer: an accepted goal would be executed.
-        self._tuner.wait_until(lambda: self._asked is None, timeout)
-        self._asked = None
-        if not self.is_active:
+    def _take_cancelled(self, asked: Future) -> None:
+        """Take the answer to a request to cancel: a server that was started anew has no goal."""
+        answer = asked.result()
+        if answer is not None and answer.return_code == UNKNOWN_GOAL:
+            self._result = None
+
+    def cancel(self) -> str:
+        """Cancel the goal if it is open, and wait for its end; returns what went wrong, in a line.
+
+        The result tells that the server has come to rest.
+        """
+        self.request_cancel()
+        if self._tuner.wait_until(lambda: not self.is_open, CALL_TIMEOUT):
             return ""
-        self._handle.cancel_goal_async()
-        # The result tells that the server has come to rest.
-        if self._tuner.wait_until(lambda: not self.is_active, timeout):
-            return ""
-        return f"{self.name} does not end its goal within {timeout:g} s of the request to cancel it"
+        return f"{self.unended} within {CALL_TIMEOUT:g} s of the request to cancel it"
+
+    @property
+    def unended(self) -> str:
+        """Tell in a line of a goal that is open."""
+        if self._asked is not None:
+            return f"{self.name} may yet accept its goal: it does not answer"
+        return f"{self.name} does not end its goal"
 
     def close(self) -> None:
         """Let go of the server."""

@@ -4,6 +4,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from functools import partial
+from itertools import takewhile
 
 import numpy as np
 from rclpy.duration import Duration
@@ -102,6 +103,19 @@ class Procedure:
             self.close()
             raise
 
+    def expect_rest(self) -> None:
+        """Raise `LostError` if a goal of an earlier run does not end; it is waited for."""
+        problems = self._cancel()
+        # One that is not accepted yet is cancelled should it be, but does not block all runs.
+        self._started = [goal for goal in self._started if goal.is_active]
+        if problems:
+            raise LostError("; ".join(problems))
+
+    @property
+    def unended(self) -> list[str]:
+        """Tell, each in a line, of goals that have not come to their end."""
+        return [goal.unended for goal in self._started if goal.is_open]
+
     def forget(self) -> None:
         """Let `recording` have nothing, as of a run that does not come about."""
         self.recording = NOTHING_RECORDED
@@ -115,7 +129,6 @@ class Procedure:
         # A publisher that was killed and is back counts twice until its lease ends.
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
             raise DisturbedError(self._recorder.mixed)
-        self._started.clear()
         self._due = self._all_after
         self._perform("before")
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
@@ -160,27 +173,30 @@ class Procedure:
     def leave(self) -> list[str]:
         """Bring a run that did not end well to its end as far as possible: goals, steps after it.
 
-        Each step is performed whether or not the one before it was possible.
+        Each step is performed whether or not the one before it was possible. A message at their
+        head, which stops the machine, does not wait until a goal has ended.
 
         Returns
         -------
         list of str
             What went wrong, each in a line.
         """
-        problems = self._cancel()
-        for index in self._due.copy():
-            try:
-                self._perform_after(index)
-            except FAULTS as fault:
-                problems.append(f"{where(('run', AFTER, index))}: {fault}")
+        self.request_cancel()
+        first = takewhile(lambda index: self._run.after[index].publish is not None, self._due)
+        problems = self._leave_by(list(first))
+        problems += self._cancel()
+        problems += self._leave_by(self._due.copy())
         self._due.clear()
         return problems
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
 
-        If one is not possible, `leave` the machine as after a run.
+        If one is not possible, `leave` the machine as after a run. While a goal has not ended
+        nothing is performed.
         """
+        if unended := self.unended:
+            return [f"not recovered: {problem}" for problem in unended]
         self._due = self._all_after
         try:
             self._perform("recover")
@@ -313,6 +329,16 @@ class Procedure:
             raise
         self._due.remove(index)
 
+    def _leave_by(self, indices: list[int]) -> list[str]:
+        """Perform steps of `after`; returns what went wrong."""
+        problems = []
+        for index in indices:
+            try:
+                self._perform_after(index)
+            except FAULTS as fault:
+                problems.append(f"{where(('run', AFTER, index))}: {fault}")
+        return problems
+
     def _perform(self, phase: str) -> None:
         for index, step in enumerate(getattr(self._run, phase)):
             self._perform_step(("run", phase, index), step)
@@ -336,7 +362,8 @@ class Procedure:
                     self._steps[path].perform()
 
     def _send(self, goal: Goal) -> None:
-        self._started.append(goal)
+        if goal not in self._started:
+            self._started.append(goal)
         goal.send()
         if not self._is_recording:
             goal.wait()
@@ -407,6 +434,7 @@ class Procedure:
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
+        self.request_cancel()
         return [problem for goal in self._started if (problem := goal.cancel())]
 
     def _condition(self, text: str) -> Expression | None:
