@@ -102,6 +102,8 @@ class TestVerdict:
         assert [line.split(":")[0] for line in phases] == [
             "draws", "worst case of tuned", "warning", "report", "bundle",
         ]  # fmt: skip
+        assert phases[0] == "draws: at most 120"
+        assert phases[1].endswith(" evaluations")
         found = certificate(folder)
         assert (found["verdict"], found["reasons"]) == ("PASS", [])
         assert (found["draws"], found["confidence"]) == (120, 0.95)

@@ -24,6 +24,7 @@ from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import CHECKS, Stage
+from bo_tuner.tuning.limits import verdict
 
 
 def named(panel, name, kind):
@@ -133,6 +134,22 @@ def test_every_trial_is_a_point_of_its_kind(analysis):
             worst = trial.worst_cases["peak"].value
             assert places[number] == (TrialOutcome.VIOLATES if worst > 1.0 else TrialOutcome.WITHIN)
     assert len(places) == len(analysis.record.trials)
+
+
+def test_the_report_calls_a_trial_what_the_console_calls_it(analysis):
+    """Also where the mean in the worst context keeps a limit that single runs may not keep."""
+    constraint = replace(analysis.study.constraints["peak"], probability=0.9)
+    study = replace(analysis.study, constraints={"peak": constraint})
+    noisy = [
+        replace(t, worst_cases={n: replace(w, noise=10.0) for n, w in t.worst_cases.items()})
+        for t in analysis.record.trials
+    ]
+    found = Analysis(replace(analysis.record, study=study, trials=tuple(noisy)))
+    words = {"within limits": "within limits", "may violate peak": "may violate"}
+    words |= {"violates peak": "violating", "failed": "failed"}
+    named = [(found.outcome(t), words[verdict(study, t)]) for t in noisy]
+    assert all(outcome in (TrialOutcome.OUTLIER, word) for outcome, word in named)
+    assert TrialOutcome.UNCERTAIN in {outcome for outcome, _ in named}
 
 
 def test_failed_trials_are_above_all_others(analysis):

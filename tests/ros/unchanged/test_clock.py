@@ -91,7 +91,7 @@ def test_a_simulation_that_stands_still(backend, simulation, monkeypatch):
     found = [run(made) for _ in range(3)]
     lost = [o for o in found if o.state is EvaluationState.LOST]
     assert lost
-    assert lost[0].reason.startswith("/clock has not advanced for 5 s; it is at 10")
+    assert lost[0].reason.startswith("/clock has not advanced for 0.5 s; it is at 10")
     assert " for 0.5 s" in lost[0].reason
 
 
