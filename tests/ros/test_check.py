@@ -177,8 +177,8 @@ def test_nodes_that_were_not_started(empty_domain, tmp_path):
     code, _, err = finish(Fork("tune", "--check", "servo.yaml", folder=tmp_path))
     assert code == 2
     assert err.splitlines() == [
-        f"error: servo: no such node; no other node runs in ROS domain {empty_domain}: start "
-        "yours, or set their ROS_DOMAIN_ID"
+        f"error: servo: no such node in ROS domain {empty_domain}; no other node runs there: "
+        "start yours, or set their ROS_DOMAIN_ID"
     ]
 
 
@@ -204,7 +204,7 @@ def test_the_name_that_is_meant_is_that_of_a_study(
     tuner = TunerNode(None, ["--ros-args", "-r", f"__ns:={namespace}"], lambda: None)
     with contextlib.closing(tuner):
         assert tuner.wait_until(lambda: others.nodes(tuner.node) == [meant], DEADLINE)
-        assert others.absent([name], tuner.node) == (
+        assert others.absent([meant, name], tuner.node) == (
             f"{full}: no such node in ROS domain {empty_domain}; did you mean '{meant}'?"
         )
         # It has no services for its parameters yet, or none at all.

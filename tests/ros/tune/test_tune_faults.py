@@ -20,9 +20,8 @@ class TestBadInput:
     def test_nodes_that_do_not_run(self, tune):
         command = tune("--attach", ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
         assert command.refusal() == (
-            "axis: no such node; no other node runs in ROS domain "
-            f"{os.environ['ROS_DOMAIN_ID']}: start yours, or set their ROS_DOMAIN_ID "
-            "(--attach starts no node)"
+            f"axis: no such node in ROS domain {os.environ['ROS_DOMAIN_ID']}; no other node runs "
+            "there (--attach starts no node: start yours, or set their ROS_DOMAIN_ID)"
         )
 
     def test_no_executable(self, tune, drive_study):

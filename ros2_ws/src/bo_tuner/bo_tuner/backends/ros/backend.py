@@ -26,6 +26,7 @@ from bo_tuner.backends.ros.isolation import (
     isolated_environment,
     namespace_of,
 )
+from bo_tuner.backends.ros.others import START
 from bo_tuner.backends.ros.previous_parameters import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.started_nodes import StartedNodes
@@ -187,7 +188,7 @@ class RosBackend(SequentialBackend):
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
         except LostError as loss:
-            hint = " (--attach starts no node)" if self._attach else ""
+            hint = f" (--attach starts no node: {START})" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
 
     @property

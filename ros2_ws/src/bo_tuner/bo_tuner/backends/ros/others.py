@@ -21,6 +21,10 @@ OF_EVERY_NODE = (
 """Services that nodes have for their parameters and types."""
 
 
+START = "start yours, or set their ROS_DOMAIN_ID"
+"""What to do where no other node runs, unless the tuner was to start it."""
+
+
 def is_hidden(name: str) -> bool:
     """Whether a name is not meant to be seen: a part of it begins with an underscore."""
     return any(part.startswith("_") for part in name.split("/"))
@@ -44,8 +48,8 @@ def nodes(node: Node) -> list[str]:
     )
 
 
-def absent(missing: Sequence[str], node: Node) -> str:
-    """Tell in a line which nodes are not there, and what to do about it.
+def absent(missing: Sequence[str], node: Node, start: str = f": {START}") -> str:
+    """Tell in a line which nodes are not there, and which one was meant.
 
     Parameters
     ----------
@@ -53,16 +57,18 @@ def absent(missing: Sequence[str], node: Node) -> str:
         Their names, relative to the namespace, at least one.
     node
         A node of the tuner's.
+    start
+        What to say where nobody is.
     """
     namespace = node.get_namespace().rstrip("/")
-    names = " and ".join(f"{namespace}/{name}" if namespace else name for name in missing)
     known = nodes(node)
-    if missing[0] in known:
+    gone = [name for name in missing if name not in known]
+    names = " and ".join(f"{namespace}/{name}" if namespace else name for name in gone or missing)
+    if not gone:
         return f"{names}: found, but not with all services and topics that are needed"
-    # Where nobody is, what to do instead names the domain.
-    where = f" in ROS domain {node.context.get_domain_id()}" if known else ""
-    what = "no such nodes" if missing[1:] else "no such node"
-    return f"{names}: {what}{where}; {instead(missing[0], known, node)}"
+    what = "no such nodes" if gone[1:] else "no such node"
+    near = checks.suggestion(gone[0], known) if known else f"no other node runs there{start}"
+    return f"{names}: {what} in ROS domain {node.context.get_domain_id()}; {near}"
 
 
 def topics(node: Node) -> list[str]:
@@ -95,7 +101,7 @@ def instead(value: str, names: Collection[str], node: Node) -> str:
     if others or nodes(node):
         return checks.suggestion(value, others)
     domain = node.context.get_domain_id()
-    return f"no other node runs in ROS domain {domain}: start yours, or set their ROS_DOMAIN_ID"
+    return f"no other node runs in ROS domain {domain}: {START}"
 
 
 def _others(names: Iterable[str]) -> list[str]:

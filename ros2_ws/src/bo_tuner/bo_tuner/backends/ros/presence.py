@@ -73,7 +73,8 @@ class Presence:
         while absent := self.absent():
             if time.monotonic() > deadline:
                 names = [self._study.nodes[key].node for key in absent]
-                raise LostError(others.absent(names, self._node))
+                # It may be the tuner that has started them.
+                raise LostError(others.absent(names, self._node, start=""))
             self._tuner.spin_once()
         for key, client in self._parameters.clients.items():
             client.expect_answers(deadline)
