@@ -119,3 +119,13 @@ def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(
     patience(0.1)
     assert failure(run(made)) == "nothing subscribes to /clamp"
     assert len(published) == 1
+
+
+def test_what_a_node_that_hangs_has_not_done_is_asked_of_it_again(backend, system):
+    """The message that stops it lets it hang; the brake comes when it is back."""
+    brake = {"call": {"service": "servo/reset", "timeout": 0.2}}
+    made = backend(run=ABORTED | {"before": [], "start": [], "after": [STOP, brake]})
+    system.setpoint, system.hang = 9.0, 0.6
+    reason = failure(run(made))
+    assert "; run.after[1]: the node that run.after[1] calls does not answer /servo/reset" in reason
+    assert len(system.gains_at_reset) == 2

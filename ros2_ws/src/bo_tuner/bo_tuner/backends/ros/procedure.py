@@ -43,8 +43,8 @@ ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
 UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
 """A signal without a message."""
-OWN_FAULTS = (FailedRunError, SilentError, RefusedError, DisturbedError, BackendError, StudyError)
-"""What a step may raise for itself: to repeat it at once would not help."""
+OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
+"""What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
 """What a step may raise; others end the whole run."""
 
@@ -174,7 +174,8 @@ class Procedure:
         """Bring a run that did not end well to its end as far as possible: goals, steps after it.
 
         Each step is performed whether or not the one before it was possible. A message at their
-        head, which stops the machine, does not wait until a goal has ended.
+        head, which stops the machine, does not wait until a goal has ended. What was not possible
+        for want of a node is performed by the next call.
 
         Returns
         -------
@@ -185,9 +186,7 @@ class Procedure:
         first = takewhile(lambda index: self._run.after[index].publish is not None, self._due)
         problems = self._leave_by(list(first))
         problems += self._cancel()
-        problems += self._leave_by(self._due.copy())
-        self._due.clear()
-        return problems
+        return problems + self._leave_by(self._due.copy())
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
@@ -197,12 +196,12 @@ class Procedure:
         """
         if unended := self.unended:
             return [f"not recovered: {problem}" for problem in unended]
-        self._due = self._all_after
+        missed, self._due = self._due, self._all_after
         try:
             self._perform("recover")
         except FAULTS as fault:
             return [f"not recovered: {fault}"]
-        self._due.clear()
+        self._due = missed
         return []
 
     def close(self) -> None:
@@ -321,9 +320,14 @@ class Procedure:
         return list(range(len(self._run.after)))
 
     def _perform_after(self, index: int) -> None:
-        """Perform a step of `after`; it stays due if an interruption or another node ends it."""
+        """Perform a step of `after`; it stays due if an interruption or a lost node ends it."""
         try:
             self._perform_step(("run", AFTER, index), self._run.after[index])
+        except SilentError:
+            # The others do not wait for this node once more.
+            self._due.remove(index)
+            self._due.append(index)
+            raise
         except OWN_FAULTS:
             self._due.remove(index)
             raise
