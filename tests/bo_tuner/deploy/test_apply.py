@@ -104,6 +104,26 @@ class TestSetValues:
         with pytest.raises(ApplyError, match="drive could not be restored: drive: does not answer"):
             set_values(Dying(refusing=("axis",)), OLD, NEW)
 
+    def test_values_are_restored_in_reverse_order_and_read_back(self):
+        """A node may take the way up and not the way down."""
+        told = []
+
+        class Limited(FakeNodes):
+            def set(self, node, values):
+                told.append(node)
+                super().set(node, values)
+                if node == "drive" and values == OLD["drive"]:
+                    self.values[node]["gain"] = 2.25
+
+        with pytest.raises(ApplyError) as caught:
+            set_values(Limited(silent=("axis",)), OLD, NEW)
+        assert told == ["drive", "axis", "axis", "drive"]
+        assert str(caught.value) == (
+            "axis: does not answer within 5 s; "
+            "drive could not be restored: drive: gain is 2.25 after it was set to 1.0"
+        )
+        assert not caught.value.restored
+
 
 def test_differences_are_of_values_not_of_types(make_study):
     study = make_study(

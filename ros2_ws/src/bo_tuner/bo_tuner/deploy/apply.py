@@ -70,7 +70,7 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
     """Set on live nodes what they have otherwise, and read all values back.
 
     If a node refuses, does not answer or reads back another value, the previous values of all are
-    restored.
+    restored, in reverse order, and read back.
 
     Parameters
     ----------
@@ -99,13 +99,10 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
                 touched.remove(node)
                 raise
         for node, values in new.items():
-            found = nodes.get(node, list(values))
-            for name, value in values.items():
-                if not checks.same_value(found[name], value):
-                    shown = brief(str(found[name]))
-                    raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
+            _read_back(nodes, node, values)
     except NodeError as error:
-        changed = {node: _changes(new[node], before[node]) for node in touched}
+        # What was set last goes first, as the nodes had it together before.
+        changed = {node: _changes(new[node], before[node]) for node in reversed(touched)}
         failed = _set_back(nodes, changed)
         done = f"previous values of {', '.join(touched)} restored"
         outcome = "; ".join(failed) or (done if touched else "nothing was changed")
@@ -113,14 +110,24 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
 
 
 def _set_back(nodes: Nodes, before: NodeValues) -> list[str]:
-    """Restore values of nodes; return what failed, a line for each node."""
+    """Restore values of nodes, and read them back; return what failed, a line for each node."""
     failed = []
     for node, values in before.items():
         try:
             nodes.set(node, values)
+            _read_back(nodes, node, values)
         except NodeError as error:
             failed.append(f"{node} could not be restored: {error}")
     return failed
+
+
+def _read_back(nodes: Nodes, node: str, values: Mapping[str, object]) -> None:
+    """Raise `NodeError` if a node does not have the values that it was told."""
+    found = nodes.get(node, list(values))
+    for name, value in values.items():
+        if not checks.same_value(found[name], value):
+            shown = brief(str(found[name]))
+            raise NodeError(f"{node}: {name} is {shown} after it was set to {value}")
 
 
 def _changes(before: Mapping[str, object], new: Mapping[str, object]) -> dict[str, object]:
