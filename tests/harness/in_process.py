@@ -12,6 +12,9 @@ class Uninterrupted:
     def ignore(self):
         pass
 
+    def keep_running(self):
+        pass
+
 
 def call(command, capsys, *arguments):
     """Run the command of a module; returns its exit code, output and errors."""

@@ -5,7 +5,17 @@ import threading
 from collections.abc import Callable
 from types import FrameType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGALRM,
+    signal.SIGXCPU,
+)
+"""All that somebody sends to end a process, and that would leave a machine running."""
 LOOK_AROUND = 0.1
 """Time [s] after which a run that waits looks for other requests."""
 
@@ -19,15 +29,16 @@ class Interrupted(Exception):  # noqa: N818 (a request, no error)
 
 
 class Interruption:
-    """Takes SIGINT, SIGTERM and SIGHUP from its making on; make it in the main thread.
+    """Takes `SIGNALS` from its making on; make it in the main thread.
 
-    A SIGHUP that is ignored, as ``nohup`` has it, stays ignored.
+    One that is ignored, as ``nohup`` has it with SIGHUP, stays ignored, but for SIGINT and SIGTERM.
     """
 
     def __init__(self) -> None:
         self._request: tuple[int, str] | None = None
         for signum in SIGNALS:
-            if signum != signal.SIGHUP or signal.getsignal(signum) is not signal.SIG_IGN:
+            always = signum in (signal.SIGINT, signal.SIGTERM)
+            if always or signal.getsignal(signum) is not signal.SIG_IGN:
                 signal.signal(signum, self._take)
 
     @property
@@ -49,6 +60,11 @@ class Interruption:
             Who asks, in a few words.
         """
         self._request = (signal.SIGTERM, source)
+
+    def keep_running(self) -> None:
+        """Disregard Ctrl-Z from now on: nobody would watch the machine."""
+        # Nodes that are started would inherit a signal that is ignored, but no handler.
+        signal.signal(signal.SIGTSTP, lambda _signum, _frame: None)
 
     def ignore(self) -> None:
         """Ignore further signals, so that they do not disturb the end of the run."""

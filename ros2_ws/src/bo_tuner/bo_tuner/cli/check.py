@@ -145,6 +145,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
             ros_arguments=list(ros_arguments),
             interrupted=interruption.check,
         )
+        interruption.keep_running()
         try:
             backend.open()
             held = []

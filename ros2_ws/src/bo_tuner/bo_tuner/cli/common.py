@@ -174,12 +174,15 @@ def opened(backend: Backend, interruption: Interruption, *, again: bool = False)
     backend
         To open, unless the end was asked for already.
     interruption
-        Takes no more signals afterwards: the nodes come down first.
+        Takes no more signals afterwards: the nodes come down first. With ROS nodes Ctrl-Z does
+        not stop this process.
     again
         Whether more evaluations follow, so that signals are still taken if all goes well.
     """
     try:
         interruption.check()
+        if backend.name == ROS:
+            interruption.keep_running()
         backend.open()
         yield
     except BaseException:

@@ -1,0 +1,43 @@
+"""What a run makes of signals."""
+
+import signal
+
+import pytest
+
+from bo_tuner.interruption import SIGNALS, Interrupted, Interruption
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    before = {signum: signal.getsignal(signum) for signum in (*SIGNALS, signal.SIGTSTP)}
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
+
+
+@pytest.mark.parametrize("name", ["INT", "TERM", "HUP", "QUIT", "USR1", "USR2", "ALRM", "XCPU"])
+def test_what_would_end_the_process_asks_for_the_end_of_the_run(name):
+    """Else the machine would go on with the parameters of a trial."""
+    signum = signal.Signals[f"SIG{name}"]
+    interruption = Interruption()
+    interruption.check()
+    signal.raise_signal(signum)
+    with pytest.raises(Interrupted, match=signum.name):
+        interruption.check()
+
+
+@pytest.mark.parametrize("signum", [signal.SIGHUP, signal.SIGQUIT])
+def test_what_is_ignored_stays_ignored(signum):
+    signal.signal(signum, signal.SIG_IGN)
+    interruption = Interruption()
+    signal.raise_signal(signum)
+    interruption.check()
+
+
+def test_a_machine_is_not_left_to_itself_by_ctrl_z():
+    """The nodes that are started do not inherit that."""
+    interruption = Interruption()
+    interruption.keep_running()
+    assert signal.getsignal(signal.SIGTSTP) not in (signal.SIG_DFL, signal.SIG_IGN)
+    signal.raise_signal(signal.SIGTSTP)
+    interruption.check()
