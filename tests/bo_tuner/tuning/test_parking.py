@@ -29,3 +29,28 @@ def test_the_machine_is_parked_as_soon_as_a_run_pauses():
     gate.requests.request(True)
     gate.evaluation(None)
     assert said == ["parked", "warning: pid is not parked: silent"]
+
+
+def test_a_machine_that_was_not_parked_is_parked_again_as_long_as_the_pause_lasts(monkeypatch):
+    monkeypatch.setattr("bo_tuner.tuning.parking.AGAIN", 0.0)
+    said, tried = [], []
+    ends = {4: []}
+
+    def park():
+        tried.append(True)
+        return ends.get(len(tried), ["pid is not parked: silent"])
+
+    observer = ParkInPause(park, said.append)
+    observer.waiting()
+    assert tried == []
+    observer.pause(True)
+    for _ in range(9):
+        observer.waiting()
+    assert len(tried) == 4
+    assert said == [
+        "warning: pid is not parked: silent",
+        "the nodes have their safe parameters now",
+    ]
+    observer.pause(False)
+    observer.waiting()
+    assert len(tried) == 4

@@ -87,8 +87,12 @@ class Gate(RunObserver):
         if not self.requests.requested:
             return
         self._observers.pause(True)
-        self.requests.wait(self._interruption.check)
+        self.requests.wait(self._look)
         self._observers.pause(False)
+
+    def _look(self) -> None:
+        self._interruption.check()
+        self._observers.waiting()
 
 
 def make_display(study: Study, output: Output, status: RunStatus) -> Display:

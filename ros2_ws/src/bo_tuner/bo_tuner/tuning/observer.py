@@ -46,6 +46,9 @@ class RunObserver:
     def pause(self, paused: bool) -> None:
         """Handle the start of a pause between two evaluations, or its end."""
 
+    def waiting(self) -> None:
+        """Handle that a pause lasts; called again and again."""
+
 
 NOBODY = RunObserver()
 
@@ -99,3 +102,8 @@ class Observers(RunObserver):
         """Pass on a pause or its end."""
         for observer in self._observers:
             observer.pause(paused)
+
+    def waiting(self) -> None:
+        """Pass on that a pause lasts."""
+        for observer in self._observers:
+            observer.waiting()
