@@ -53,3 +53,13 @@ def test_without_a_parameter_for_the_seed_other_seeds_are_other_evaluations(
     assert [e.outcome.metrics["error"] for e in backend.run(others)] == [3.0, 3.0]
     (same,) = backend.run([planned({"gain": 0.5}, {"load": 1.5}, 7)])
     assert same.outcome == outcome
+
+
+def test_what_another_study_took_is_judged_by_this_one(make_study, function_backend):
+    """As a run continues that had another scale."""
+    study = make_study(objective={"metric": "error", "scale": "log"})
+    outcome = Outcome(EvaluationState.COMPLETE, {"error": -1.0, "peak": 0.1})
+    recorded = Evaluation(0, 0, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
+    backend = RecordedEvaluations(function_backend(study, lambda **_: {}), study, [recorded])
+    (given,) = backend.run([planned({"gain": 0.5}, {"load": 1.5}, 7)])
+    assert given.outcome.reason == "metric error is -1.0; its log scale needs a positive value"

@@ -133,6 +133,15 @@ def test_all_that_was_said_is_kept(make_study):
     assert found.reason == "other: no reason given"
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_an_objective_without_a_logarithm(make_study, value):
+    study = make_study(objective={"metric": "error", "scale": "log"})
+    found = Collector(study).outcome({"axis": OK | {"error": value, "peak": 1.0}})
+    assert found.state is EvaluationState.FAILED
+    assert found.reason == f"metric error is {value}; its log scale needs a positive value"
+    assert found.details["axis.peak"] == "1.0"
+
+
 def test_a_metric_under_another_key(make_study):
     node = {"node": "axis"}
     study = make_study(metrics={"error": node | {"key": "error_p99"}, "peak": node})

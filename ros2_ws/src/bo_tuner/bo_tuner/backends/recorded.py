@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from bo_tuner.backends.protocol import Backend
+from bo_tuner.metrics.collect import judged
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -48,7 +49,9 @@ class RecordedEvaluations:
         for planned in evaluations:
             found = self._evaluations.get(self._key(planned))
             if found:
-                yield replace(planned, outcome=found.pop(0).outcome, recorded=True)
+                # Those of another run may have been judged by another study.
+                outcome = judged(self._study, found.pop(0).outcome)
+                yield replace(planned, outcome=outcome, recorded=True)
             else:
                 yield from self._backend.run([planned])
 

@@ -273,7 +273,7 @@ class Certification:
         return noise_seed(self._study.seed, Stream.CERTIFICATE_NOISE, self._attempt, *key)
 
     def _run(self, planned: Evaluation) -> Evaluation:
-        evaluation = evaluate(self._study, self._backend, planned, self._observer)
+        evaluation = evaluate(self._backend, planned, self._observer)
         self._losses.note(evaluation)
         self._losses.check()
         return evaluation

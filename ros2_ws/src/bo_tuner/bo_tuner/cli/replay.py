@@ -172,9 +172,7 @@ def _run_both(
         # Nodes that were lost have been restarted, and may have other topics.
         listener.refresh()
         defaults = record.study.search_space().defaults
-        default = evaluate(
-            record.study, ros, dataclasses.replace(recorded, parameters=defaults), NOBODY
-        )
+        default = evaluate(ros, dataclasses.replace(recorded, parameters=defaults), NOBODY)
         return result, default, inbox, {DEFAULT: inbox.collect(listener.take)} | sides
     finally:
         listener.close()

@@ -6,7 +6,7 @@ from math import isfinite
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
 from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.parts import LOG, ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
@@ -51,9 +51,9 @@ class Collector:
         -------
         Outcome
             Failed if a node ran with another parameter, if it says so or sends more than
-            `maxima.ANSWER` values, or if a metric is missing, no number, not finite or beyond
-            `LARGEST_METRIC`. With the status `DISTURBED` a node says that somebody else had a hand
-            in the evaluation.
+            `maxima.ANSWER` values, if a metric is missing, no number, not finite or beyond
+            `LARGEST_METRIC`, or if an objective has no logarithm, see `judged`. With the status
+            `DISTURBED` a node says that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -88,7 +88,7 @@ class Collector:
                     reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
             metrics[name] = float(found)  # type: ignore[arg-type]
-        return Outcome(EvaluationState.COMPLETE, metrics, "", details)
+        return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
     def _mismatch(self, results: Results, assigned: Results) -> str:
         """Name a parameter that a node ran with another value of than it was given."""
@@ -101,6 +101,16 @@ class Collector:
                 if not _agrees(value, pairs[name]):
                     return f"{node}: ran with parameter {name} {pairs[name]}, expected {value}"
         return ""
+
+
+def judged(study: Study, outcome: Outcome) -> Outcome:
+    """Return an outcome, as failed if an objective with a logarithmic scale is not positive."""
+    if outcome.complete:
+        for metric in (item.metric for item in study.objectives if item.scale == LOG):
+            if (value := outcome.metrics[metric]) <= 0.0:
+                reason = f"metric {metric} is {value}; its log scale needs a positive value"
+                return Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
+    return outcome
 
 
 def metric_problem(found: object) -> str:

@@ -105,7 +105,7 @@ def replay(record: RunRecord, recorded: Evaluation, backend: Backend) -> Replay:
         Runs the evaluation; already open.
     """
     old = recorded
-    new = evaluate(record.study, backend, old, NOBODY)
+    new = evaluate(backend, old, NOBODY)
     exact = record.backend == backend.name == IN_PROCESS
     rows = tuple(
         Comparison(

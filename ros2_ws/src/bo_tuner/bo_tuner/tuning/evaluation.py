@@ -1,11 +1,7 @@
 """Running one evaluation, and counting consecutive losses."""
 
-from dataclasses import replace
-
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import RunError
-from bo_tuner.study.parts import LOG
-from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
@@ -13,17 +9,11 @@ LOST_IN_A_ROW = 3
 """Number of consecutive losses that ends a run: the nodes are gone, or not ours alone."""
 
 
-def evaluate(
-    study: Study, backend: Backend, planned: Evaluation, observer: RunObserver
-) -> Evaluation:
+def evaluate(backend: Backend, planned: Evaluation, observer: RunObserver) -> Evaluation:
     """Run a planned evaluation and pass the result to the observer.
-
-    An evaluation counts as failed if an objective with a logarithmic scale is not positive.
 
     Parameters
     ----------
-    study
-        The study.
     backend
         Runs the evaluation; open.
     planned
@@ -37,14 +27,6 @@ def evaluate(
         The planned one with its outcome and wall time.
     """
     (evaluation,) = backend.run([planned])
-    outcome = evaluation.outcome
-    if outcome.complete:
-        values = {o.metric: outcome.metrics[o.metric] for o in study.objectives if o.scale == LOG}
-        for metric, value in values.items():
-            if value <= 0.0:
-                reason = f"metric {metric} is {value}; its log scale needs a positive value"
-                failed = Outcome(EvaluationState.FAILED, {}, reason, outcome.details)
-                evaluation = replace(evaluation, outcome=failed)
     observer.evaluation(evaluation)
     return evaluation
 

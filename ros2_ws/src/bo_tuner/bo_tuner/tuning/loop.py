@@ -111,7 +111,7 @@ class Tuning:
         def run(stage: Stage, context: Mapping[str, float]) -> Outcome:
             seed = noise_seed(self._study.seed, Stream.NOISE, number, len(done))
             planned = Evaluation(number, len(done), stage, proposal.parameters, context, seed)
-            done.append(evaluate(self._study, self._backend, planned, self._observer))
+            done.append(evaluate(self._backend, planned, self._observer))
             return done[-1].outcome
 
         def rng() -> np.random.Generator:

@@ -183,7 +183,7 @@ def _check(
     for index, (stage, context) in enumerate(plan, start=len(trial.evaluations)):
         seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
         planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
-        check.append(evaluate(study, backend, planned, observer))
+        check.append(evaluate(backend, planned, observer))
         if not check[-1].outcome.complete:
             break
     return with_check(study, trial, check)

@@ -217,4 +217,4 @@ def _run(
         context = contexts.to_dict(contexts.draw_stratified(1, rng)[0])
     seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
     planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
-    return evaluate(study, backend, planned, observer)
+    return evaluate(backend, planned, observer)

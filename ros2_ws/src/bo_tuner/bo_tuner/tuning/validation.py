@@ -116,7 +116,7 @@ def validate(
         context = contexts.to_dict(row)
         for number, parameters in enumerate(candidates):
             planned = Evaluation(number, k, Stage.VALIDATION, parameters, context, seed)
-            evaluation = evaluate(study, backend, planned, observer)
+            evaluation = evaluate(backend, planned, observer)
             evaluations[number].append(evaluation)
             losses.note(evaluation)
             losses.check()

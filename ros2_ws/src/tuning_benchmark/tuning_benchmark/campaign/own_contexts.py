@@ -72,7 +72,7 @@ class OwnContextsRun:
         parameters = self._space.to_parameters(self._space.to_cube(tuned)) | dict(tuned)
         seed = noise_seed(self.study.seed, Stream.NOISE, number, 0)
         planned = Evaluation(number, 0, Stage.SEARCH, parameters, context, seed)
-        done = evaluate(self.study, self.backend, planned, NOBODY)
+        done = evaluate(self.backend, planned, NOBODY)
         complete = done.outcome.complete
         state = TrialState.COMPLETE if complete else TrialState.FAILED
         return Trial(number, parameters, ORIGIN, state, done.outcome.reason, (done,))

@@ -44,4 +44,4 @@ class Evaluator:
             space = self._study.context_space()
             context = space.to_dict(space.nominal())
         planned = Evaluation(0, 0, Stage.VALIDATION, parameters, context, seed)
-        return evaluate(self._study, self._backend, planned, NOBODY).outcome.metrics
+        return evaluate(self._backend, planned, NOBODY).outcome.metrics
