@@ -2,15 +2,19 @@
 
 import json
 import os
+import threading
 
 import pytest
+from node_threads import at_work
+from rclpy.node import Node
 from servo import failure, run
 from waiting import DEADLINE, wait_until
 
+from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.state import state_folder
-from bo_tuner.trials import EvaluationState
+from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
 
@@ -176,6 +180,20 @@ def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, 
     assert gain(system) == 0.75
 
 
+def test_a_kill_before_the_node_has_the_next_parameters(backend, system, killed):
+    """It has those of the trial before then, which are not its own either."""
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    for value in (0.8, 0.9):
+        made._previous.tell({"servo": {"gain": value}})
+        # As of a node that does not answer.
+        made._client.parameters.forget("servo")
+    killed(made)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+
+
 def test_what_somebody_has_set_since_a_tuner_was_killed_stays(backend, system, killed):
     made = backend(run={"before": []})
     run(made, 0.75)
@@ -319,3 +337,129 @@ def test_a_machine_that_is_not_parked_does_not_drive_home(backend, system):
     reason = failure(run(made, UNSTABLE))
     assert "; servo is not parked: servo refused its parameters: the key is out" in reason
     assert system.setpoint == 1.0
+
+
+class Hanging(Node):
+    """Has a gain, too, and answers only while it does not hang."""
+
+    def __init__(self, context):
+        super().__init__("hanging", context=context)
+        self.declare_parameter("gain", 0.5)
+        self.free, self.hangs = threading.Event(), threading.Event()
+        self.free.set()
+        self.create_timer(0.01, self.hang)
+
+    def hang(self):
+        if not self.free.is_set():
+            self.hangs.set()
+            self.free.wait()
+
+
+def test_a_node_that_hangs_keeps_no_other_from_being_parked(backend, system):
+    """Both are asked at once: the machine is to stop."""
+    double = {"type": "double", "bounds": [0.0, 3.0], "default": 0.5}
+    with at_work(Hanging) as hanging:
+        made = backend(
+            nodes={"hanging": {"node": "hanging"}, "servo": {"node": "servo"}},
+            parameters={
+                "hanging": {"node": "hanging", "parameter": "gain", **double},
+                "gain": {"node": "servo", **double},
+            },
+            run={"before": []},
+            park={"parameters": {"gain": SAFE}},
+        )
+        trial = {"gain": 0.75, "hanging": 0.75}
+        outcome = made.outcome(Evaluation(0, 0, Stage.DRAWN, trial, {}, 1))
+        assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+
+        def look():
+            if gain(system) == SAFE:
+                hanging.free.set()
+
+        hanging.free.clear()
+        assert hanging.hangs.wait(DEADLINE)
+        try:
+            with made._tuner.watched_by(look):
+                assert made.park() == []
+        finally:
+            hanging.free.set()
+        assert gain(hanging) == 0.5
+        made.close()
+
+
+def test_between_two_runs_the_machine_is_parked_before_the_run_is_judged(
+    backend, system, monkeypatch
+):
+    """A node that was killed is looked for as long as its lease, and a metric takes its time."""
+    made = backend(park={"parameters": {"gain": SAFE}, "between_runs": True})
+    found = []
+
+    def noting(owner, name):
+        done = getattr(owner, name)
+        note = lambda *arguments: found.append(gain(system)) or done(*arguments)  # noqa: E731
+        monkeypatch.setattr(owner, name, note)
+
+    noting(made._client, "_refuse_other_nodes")
+    noting(made._collector, "outcome")
+    outcome = run(made, 0.75)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert found == [SAFE, SAFE]
+
+
+def test_a_disturbed_run_is_stopped_before_the_reason_is_looked_for(backend, system, monkeypatch):
+    stop = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    made = backend(run={"before": [], "after": [stop]}, park={"parameters": {"gain": SAFE}})
+    found = []
+
+    def disturbed():
+        raise DisturbedError("the clock was set")
+
+    def note():
+        wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+        found.append(gain(system))
+
+    monkeypatch.setattr(made._procedure._clock, "look", disturbed)
+    monkeypatch.setattr(made._client, "_refuse_other_nodes", note)
+    assert failure(run(made, 0.75)) == "the clock was set"
+    assert found == [SAFE]
+
+
+def test_a_machine_that_two_command_does_not_drive_home(backend, join, monkeypatch):
+    """Which of them has the safe parameters is not known."""
+    for module in ("study_client", "backend"):
+        monkeypatch.setattr(f"bo_tuner.backends.ros.{module}.LONGEST_LEASE", 0.1)
+    made = backend(run={"before": [], "recover": [HOME]})
+    join(Node, "servo")
+    servers = made._client.parameters.clients["servo"].servers
+    wait_until(lambda: servers() == 2, "both")
+    reason = failure(run(made, 0.75))
+    twins = f"servo runs more than once in ROS domain {os.environ['ROS_DOMAIN_ID']}"
+    assert reason == f"{twins}; not recovered: {twins}"
+
+
+def test_an_objective_without_a_logarithm_leaves_the_machine_safe_and_home(backend, system):
+    """That fails an evaluation as all else does."""
+    home = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    made = backend(
+        objective={"metric": "error", "scale": "log"},
+        metrics={"error": {"of": "setpoint - setpoint", "measure": "rms"}},
+        run={"before": [], "recover": [home]},
+        park={"parameters": {"gain": SAFE}},
+    )
+    assert failure(run(made, 0.75)) == "metric error is 0.0; its log scale needs a positive value"
+    assert gain(system) == SAFE
+    wait_until(lambda: system.setpoint == -0.5, "the way home")
+
+
+def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, system, monkeypatch):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+
+    def park():
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(made, "park", park)
+    with pytest.raises(RuntimeError, match="unexpected"):
+        made.close()
+    assert gain(system) == 0.375

@@ -70,9 +70,10 @@ class LiveParameters:
         """Read parameters of a node, as `Nodes.get`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            values = [to_value(value) for value in self._clients[node].values(names)]
+            (found,) = self._tuner.complete([self._clients[node].values(names)])
         except SilentError as error:
             raise NodeError(str(error)) from error
+        values = [to_value(value) for value in found]
         if missing := [name for name, value in zip(names, values, strict=True) if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
         return dict(zip(names, values, strict=True))
@@ -81,7 +82,7 @@ class LiveParameters:
         """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            result = self._clients[node].set(values)
+            (result,) = self._tuner.complete([self._clients[node].set(values)])
         except SilentError as error:
             raise NodeError(str(error)) from error
         if not result.successful:

@@ -1,5 +1,6 @@
 """Evaluations on ROS 2 nodes, which the backend starts, watches, and restarts when one is lost."""
 
+import contextlib
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
@@ -30,7 +31,7 @@ from bo_tuner.backends.ros.others import START
 from bo_tuner.backends.ros.previous_parameters import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
+from bo_tuner.backends.ros.study_client import LONGEST_LEASE, PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
@@ -264,7 +265,7 @@ class RosBackend(SequentialBackend):
                 if prepared:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure, client, prepared)
-            said = client.evaluate(wanted, kept, run)
+            said = client.evaluate(wanted, kept, run, self._park_between)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)
             # A metric may be a function of the user's that takes its time.
@@ -299,14 +300,20 @@ class RosBackend(SequentialBackend):
             if not prepared:
                 procedure.prepare()
             procedure.perform()
-        except FailedRunError:
+        except (FailedRunError, DisturbedError) as error:
             # First the machine, then the reason: a node that does not answer is waited for.
             self._stop()
+            if isinstance(error, DisturbedError):
+                raise
             # A run may have failed for want of a node.
             for key in self._study.nodes:
                 client.parameters.expect_answer(key)
             procedure.expect_publishers()
             raise
+
+    def _park_between(self) -> None:
+        if self._study.park.between_runs:
+            self._unfinished += self.park()
 
     def _stop(self) -> list[str]:
         """Bring a run to its end at once, whoever asks for what; returns what is not parked.
@@ -325,7 +332,7 @@ class RosBackend(SequentialBackend):
     def _leave_safe(self, state: EvaluationState) -> list[str]:
         """Leave the nodes as they are to be after an evaluation; returns what went wrong."""
         if state is EvaluationState.COMPLETE:
-            return self.park() if self._study.park.between_runs else []
+            return []
         return self._recover() if state is EvaluationState.LOST else self._make_safe()
 
     def _make_safe(self) -> list[str]:
@@ -335,6 +342,9 @@ class RosBackend(SequentialBackend):
         # With the parameters of the trial the machine does not drive home.
         if problems := self._stop():
             return problems
+        # Nor do two at once, of which one may not be parked.
+        if twins := self._opened[1].presence.twins(LONGEST_LEASE):
+            return [f"not recovered: {twins}"]
         problems = self._procedure.recover()
         return problems and problems + self._stop()
 
@@ -384,33 +394,46 @@ class RosBackend(SequentialBackend):
         unended: list[str] = []
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
-        if self._tuner is not None and self._client is not None:
-            with self._tuner.watched_by(self._look):
-                if self._procedure is not None:
-                    for problem in self.park() + self._procedure.leave():
-                        self._tuner.warn(problem)
-                    # A node that the tuner has started ends with it.
-                    unended = self._procedure.unended if self._attach else []
+        with contextlib.ExitStack() as stack:
+            # What is done first stands last, and all of it is tried whatever the rest comes to.
+            stack.callback(self._let_go)
+            if self._claim is not None:
+                stack.callback(self._claim.release)
+            if self._tuner is not None:
+                stack.callback(self._tuner.close)
+            if self._procedure is not None:
+                stack.callback(self._procedure.close)
+            stack.callback(self._started.stop)
+            if self._tuner is not None and self._client is not None:
+                stack.enter_context(self._tuner.watched_by(self._look))
                 if self._previous is not None:
-                    self._client.parameters.forget_all()
-                    problems = self._previous.restore(self._restore_timeout)
-                    self._previous = None
-                    for text in [] if problems else self._left:
-                        self._tuner.warn(text)
-        self._started.stop()
-        if self._procedure is not None:
-            self._procedure.close()
-            self._procedure = None
-        if self._tuner is not None:
-            self._tuner.close()
-            self._tuner = self._client = None
-        if self._claim is not None:
-            self._claim.release()
-            self._claim = None
+                    stack.callback(self._restore, self._tuner, self._previous, problems)
+                    stack.callback(self._client.parameters.forget_all)
+                if self._procedure is not None:
+                    stack.callback(self._note_unended, self._procedure, unended)
+                    stack.callback(self._warn_of, self._tuner, self._procedure.leave)
+                    stack.callback(self._warn_of, self._tuner, self.park)
         if problems:
             problems.append("the next command with --attach does that")
         if unended or problems:
             raise BackendError("; ".join([*unended, *problems]))
+
+    def _restore(self, tuner: TunerNode, previous: PreviousParameters, problems: list[str]) -> None:
+        problems += previous.restore(self._restore_timeout)
+        for text in [] if problems else self._left:
+            tuner.warn(text)
+
+    def _note_unended(self, procedure: Procedure, unended: list[str]) -> None:
+        # A node that the tuner has started ends with it.
+        unended += procedure.unended if self._attach else []
+
+    @staticmethod
+    def _warn_of(tuner: TunerNode, act: Callable[[], list[str]]) -> None:
+        for problem in act():
+            tuner.warn(problem)
+
+    def _let_go(self) -> None:
+        self._claim = self._tuner = self._client = self._procedure = self._previous = None
 
     @property
     def _restore_timeout(self) -> float:

@@ -83,8 +83,9 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
         # One that was killed is in the graph until its lease has ended.
         if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
             raise BackendError(f"{tuner.repeated(node)}; end all but one")
-        names = client.names(ANSWER)
-        descriptors, values = client.descriptors(names, ANSWER), client.values(names, ANSWER)
+        (names,) = tuner.complete([client.names()], ANSWER)
+        asked = [client.descriptors(names), client.values(names)]
+        descriptors, values = tuner.complete(asked, ANSWER)
     except SilentError as error:
         raise BackendError(str(error)) from error
     finally:

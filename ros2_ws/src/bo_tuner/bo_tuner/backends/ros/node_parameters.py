@@ -1,17 +1,27 @@
 """Sets and reads the parameters of a study's nodes."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 
-from bo_tuner.backends.ros.errors import DisturbedError, RefusedError
+from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import Difference, ParameterWatch, differences, read_values
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
 from bo_tuner.study import checks
 
 Values = Mapping[str, Mapping[str, object]]
 """Parameters by node key, then by name."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What nodes have, by key, what else they were seen to have, and what cannot be read of it."""
+
+    values: Values
+    seen: Sequence[Difference]
+    problem: str
 
 
 class NodeParameters:
@@ -31,6 +41,7 @@ class NodeParameters:
     """
 
     def __init__(self, tuner: TunerNode, nodes: Mapping[str, str]) -> None:
+        self._tuner = tuner
         self._known: dict[str, dict[str, object]] = {}
         self._names: dict[str, list[str]] = {}
         self._watch = ParameterWatch(tuner.node, nodes)
@@ -47,10 +58,10 @@ class NodeParameters:
 
     def read_anew(self, key: str) -> dict[str, object]:
         """Read what a node has that was started anew, and forget what it said of it meanwhile."""
-        found = self.read(key)
+        (found,) = self._tuner.complete([self._reading_all(key)])
         self._known[key] = dict(found)
         self._watch.forget(key)
-        return found
+        return dict(found)
 
     def expect(self, values: Values) -> None:
         """Expect these values of the nodes from now on: another one that they tell of is noted."""
@@ -60,9 +71,11 @@ class NodeParameters:
         """Overlook what was changed by others up to now."""
         self._watch.take_seen()
 
-    def assign(
-        self, key: str, values: Mapping[str, object], timeout: float | None = None
-    ) -> list[str]:
+    def known(self, key: str) -> Mapping[str, object]:
+        """Return what a node has for sure; it may have more, of what it was told or had before."""
+        return self._known.get(key, {})
+
+    def assign(self, key: str, values: Mapping[str, object]) -> list[str]:
         """Set those parameters of a node that it does not have already, all of them or none.
 
         Returns
@@ -75,30 +88,43 @@ class NodeParameters:
         RefusedError
             If the node refuses them.
         LostError
-            If it does not answer within `timeout` seconds.
+            If it does not answer.
         """
-        if key not in self._known:
-            self._known[key] = self.read(key, timeout)
-        known = self._known[key]
-        changes = {name: v for name, v in values.items() if _differs(known, name, v)}
-        if not changes:
-            return []
-        self._watch.tell(key, changes)
-        result = self.clients[key].set(changes, timeout)
-        if not result.successful:
-            self._watch.take_back(key)
-            # The refusal of rclpy does not name what is not declared.
-            missing = [name for name in changes if name not in self._names[key]]
-            also = f" (it has not declared {', '.join(missing)})" if missing else ""
-            raise RefusedError(f"{key} refused its parameters: {result.reason}{also}")
-        known.update(changes)
-        # A node may take what it has not declared.
-        self._names[key] += [name for name in changes if name not in self._names[key]]
-        return list(changes)
+        (names,) = self._tuner.complete([self._assigning(key, values)])
+        return list(names)
 
-    def assign_and_read_back(
-        self, key: str, values: Mapping[str, object], timeout: float | None = None
-    ) -> None:
+    def assign_side_by_side(
+        self, values: Values, timeout: float
+    ) -> dict[str, RefusedError | LostError]:
+        """Set parameters of nodes at the same time, and read them back.
+
+        A node that hangs does not keep the others waiting.
+
+        Parameters
+        ----------
+        values
+            By node key.
+        timeout
+            Time [s] that all of them have together.
+
+        Returns
+        -------
+        dict
+            By key why a node does not have its values; what it has is forgotten.
+        """
+        failed: dict[str, RefusedError | LostError] = {}
+
+        def assigning(key: str) -> Calls:
+            try:
+                yield from self._assigning_and_reading_back(key, values[key])
+            except (RefusedError, LostError) as error:
+                self.forget(key)
+                failed[key] = error
+
+        self._tuner.complete([assigning(key) for key in values], timeout)
+        return {key: failed[key] for key in values if key in failed}
+
+    def assign_and_read_back(self, key: str, values: Mapping[str, object]) -> None:
         """Set parameters of a node, which must then have these values.
 
         Raises
@@ -106,28 +132,9 @@ class NodeParameters:
         RefusedError
             If the node refuses them, or has others then.
         LostError
-            If it does not answer within `timeout` seconds.
+            If it does not answer.
         """
-        # Once more if somebody else has changed what the node was told before.
-        for _ in range(2):
-            self.assign(key, values, timeout)
-            self._known |= self._read([key], timeout)
-            wrong = differences(key, self._known[key], values)
-            if not wrong:
-                return
-        raise _not_taken(wrong[0])
-
-    def read(self, key: str, timeout: float | None = None) -> dict[str, object]:
-        """Read all parameters of a node.
-
-        Raises
-        ------
-        LostError
-            If it does not answer within `timeout` seconds.
-        """
-        listed = self.clients[key].names(timeout)
-        self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
-        return self._read([key], timeout)[key]
+        self._tuner.complete([self._assigning_and_reading_back(key, values)])
 
     def tell(self, wanted: Values, kept: Mapping[str, Collection[str]]) -> dict[str, list[str]]:
         """Set parameters of nodes; returns the names of those that were set, by node key.
@@ -151,8 +158,14 @@ class NodeParameters:
         """
         return {key: self._tell(key, values, kept[key]) for key, values in wanted.items()}
 
-    def check(self, wanted: Values, told: Mapping[str, Sequence[str]]) -> None:
-        """Compare what the nodes have, and had since the last check, with what they should.
+    def found(self, keys: Iterable[str]) -> Found:
+        """Find out what nodes have, and had since this was last asked; raises `LostError`."""
+        values = self._read(keys)
+        self._known |= {key: dict(found) for key, found in values.items()}
+        return Found(values, self._watch.take_seen(), self._watch.problem)
+
+    def compare(self, wanted: Values, found: Found, told: Mapping[str, Sequence[str]]) -> None:
+        """Compare what the nodes had with what they should have.
 
         Raises
         ------
@@ -160,21 +173,16 @@ class NodeParameters:
             If one has another value right after it was `told` one.
         DisturbedError
             If somebody else changed one, or what was told of one cannot be read.
-        LostError
-            If a node does not answer.
         """
-        found = self._read(wanted)
-        self._known |= found
-        seen = self._watch.take_seen()
-        if self._watch.problem:
-            raise DisturbedError(self._watch.problem)
+        if found.problem:
+            raise DisturbedError(found.problem)
         for key, values in wanted.items():
-            for difference in differences(key, found[key], values):
+            for difference in differences(key, found.values[key], values):
                 if difference.name in told.get(key, ()):
                     raise _not_taken(difference)
                 raise _disturbed(difference)
-        if seen:
-            raise _disturbed(seen[0])
+        if found.seen:
+            raise _disturbed(found.seen[0])
 
     def expect_answer(self, key: str) -> None:
         """Ask a node to change no parameter.
@@ -184,7 +192,7 @@ class NodeParameters:
         SilentError
             If it does not answer.
         """
-        self.clients[key].set({})
+        self._tuner.complete([self.clients[key].set({})])
 
     def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
         before = dict(self._known.get(key, {}))
@@ -201,17 +209,54 @@ class NodeParameters:
                 raise _disturbed(changed[0]) from None
             raise
 
-    def _read(
-        self, keys: Iterable[str], timeout: float | None = None
-    ) -> dict[str, dict[str, object]]:
+    def _assigning(self, key: str, values: Mapping[str, object]) -> Calls:
+        if key not in self._known:
+            self._known[key] = yield from self._reading_all(key)
+        known = self._known[key]
+        changes = {name: v for name, v in values.items() if _differs(known, name, v)}
+        if not changes:
+            return []
+        # Until it answers, the node may have the one or the other.
+        for name in changes:
+            known.pop(name, None)
+        self._watch.tell(key, changes)
+        result = yield from self.clients[key].set(changes)
+        if not result.successful:
+            self._watch.take_back(key)
+            # The refusal of rclpy does not name what is not declared.
+            missing = [name for name in changes if name not in self._names[key]]
+            also = f" (it has not declared {', '.join(missing)})" if missing else ""
+            raise RefusedError(f"{key} refused its parameters: {result.reason}{also}")
+        known.update(changes)
+        # A node may take what it has not declared.
+        self._names[key] += [name for name in changes if name not in self._names[key]]
+        return list(changes)
+
+    def _assigning_and_reading_back(self, key: str, values: Mapping[str, object]) -> Calls:
+        # Once more if somebody else has changed what the node was told before.
+        for _ in range(2):
+            yield from self._assigning(key, values)
+            self._known[key] = yield from self._reading(key)
+            wrong = differences(key, self._known[key], values)
+            if not wrong:
+                return
+        raise _not_taken(wrong[0])
+
+    def _reading_all(self, key: str) -> Calls:
+        """Read all parameters of a node, whatever it has declared before."""
+        listed = yield from self.clients[key].names()
+        self._names[key] = [name for name in listed if checks.PARAMETER_NAME.fullmatch(name)]
+        return (yield from self._reading(key))
+
+    def _reading(self, key: str) -> Calls:
+        names = self._names[key]
+        return read_values(names, (yield from self.clients[key].values(names)))
+
+    def _read(self, keys: Iterable[str]) -> dict[str, dict[str, object]]:
         """Read the parameters of nodes side by side, by key."""
-        asked = {key: self.clients[key].ask(self._names[key]) for key in keys}
-        return {
-            key: read_values(
-                self._names[key], self.clients[key].values(self._names[key], timeout, future)
-            )
-            for key, future in asked.items()
-        }
+        keys = list(keys)
+        found = self._tuner.complete([self._reading(key) for key in keys])
+        return dict(zip(keys, found, strict=True))
 
 
 def _differs(known: Mapping[str, object], name: str, value: object) -> bool:

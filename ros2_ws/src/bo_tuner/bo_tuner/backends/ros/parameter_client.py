@@ -4,18 +4,17 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, ParameterValue, SetParametersResult
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     ListParameters,
     SetParametersAtomically,
 )
-from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.parameters import to_messages
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import Calls, TunerNode
 
 NAMES = {
     SetParametersAtomically: "set_parameters_atomically",
@@ -31,8 +30,8 @@ discovered until its lease ends, and one may receive a request before it has dis
 class ParameterClient:
     """Calls the parameter services of a node.
 
-    All calls raise `SilentError` if the node does not answer within `timeout` seconds, by default
-    those of `TunerNode.call`.
+    What gives `Calls` is for `TunerNode.complete`, and raises `SilentError` if the node does not
+    answer in time.
 
     Parameters
     ----------
@@ -70,50 +69,43 @@ class ParameterClient:
         for kind in self._clients:
             while True:
                 try:
-                    self._call(kind, kind.Request(), ATTEMPT)
+                    self._tuner.complete([self._calling(kind, kind.Request())], ATTEMPT)
                     break
                 except SilentError:
                     if time.monotonic() > deadline:
                         raise
 
-    def names(self, timeout: float | None = None) -> list[str]:
+    def names(self) -> Calls:
         """List the parameters."""
         request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
-        return list(self._call(ListParameters, request, timeout).result.names)
+        return list((yield from self._calling(ListParameters, request)).result.names)
 
-    def descriptors(self, names: Sequence[str], timeout: float) -> list[ParameterDescriptor]:
+    def descriptors(self, names: Sequence[str]) -> Calls:
         """Describe parameters."""
         request = DescribeParameters.Request(names=names)
-        return list(self._call(DescribeParameters, request, timeout).descriptors)
+        return list((yield from self._calling(DescribeParameters, request)).descriptors)
 
-    def ask(self, names: Sequence[str]) -> Future:
-        """Ask for parameters ahead of `values`, which makes nodes answer side by side."""
-        return self._clients[GetParameters].call_async(GetParameters.Request(names=names))
-
-    def values(
-        self, names: Sequence[str], timeout: float | None = None, asked: Future | None = None
-    ) -> list[ParameterValue]:
+    def values(self, names: Sequence[str]) -> Calls:
         """Read parameters, not set where the node does not have one."""
-        client = self._clients[GetParameters]
-        asked = self.ask(names) if asked is None else asked
-        answer = self._tuner.answer(client, asked, self.node, timeout)
-        values = list(answer.values)
+        request = GetParameters.Request(names=names)
+        values = list((yield from self._calling(GetParameters, request)).values)
         if len(values) == len(names):
             return values
         if len(names) == 1:
             return [ParameterValue()]
         # A node may leave out all if it lacks one.
-        return [self.values([name], timeout)[0] for name in names]
+        values = []
+        for name in names:
+            values += yield from self.values([name])
+        return values
 
-    def set(
-        self, values: Mapping[str, object], timeout: float | None = None
-    ) -> SetParametersResult:
-        """Set parameters, all of them or none."""
+    def set(self, values: Mapping[str, object]) -> Calls:
+        """Set parameters, all of them or none; returns the result of that."""
         request = SetParametersAtomically.Request(parameters=to_messages(values))
-        return self._call(SetParametersAtomically, request, timeout).result
+        return (yield from self._calling(SetParametersAtomically, request)).result
 
-    def _call(self, kind: Any, request: Any, timeout: float | None) -> Any:
-        return self._tuner.call(self._clients[kind], request, self.node, timeout)
+    def _calling(self, kind: Any, request: Any) -> Calls:
+        return self._tuner.calling(self._clients[kind], request, self.node)
 
 
 def meet(tuner: TunerNode, node: str, deadline: float) -> None:

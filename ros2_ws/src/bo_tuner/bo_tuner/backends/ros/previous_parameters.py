@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.backends.ros.errors import LostError, RefusedError
+from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.isolation import place_name
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.tuner_node import TunerNode
@@ -84,11 +84,19 @@ class PreviousParameters:
         self.tell({})
 
     def tell(self, told: Values) -> None:
-        """Note what nodes, by key, are about to have, ahead of telling them."""
+        """Note what nodes, by key, are about to have, ahead of telling them.
+
+        What a node was told before stays noted until it is known what it has.
+        """
         for key, values in self._previous.items():
-            sets = (self._safe.get(key, {}), told.get(key, {}))
-            by_name = {name: [s[name] for s in sets if name in s] for name in values}
-            node = self._study.nodes[key].node
+            node, known = self._study.nodes[key].node, self._parameters.known(key)
+            earlier = self._note.content.get(node, {}).get("told", {})
+            by_name = {}
+            for name in values:
+                sets = (self._safe.get(key, {}), known, told.get(key, {}))
+                by_name[name] = [s[name] for s in sets if name in s]
+                if name not in known:
+                    by_name[name] += earlier.get(name, [])
             self._note.content[node] = {"previous": values, "told": by_name}
         self._write()
 
@@ -98,7 +106,7 @@ class PreviousParameters:
         Parameters
         ----------
         timeout
-            Time [s] that each has to answer.
+            Time [s] that all of them have to answer.
 
         Returns
         -------
@@ -106,18 +114,18 @@ class PreviousParameters:
             What went wrong, each in a line; the note keeps what these nodes had.
         """
         chosen = [self._study.parameters[name] for name in self._study.park.parameters]
-        problems = []
+        final = {}
         for key, values in self._previous.items():
             names = {item.array or item.parameter for item in chosen if item.node == key}
-            kept = {name: value for name, value in self._safe.get(key, {}).items() if name in names}
-            try:
-                self._parameters.assign_and_read_back(key, {**values, **kept}, timeout)
-            except (RefusedError, LostError) as error:
-                problems.append(f"{self._study.nodes[key].node} is not set back: {error}")
-            else:
-                self._note.content.pop(self._study.nodes[key].node, None)
+            safe = self._safe.get(key, {})
+            final[key] = {**values, **{name: v for name, v in safe.items() if name in names}}
+        failed = self._parameters.assign_side_by_side(final, timeout)
+        for key in final.keys() - failed.keys():
+            self._note.content.pop(self._study.nodes[key].node, None)
         self._write()
-        return problems
+        return [
+            f"{self._study.nodes[key].node} is not set back: {why}" for key, why in failed.items()
+        ]
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
+from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.presence import Presence
 from bo_tuner.backends.ros.trigger import TriggeredRun
@@ -14,7 +14,7 @@ from bo_tuner.study.study import Study
 LONGEST_LEASE = 21.0
 """Time [s] after which a killed node is forgotten for sure, with Fast DDS as it is by default."""
 PARK_TIMEOUT = 2.0
-"""Time [s] that a node has to answer when it is parked: it may be the one that was lost."""
+"""Time [s] that all nodes have to be parked: one may be hanging, and the machine is to stop."""
 
 
 class StudyClient:
@@ -68,6 +68,7 @@ class StudyClient:
         wanted: Values,
         kept: Mapping[str, Collection[str]],
         run: Callable[[], object] | None = None,
+        leave: Callable[[], object] = lambda: None,
     ) -> dict[str, dict[str, object]]:
         """Set parameters, run an evaluation, and see that it ran with them.
 
@@ -80,6 +81,8 @@ class StudyClient:
             By node key the names of those that the study does not set.
         run
             Runs once, in place of the trigger; then no node says anything.
+        leave
+            Leaves the nodes as they are to be after a run; called once it is known what they had.
 
         Returns
         -------
@@ -103,7 +106,8 @@ class StudyClient:
         self._refuse_twins()
         self._wanted = wanted
         self.parameters.expect(wanted)
-        self.parameters.check(wanted, self.parameters.tell(wanted, kept))
+        told = self.parameters.tell(wanted, kept)
+        self.parameters.compare(wanted, self.parameters.found(wanted), told)
         self.results.begin()
         try:
             try:
@@ -114,8 +118,11 @@ class StudyClient:
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
                 raise
+            found = self.parameters.found(wanted)
+            leave()
+            # A node that was killed is looked for as long as its lease.
             self._refuse_other_nodes()
-            self.parameters.check(wanted, {})
+            self.parameters.compare(wanted, found, {})
             if self.results.problem:
                 raise DisturbedError(self.results.problem)
             if self.results.contradicted:
@@ -155,15 +162,11 @@ class StudyClient:
         """
         self._wanted = {key: {**held.get(key, {}), **values[key]} for key in values}
         self.parameters.expect(self._wanted)
-        problems = []
-        for key, safe in values.items():
-            try:
-                self.parameters.assign_and_read_back(key, safe, PARK_TIMEOUT)
-            except (RefusedError, LostError) as error:
-                self.parameters.forget(key)
-                problems.append(f"{self._study.nodes[key].node} is not parked: {error}")
+        failed = self.parameters.assign_side_by_side(values, PARK_TIMEOUT)
         self.parameters.overlook()
-        return problems
+        return [
+            f"{self._study.nodes[key].node} is not parked: {why}" for key, why in failed.items()
+        ]
 
     def _refuse_other_nodes(self) -> None:
         """Refuse an evaluation after which the nodes are not those that it began with."""

@@ -3,7 +3,7 @@
 import contextlib
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 import rclpy
@@ -12,7 +12,6 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import namespace_of
@@ -28,6 +27,8 @@ POLL_PERIOD = 0.01
 """Time [s] between two looks at a condition that is waited for."""
 LOOK_AROUND = 1.0
 """Time [s] to discover a second node of a name."""
+Calls = Generator[None, None, Any]
+"""Calls of services, one after the other, that `TunerNode.complete` goes on with at each answer."""
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -71,6 +72,7 @@ class TunerNode:
     ) -> None:
         self._watch = watch
         self._period = SPIN_PERIOD
+        self._limit: tuple[float, float] | None = None
         self.node = _make_node(name, ros_arguments, domain)
         self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -164,14 +166,13 @@ class TunerNode:
         SilentError
             If it does not answer within `timeout` seconds, `CALL_TIMEOUT` unless given.
         """
-        return self.answer(client, client.call_async(request), name, timeout)
+        (answer,) = self.complete([self.calling(client, request, name)], timeout)
+        return answer
 
-    def answer(
-        self, client: Client, future: Future, name: str, timeout: float | None = None
-    ) -> Any:
-        """Wait for the answer to a call that was made; as `call`."""
-        timeout = CALL_TIMEOUT if timeout is None else timeout
-        deadline = time.monotonic() + timeout
+    def calling(self, client: Client, request: Any, name: str) -> Calls:
+        """Call a service, as one of `Calls`; returns its answer or raises `SilentError`."""
+        timeout, deadline = self._limit or (CALL_TIMEOUT, time.monotonic() + CALL_TIMEOUT)
+        future = client.call_async(request)
         try:
             while not future.done():
                 # A dead server looks ready until its lease ends, and the call would never return.
@@ -179,11 +180,38 @@ class TunerNode:
                     raise SilentError(
                         f"{name} does not answer {client.srv_name} within {timeout:g} s"
                     )
-                self.spin_once()
-        except BaseException:
+                yield
+            return future.result()
+        finally:
             client.remove_pending_request(future)
-            raise
-        return future.result()
+
+    def complete(self, works: Sequence[Calls], timeout: float | None = None) -> list[Any]:
+        """Let calls be made and answered side by side; returns what came of each.
+
+        Parameters
+        ----------
+        works
+            The calls; the first exception ends them all.
+        timeout
+            Time [s] that all of them have together; `CALL_TIMEOUT` for each call unless given.
+        """
+        self._limit = None if timeout is None else (timeout, time.monotonic() + timeout)
+        found: list[Any] = [None] * len(works)
+        waiting = dict(enumerate(works))
+        try:
+            while True:
+                for index, work in list(waiting.items()):
+                    try:
+                        next(work)
+                    except StopIteration as end:
+                        found[index] = end.value
+                        del waiting[index]
+                if not waiting:
+                    return found
+                self.spin_once()
+        finally:
+            for work in waiting.values():
+                work.close()
 
 
 def _make_node(name: str, ros_arguments: Sequence[str], domain: int | None) -> Node:
