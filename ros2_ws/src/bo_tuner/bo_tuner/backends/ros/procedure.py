@@ -11,6 +11,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
+from bo_tuner.backends.ros.conditions import known, latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.parameter_client import meet
@@ -23,10 +24,8 @@ from bo_tuner.errors import BackendError, KeyPath, StudyError
 from bo_tuner.metrics.recording import (
     NOTHING_RECORDED,
     FailedRunError,
-    RecordedSignal,
     Recording,
 )
-from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
@@ -41,8 +40,6 @@ DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
-UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
-"""A signal without a message."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -304,8 +301,8 @@ class Procedure:
         """Return the first time [s] from `since` on at which a condition holds, if there is one."""
         if condition is None:
             return None
-        times, values = _sampled(condition, self._recorder.recording(now, since))
-        held = np.flatnonzero(np.isfinite(values) & (values != 0.0) & (times >= since))
+        times, values = sampled(condition, self._recorder.recording(now, since))
+        held = np.flatnonzero(known(values) & (times >= since))
         return float(times[held[0]]) if len(held) else None
 
     def _holds_late(self, condition: Expression | None, now: float) -> bool:
@@ -313,7 +310,7 @@ class Procedure:
         if condition is None:
             return False
         found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
-        return any(bool(np.any(np.isfinite(v) & (v != 0.0))) for v in found)
+        return any(bool(known(values).any()) for values in found)
 
     @property
     def _all_after(self) -> list[int]:
@@ -405,7 +402,7 @@ class Procedure:
             recording = self._recorder.recording(now, since)
             if any(recording.silence(name, spec) for name, spec in used.items()):
                 return False
-            times, values = _sampled(condition, recording)
+            times, values = sampled(condition, recording)
             # What holds at `since` is what came last before it.
             first = max(np.searchsorted(times, since, side="right") - 1, 0)
             return len(times) > 0 and bool(np.all(np.nan_to_num(values[first:]) != 0.0))
@@ -419,22 +416,11 @@ class Procedure:
                 self._clock.look()
                 poll()
         if not held():
+            heard = latest(used, self._recorder.recording(self._recorder.seconds))
             raise FailedRunError(
                 f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "
-                f"within {wait.timeout:g} s{self._shown(condition)}"
+                f"within {wait.timeout:g} s{heard}"
             )
-
-    def _shown(self, condition: Expression) -> str:
-        """Tell the latest values of the signals of a condition."""
-        recording = self._recorder.recording(self._recorder.seconds)
-        shown = []
-        for name in sorted(condition.names - {TIME}):
-            values = recording.signals[name].value
-            text = f"{name} {values[-1]:.4g}" if len(values) else f"no message of {name}"
-            if silence := recording.silence(name, self._study.signals[name]):
-                text += f", silent for {silence:.3g} s"
-            shown.append(text)
-        return f" ({'; '.join(shown)})" if shown else ""
 
     def _cancel(self) -> list[str]:
         """Cancel the goals that are active; returns what went wrong."""
@@ -464,11 +450,3 @@ class Procedure:
             # One that is none of the study's need not answer.
             with contextlib.suppress(LostError):
                 meet(self._tuner, node, time.monotonic() + CONNECT_TIMEOUT)
-
-
-def _sampled(condition: Expression, recording: Recording) -> tuple[Array, Array]:
-    """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
-    signals = {
-        name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
-    }
-    return Recording(signals, recording.end).sample(condition)

@@ -1,0 +1,39 @@
+"""What recorded signals say of a condition, also while some have no message yet."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study.signals import Signal
+
+UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
+"""A signal without a message."""
+
+
+def sampled(condition: Expression, recording: Recording) -> tuple[Array, Array]:
+    """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
+    signals = {
+        name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
+    }
+    return Recording(signals, recording.end).sample(condition)
+
+
+def known(values: Array) -> NDArray[np.bool_]:
+    """Return where a condition of these values (n,) is known to hold."""
+    return np.isfinite(values) & (values != 0.0)
+
+
+def latest(specs: Mapping[str, Signal], recording: Recording) -> str:
+    """Tell the latest values of signals, in brackets; empty if there are none."""
+    shown = []
+    for name, spec in sorted(specs.items()):
+        values = recording.signals[name].value
+        text = f"{name} {values[-1]:.4g}" if len(values) else f"no message of {name}"
+        if silence := recording.silence(name, spec):
+            text += f", silent for {silence:.3g} s"
+        shown.append(text)
+    return f" ({'; '.join(shown)})" if shown else ""
