@@ -424,7 +424,7 @@ def test_a_disturbed_run_is_stopped_before_the_reason_is_looked_for(backend, sys
     assert found == [SAFE]
 
 
-def test_a_machine_that_two_command_does_not_drive_home(backend, join, monkeypatch):
+def test_a_machine_that_two_command_does_not_drive_home(backend, system, join, monkeypatch):
     """Which of them has the safe parameters is not known."""
     for module in ("study_client", "backend"):
         monkeypatch.setattr(f"bo_tuner.backends.ros.{module}.LONGEST_LEASE", 0.1)
@@ -434,7 +434,9 @@ def test_a_machine_that_two_command_does_not_drive_home(backend, join, monkeypat
     wait_until(lambda: servers() == 2, "both")
     reason = failure(run(made, 0.75))
     twins = f"servo runs more than once in ROS domain {os.environ['ROS_DOMAIN_ID']}"
-    assert reason == f"{twins}; not recovered: {twins}"
+    # Either of them may answer, so that parking may have failed, too.
+    assert reason.startswith(f"{twins}; ")
+    assert system.setpoint == 1.0
 
 
 def test_an_objective_without_a_logarithm_leaves_the_machine_safe_and_home(backend, system):
