@@ -266,6 +266,16 @@ def test_a_run_that_can_no_longer_count_ends_at_once(backend, system, in_run, sp
     assert failure(run(made)).startswith(f"signal angle (joint_states) {complaint}")
 
 
+def test_a_run_that_somebody_else_made_fail_is_not_put_down_to_its_parameters(
+    backend, system, in_run
+):
+    made = backend(run=FOR_LONG | {"abort_when": "abs(angle) > 3"})
+    in_run(made, lambda: system.set_gain(2.5))
+    outcome = run(made)
+    assert outcome.spoilt, outcome
+    assert "parameter gain is 2.5, expected 0.5 (changed by someone else)" in outcome.reason
+
+
 def test_what_a_dead_sensor_said_last_is_not_waited_for_with_success(backend, system):
     angle = {"topic": "joint_states", "field": "position[motor]", "largest_gap": 0.1}
     near = {"wait_until": {"condition": "abs(angle) < 9", "hold": 0.05, "timeout": 0.2}}

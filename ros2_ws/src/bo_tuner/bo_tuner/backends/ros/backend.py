@@ -301,8 +301,12 @@ class RosBackend(SequentialBackend):
                 procedure.prepare()
             procedure.perform()
         except (FailedRunError, DisturbedError) as error:
+            # Parking overlooks what others have changed.
+            disturbance = client.parameters.disturbance()
             # First the machine, then the reason: a node that does not answer is waited for.
             self._stop()
+            if disturbance is not None:
+                raise disturbance from error
             if isinstance(error, DisturbedError):
                 raise
             # A run may have failed for want of a node.

@@ -184,6 +184,11 @@ class NodeParameters:
         if found.seen:
             raise _disturbed(found.seen[0])
 
+    def disturbance(self) -> DisturbedError | None:
+        """Return what somebody else changed, as far as the nodes told since this was last asked."""
+        seen = self._watch.take_seen()
+        return _disturbed(seen[0]) if seen else None
+
     def expect_answer(self, key: str) -> None:
         """Ask a node to change no parameter.
 

@@ -114,10 +114,11 @@ class StudyClient:
                 said = self._triggered.run() if run is None else {}
                 if run is not None:
                     run()
-            except (FailedRunError, DisturbedError):
+            except (FailedRunError, DisturbedError) as error:
+                disturbance = self.parameters.disturbance()
                 # That a node was started anew explains the rest: a gap in a signal, two publishers.
                 self._refuse_other_nodes()
-                raise
+                raise (disturbance or error) from None
             found = self.parameters.found(wanted)
             leave()
             # A node that was killed is looked for as long as its lease.
