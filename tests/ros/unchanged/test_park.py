@@ -424,19 +424,21 @@ def test_a_disturbed_run_is_stopped_before_the_reason_is_looked_for(backend, sys
     assert found == [SAFE]
 
 
-def test_a_machine_that_two_command_does_not_drive_home(backend, system, join, monkeypatch):
+def test_a_machine_that_two_command_does_not_drive_home(backend, system, join, leave, monkeypatch):
     """Which of them has the safe parameters is not known."""
     for module in ("study_client", "backend"):
         monkeypatch.setattr(f"bo_tuner.backends.ros.{module}.LONGEST_LEASE", 0.1)
     home = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
     made = backend(run={"before": [], "recover": [home]})
-    join(Node, "servo")
+    second = join(Node, "servo")
     servers = made._client.parameters.clients["servo"].servers
     wait_until(lambda: servers() == 2, "both")
     reason = failure(run(made, 0.75))
     twins = f"servo runs more than once in ROS domain {os.environ['ROS_DOMAIN_ID']}"
     # Either of them may answer, so that parking may have failed, too.
     assert reason.startswith(f"{twins}; ")
+    leave(second)
+    wait_until(lambda: servers() == 1, "the second one is gone")
     made.close()
     assert system.setpoint != -0.5
 
