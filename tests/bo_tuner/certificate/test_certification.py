@@ -14,7 +14,7 @@ from bo_tuner.certificate.certification import (
     Subject,
     most_evaluations,
 )
-from bo_tuner.certificate.verdict import LEAST_RUNS, judge
+from bo_tuner.certificate.judgement import LEAST_RUNS, judge
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.loop import Tuning

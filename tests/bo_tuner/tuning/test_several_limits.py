@@ -7,7 +7,7 @@ import pytest
 
 from bo_tuner.certificate.certification import Certification, Subject
 from bo_tuner.certificate.context_tolerance import context_tolerances
-from bo_tuner.certificate.verdict import judge
+from bo_tuner.certificate.judgement import judge
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.trials import EvaluationState, Outcome
 from bo_tuner.tuning.limits import (

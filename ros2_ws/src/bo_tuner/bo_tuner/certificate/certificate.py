@@ -14,6 +14,7 @@ from bo_tuner.certificate.context_tolerance import (
     context_tolerances,
 )
 from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
+from bo_tuner.certificate.judgement import judge
 from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
@@ -22,7 +23,6 @@ from bo_tuner.certificate.store import (
     next_path,
     parameters_sha256,
 )
-from bo_tuner.certificate.verdict import judge
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank, ranking_models

@@ -15,7 +15,7 @@ from bo_tuner.certificate.independent_search import (
     find_worst_contexts,
     most_searched,
 )
-from bo_tuner.certificate.verdict import decide_context, decide_draws, is_failed
+from bo_tuner.certificate.judgement import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.study.parts import Constraint
 from bo_tuner.study.study import Study

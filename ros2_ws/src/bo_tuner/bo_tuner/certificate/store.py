@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.certificate.verdict import most_draws_needed
+from bo_tuner.certificate.judgement import most_draws_needed
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.provenance import changed_sources, sources, study_sha256

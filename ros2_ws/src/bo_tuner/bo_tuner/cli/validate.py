@@ -15,6 +15,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
 from bo_tuner.certificate.certification import Certification, Subject, most_evaluations
+from bo_tuner.certificate.judgement import most_draws_needed
 from bo_tuner.certificate.run_verdict import certified, result
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
@@ -26,7 +27,6 @@ from bo_tuner.certificate.store import (
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
 from bo_tuner.certificate.unfinished import Unfinished
-from bo_tuner.certificate.verdict import most_draws_needed
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,

@@ -11,8 +11,8 @@ from draws_needed import draws_needed_without_event
 from scipy import stats
 
 from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.judgement import LEAST_RUNS, judge, most_draws_needed
 from bo_tuner.certificate.sequential import draws_needed
-from bo_tuner.certificate.verdict import LEAST_RUNS, judge, most_draws_needed
 from bo_tuner.certificate.winners_curse import training_gaps
 from bo_tuner.errors import RunError
 from bo_tuner.optimizers.ranking import rank
