@@ -9,7 +9,10 @@ from bo_tuner.interruption import SIGNALS, Interrupted, Interruption
 
 @pytest.fixture(autouse=True)
 def handlers():
+    """Signals as in the foreground: a shell lets what runs in the background ignore some."""
     before = {signum: signal.getsignal(signum) for signum in (*SIGNALS, signal.SIGTSTP)}
+    for signum in before:
+        signal.signal(signum, signal.SIG_DFL)
     yield
     for signum, handler in before.items():
         signal.signal(signum, handler)
