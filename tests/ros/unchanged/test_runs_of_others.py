@@ -301,11 +301,14 @@ def test_a_run_is_lost_if_nobody_publishes_a_signal_any_more(
     assert run(made).state is EvaluationState.COMPLETE
     leave(sensor)
     wait_until(lambda: made._procedure._recorder.unpublished, "the sensor is gone")
+    said = []
+    monkeypatch.setattr(made._tuner, "warn", said.append)
     for _ in range(2):
         found = run(made)
         assert found.state is EvaluationState.LOST
         assert found.reason.startswith("/sensed has no publisher any more")
     assert system.setpoint == 0.0
+    assert said == ["an evaluation was lost: waiting up to 20 s for servo"] * 2
     join(Sensor)
     wait_until(lambda: not made._procedure._recorder.unpublished, "the sensor is back")
     assert any(run(made).state is EvaluationState.COMPLETE for _ in range(3))

@@ -491,6 +491,9 @@ class RosBackend(SequentialBackend):
         self._suspension.look()
         self._started.stop()
         self._suspension.skip()
+        if self._attach:
+            names = " and ".join(self.nodes)
+            tuner.warn(f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}")
         try:
             if not self._attach:
                 client.presence.wait_until_gone(LEASE)
