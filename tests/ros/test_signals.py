@@ -98,6 +98,9 @@ class Executor:
     def remove_node(self, node):
         pass
 
+    def shutdown(self):
+        pass
+
 process.make_executor = Executor
 # Long enough to come to the destruction on a busy machine.
 process.EXIT_TIMEOUT = 2.0

@@ -93,8 +93,10 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
         # On rare occasions the middleware hangs in its shutdown.
         deadline = _deadline()
         executor.remove_node(node)
-        node.destroy_node()
+        # Before the node: what it has would else be destroyed within the executor, as that lets go
+        # of it, where the middleware has been seen to hang.
         executor.shutdown()
+        node.destroy_node()
         rclpy.try_shutdown()
         deadline.cancel()
     return 0
