@@ -127,7 +127,7 @@ def test_set_and_back(client, record, now, capsys):
     assert rollback_file(record) == before
 
 
-def test_back_to_what_nobody_has_replaced_is_the_default(record, capsys):
+def test_back_to_what_nobody_has_replaced_is_the_default(record, now, capsys):
     code, out, _ = apply(capsys, record, "--rollback")
     assert (code, "deploy/rollback.yaml, the study's default" in " ".join(out.split())) == (2, True)
 
