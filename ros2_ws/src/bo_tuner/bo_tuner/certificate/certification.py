@@ -29,6 +29,9 @@ LEAST_DRAWS = 30
 EXPECTED_REPEATS = 25
 """Evaluations in each context that may be the worst, in a clear case; for the progress display."""
 
+DRAWS = "draws"
+"""Name of the first phase; the others are searches."""
+
 DRAWN, SEARCHED, REPEATED = 0, 1, 2
 """Purpose of an evaluation, as part of the key of its noise seed."""
 
@@ -147,7 +150,7 @@ class Certification:
         ]
 
     def _draw(self, subjects: Sequence[Subject], draws: int) -> list[list[Evaluation]]:
-        self._observer.begin("draws", draws)
+        self._observer.begin(DRAWS, draws)
         rng = generator(self._study.seed, Stream.CERTIFICATE_CONTEXTS, self._attempt)
         evaluations: list[list[Evaluation]] = [[] for _ in subjects]
         for k, row in enumerate(self._contexts.draw(draws, rng)):

@@ -46,7 +46,7 @@ def run_verdict(record: RunRecord) -> Verdict:
         If the summary of the run is not one of `tune`.
     """
     verdict = _latest(record)
-    trial = result(record)
+    trial = record.result
     if trial is not None and (begun := evaluations_begun(record.path, record.study, trial)):
         remark = (
             f"An unfinished certificate has {counted(begun, 'evaluation')} on record; validate "
@@ -56,14 +56,8 @@ def run_verdict(record: RunRecord) -> Verdict:
     return verdict
 
 
-def result(record: RunRecord) -> Trial | None:
-    """Return the trial that is the result of a run; None if it has none."""
-    number = None if record.summary is None else record.summary.get("trial")
-    return next((trial for trial in record.trials if trial.number == number), None)
-
-
 def _latest(record: RunRecord) -> Verdict:
-    by_validation, trial = _by_validation(record), result(record)
+    by_validation, trial = _by_validation(record), record.result
     if by_validation is None or trial is None:
         return open_verdict(record.study, record.trials)
     try:
@@ -144,8 +138,7 @@ def _certified(
     except RunRecordError as error:
         rows, remarks = [], [f"{error}."]
     study, same = record.study, is_default(record.study, trial.parameters)
-    answer = result(record)
-    is_result = answer is not None and dict(answer.parameters) == dict(trial.parameters)
+    is_result = record.is_result(trial)
     passed = content["verdict"] == PASS
     problem = certificate_problem(record, trial) if passed else ""
     if problem:

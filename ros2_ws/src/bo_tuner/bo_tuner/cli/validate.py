@@ -14,9 +14,14 @@ from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
-from bo_tuner.certificate.certification import Certification, Subject, most_evaluations
+from bo_tuner.certificate.certification import (
+    DRAWS,
+    Certification,
+    Subject,
+    most_evaluations,
+)
 from bo_tuner.certificate.judgement import most_draws_needed
-from bo_tuner.certificate.run_verdict import certified, result
+from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     latest_certificate,
@@ -58,9 +63,6 @@ from bo_tuner.trials import DEFAULT, TUNED, Trial
 from bo_tuner.tuning.observer import Observers, RunObserver
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
-
-DRAWS = "draws"
-"""The first phase of a certification; the others are searches."""
 
 DESCRIPTION = """\
 Certify the result of a run: evaluate it in fresh draws of context and noise,
@@ -369,14 +371,13 @@ class _Bar(RunObserver):
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:
     """Return the trial to validate, and whether it is the run's result."""
-    best = result(record)
-    trial = best if number is None else trial_of(record, number)
+    trial = record.result if number is None else trial_of(record, number)
     if trial is None:
         raise RunRecordError(
             f"{record.path}: has no result: it has not ended, or every trial failed; continue with "
             "tune --resume, or name a --trial"
         )
-    return trial, best is not None and dict(best.parameters) == dict(trial.parameters)
+    return trial, record.is_result(trial)
 
 
 def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console) -> str:

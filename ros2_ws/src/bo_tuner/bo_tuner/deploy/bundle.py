@@ -79,12 +79,10 @@ def result_of(record: RunRecord) -> Trial:
         raise RunRecordError(
             f"{record.path}: has no result: it has not ended, or every trial failed"
         )
-    number = record.summary.get("trial")
-    for trial in record.trials:
-        if trial.number == number:
-            return trial
-    shown = checks.show(number)
-    raise RunRecordError(f"{record.path}: its summary names trial {shown}, not on record")
+    if record.result is None:
+        shown = checks.show(record.summary.get("trial"))
+        raise RunRecordError(f"{record.path}: its summary names trial {shown}, not on record")
+    return record.result
 
 
 def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:

@@ -61,6 +61,17 @@ class RunRecord:
     summary: Mapping[str, object] | None
     damage: str
 
+    @property
+    def result(self) -> Trial | None:
+        """The trial that is the result, by the summary; None without one."""
+        number = None if self.summary is None else self.summary.get("trial")
+        return next((trial for trial in self.trials if trial.number == number), None)
+
+    def is_result(self, trial: Trial) -> bool:
+        """Whether a trial has the parameter set of the result."""
+        found = self.result
+        return found is not None and dict(found.parameters) == dict(trial.parameters)
+
 
 def read_run(path: Path) -> RunRecord:
     """Read the run in a folder, which may be going on.
