@@ -482,6 +482,9 @@ def test_a_number_beyond_its_limit_is_not_shown_as_the_limit(tuned):
     (row,) = [r for r in on_terminal(run, verdict).splitlines() if r.startswith("largest peak [N]")]
     assert row.split()[3:5] == ["0.5", "1.00002"]
     assert "1.00002" in on_page(run)
+    (numbers,) = [s for s in comparison({"run": Analysis(run)}) if s.name == "numbers"]
+    cells = [cell for row in numbers.tables[0].rows for cell in row[1:] if "limit" in cell]
+    assert cells == ["1.00002 (0.5), limit 1 NOT kept"]
 
 
 def test_attempts_with_another_confidence_have_the_lowest_one_together(run):

@@ -131,9 +131,10 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
 
 
 def _in_words(verdict: Verdict, quantity: Quantity) -> str:
-    text = f"{number(quantity.tuned)} ({number(quantity.default)})"
+    default, tuned = quantity.values_in_words
+    text = f"{tuned} ({default})"
     if quantity.holds is not None:
-        text += f", limit {number(quantity.limit)} {verdict.kept_in_words(quantity)}"
+        text += f", limit {quantity.limit_in_words} {verdict.kept_in_words(quantity)}"
     if quantity.difference is not None:
         text += f", {quantity.change}"
     return text

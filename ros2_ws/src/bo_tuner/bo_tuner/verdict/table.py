@@ -1,7 +1,7 @@
 """A verdict in the terminal: its words, a table of its numbers, and what to do next."""
 
 from collections.abc import Iterator, Mapping
-from math import isfinite, isnan
+from math import isfinite
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -75,7 +75,7 @@ def verdict_table(study: Study, verdict: Verdict, tuned: Mapping[str, Value]) ->
             text.with_unit(quantity.label, quantity.unit),
             *quantity.values_in_words,
             _difference(quantity),
-            "" if isnan(quantity.limit) else f"{quantity.limit:g}",
+            quantity.limit_in_words,
         )
     table.add_section()
     table.add_row("keeps all limits", *verdict.keeps_in_words, "", "")

@@ -90,6 +90,11 @@ class Quantity:
         return shown_beside(self.default, limit), shown_beside(self.tuned, limit)
 
     @property
+    def limit_in_words(self) -> str:
+        """The limit; empty if there is none."""
+        return "" if isnan(self.limit) else f"{self.limit:g}"
+
+    @property
     def bound_in_words(self) -> str:
         """The bound of the tuned value; empty if there is none."""
         bound = shown_beside(self.bound, self.limit)

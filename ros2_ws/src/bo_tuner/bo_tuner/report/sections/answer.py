@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isnan
 
 from bo_tuner.deploy.bundle import DEPLOY
 from bo_tuner.monitoring.progress import incumbent_in_words
@@ -139,8 +138,8 @@ def _that_matter(analysis: Analysis) -> list[Quantity]:
 def _of_quantity(verdict: Verdict, quantity: Quantity) -> Tile:
     default, tuned = quantity.values_in_words
     remarks = [f"default {default}"]
-    if not isnan(quantity.limit):
-        remarks[0] += f", limit {quantity.limit:g}: {verdict.kept_in_words(quantity)}"
+    if limit := quantity.limit_in_words:
+        remarks[0] += f", limit {limit}: {verdict.kept_in_words(quantity)}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")
     remarks += filter(None, (quantity.bound_in_words, quantity.draws, quantity.remark))
@@ -165,7 +164,7 @@ def _comparison(analysis: Analysis) -> Table:
                 quantity.unit,
                 quantity.change_in_words,
                 str(quantity.change) if quantity.difference is not None else "",
-                "" if isnan(quantity.limit) else f"{quantity.limit:g}",
+                quantity.limit_in_words,
             ]
         )
     rows.append(["keeps all limits", *verdict.keeps_in_words, *[""] * 4])
