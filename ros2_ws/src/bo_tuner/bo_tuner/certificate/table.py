@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import nan
 from typing import Any
 
 from rich.table import Table
@@ -178,15 +177,15 @@ def _tolerated(variable: VariableTolerance) -> str:
 
 
 def _number(value: float | None) -> str:
-    return shown(to_number(value, nan))
+    return shown(to_number(value))
 
 
 def _beside(value: float | None, limit: float) -> str:
-    return shown_beside(to_number(value, nan), limit)
+    return shown_beside(to_number(value), limit)
 
 
 def _mean(mean: Mapping[str, float | None], limit: float | None = None) -> str:
-    value = to_number(mean["value"], nan)
+    value = to_number(mean["value"])
     found = shown(value) if limit is None else shown_beside(value, limit)
     error = mean["standard_error"]
     return found if error is None else f"{found} ± {error:.2g}"

@@ -211,13 +211,12 @@ def _has(
 ) -> bool:
     """Whether everything that is named is there."""
     names = {node.name for node in seen.nodes}
-    known = {str(offer) for topic in seen.topics for offer in signal_offers(topic)}
-    known |= {topic.name for topic in seen.topics}
+    known = {n for topic in seen.topics for o in signal_offers(topic) for n in _signal_names(o)}
     of_nodes: set[str] = set()
     for node in seen.nodes:
         offers, others = parameter_offers(node)
         for name in (*(offer.name for offer in offers), *others):
-            of_nodes |= {name, f"{node.name}:{name}"}
+            of_nodes.update(_parameter_names(node.name, name))
     return (
         names.issuperset(name.lstrip("/") for name in nodes or ())
         and of_nodes.issuperset(parameters or ())
@@ -249,14 +248,14 @@ def _choose(
     of_nodes = [offer for node in tuned for offer in offers[node.name]]
     for node in tuned:
         for name, why in others[node.name].items():
-            if parameters is not None and {name, f"{node.name}:{name}"} & set(parameters):
+            if set(parameters or ()).intersection(_parameter_names(node.name, name)):
                 raise StudyError(f"--parameters: {name} of {node.name} is not offered: {why}")
     chosen = chooser.choose(
         "parameters",
         parameters,
         of_nodes,
         suggested_parameters(of_nodes),
-        lambda offer: [str(offer), offer.name],
+        lambda offer: _parameter_names(offer.node, offer.name),
         lambda offer: [str(offer), shown(offer.fields["default"]), offer.remark],
     )
     near = suggested_signals(seen.topics, [node.name for node in tuned])
@@ -265,10 +264,20 @@ def _choose(
         signals,
         [offer for topic in seen.topics for offer in signal_offers(topic)],
         near,
-        lambda offer: [str(offer), offer.topic.name],
+        _signal_names,
         lambda offer: [str(offer), shown(offer.topic.fields[offer.field]), offer.remark],
     )
     return tuned, chosen, recorded
+
+
+def _parameter_names(node: str, name: str) -> list[str]:
+    """Return what an option may call a parameter."""
+    return [f"{node}:{name}", name]
+
+
+def _signal_names(offer: SignalOffer) -> list[str]:
+    """Return what an option may call a signal."""
+    return [str(offer), offer.topic.name]
 
 
 def _check_path(path: Path) -> None:

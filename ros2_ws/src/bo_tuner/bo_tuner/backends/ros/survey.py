@@ -74,22 +74,19 @@ def _look(tuner: TunerNode) -> tuple[Seen, list[str]]:
     notes += [f"left out: {text}" for text in unknown]
     found = sorted(tuner.node.get_service_names_and_types())
     services = [n for n, types in found if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
-    actions = [
-        SeenAction(name, kind, interface_class(kind).Goal.get_fields_and_field_types())
-        for name, kind in _actions(found)
-    ]
-    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(actions)), notes
+    return Seen(tuple(nodes), tuple(topics), tuple(services), tuple(_actions(found))), notes
 
 
-def _actions(services: Iterable[tuple[str, list[str]]]) -> Iterator[tuple[str, str]]:
-    """Yield names and types of actions that are installed here, by the services that they are."""
+def _actions(services: Iterable[tuple[str, list[str]]]) -> Iterator[SeenAction]:
+    """Yield the actions whose types are installed here, by the services that they are."""
     for name, (kind, *_) in services:
         action = name.removesuffix(GOAL_SERVICE)
         if action == name or is_hidden(action):
             continue
+        kind = kind.removesuffix(GOAL_TYPE)
         with contextlib.suppress(StudyError):
-            interface_class(kind.removesuffix(GOAL_TYPE))
-            yield action, kind.removesuffix(GOAL_TYPE)
+            fields = interface_class(kind).Goal.get_fields_and_field_types()
+            yield SeenAction(action, kind, fields)
 
 
 def _settle(tuner: TunerNode) -> None:
