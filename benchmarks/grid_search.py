@@ -30,8 +30,8 @@ import numpy as np
 from common import BENCHMARKS, provenance, read_result, table, write_result
 from threadpoolctl import threadpool_limits
 
+from bo_tuner.study.constraint import EXPECTATION, WORST_CASE
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
 from bo_tuner.trials import Value

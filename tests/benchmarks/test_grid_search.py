@@ -2,7 +2,7 @@
 
 from grid_search import on_the_mean
 
-from bo_tuner.study.parts import EXPECTATION
+from bo_tuner.study.constraint import EXPECTATION
 from bo_tuner.study.study_file import load_study
 from tuning_benchmark.experiments.optima import study_digest
 

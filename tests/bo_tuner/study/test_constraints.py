@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 
 BOTH = {"kind": "worst_case", "metric": "peak", "lower": 0.2, "upper": 1.0}

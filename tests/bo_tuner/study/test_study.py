@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
+from bo_tuner.study.budget import Budget
 from bo_tuner.study.distributions import Discrete, TruncatedNormal
-from bo_tuner.study.parts import Budget, Objective
+from bo_tuner.study.parts import Objective
 from bo_tuner.study.study_file import (
     load_study,
     parse_study,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Uniform
-from bo_tuner.study.parts import Constraint
 from bo_tuner.worst_case.search import OBSERVED, ReinterpolationSearch
 from bo_tuner.worst_case.searches import ConstraintSearch, WorstCaseSearches
 

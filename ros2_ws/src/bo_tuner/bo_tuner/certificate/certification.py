@@ -17,7 +17,7 @@ from bo_tuner.certificate.independent_search import (
 )
 from bo_tuner.certificate.judgement import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate

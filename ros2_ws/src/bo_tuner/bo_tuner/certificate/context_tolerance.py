@@ -24,9 +24,9 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.storage.json_numbers import to_number
+from bo_tuner.study.constraint import UPPER, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, Distribution
-from bo_tuner.study.parts import UPPER, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from bo_tuner.certificate.risk import Mean
-from bo_tuner.study.parts import UPPER
+from bo_tuner.study.constraint import UPPER
 from bo_tuner.trials import Evaluation, Value
 
 TAIL = 0.95

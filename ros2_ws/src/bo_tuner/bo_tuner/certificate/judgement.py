@@ -42,7 +42,8 @@ from bo_tuner.certificate.sequential import (
     probability_bounds,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import EXPECTATION, MAXIMIZE, WORST_CASE, Constraint
+from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.parts import MAXIMIZE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 

@@ -19,7 +19,8 @@ from bo_tuner.certificate.unfinished import evaluations_begun
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.study.parts import ROS, SINGLE_RUN, UPPER
+from bo_tuner.study.constraint import SINGLE_RUN, UPPER
+from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial

@@ -9,7 +9,7 @@ from rich.table import Table
 from bo_tuner.certificate.context_tolerance import ContextTolerance, VariableTolerance
 from bo_tuner.certificate.evidence import widest
 from bo_tuner.storage.json_numbers import to_number
-from bo_tuner.study.parts import CHANCE, SINGLE_RUN, WORST_CASE
+from bo_tuner.study.constraint import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED

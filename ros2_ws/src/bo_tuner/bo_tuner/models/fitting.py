@@ -32,7 +32,8 @@ from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import Constraint, Objective
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.parts import Constraint
 from bo_tuner.trials import SEEKING_WORST, Trial
 
 

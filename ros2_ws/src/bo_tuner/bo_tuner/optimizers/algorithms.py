@@ -13,7 +13,7 @@ from bo_tuner.optimizers.base import Optimizer, Proposal
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.boundary import BoundaryOptimization
 from bo_tuner.optimizers.random_search import RandomSearch
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
 from bo_tuner.worst_case.contexts import worst_contexts_nearby

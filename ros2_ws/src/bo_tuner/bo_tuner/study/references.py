@@ -9,10 +9,10 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.building import under
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import (
-    Constraint,
     ContextVariable,
     Objective,
     ReportedMetric,

@@ -17,10 +17,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import DISTRIBUTIONS
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
-from bo_tuner.study.parts import Constraint, ContextVariable, ReportedMetric
+from bo_tuner.study.parts import ContextVariable, ReportedMetric
 from bo_tuner.study.run import End
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.study.study import Study

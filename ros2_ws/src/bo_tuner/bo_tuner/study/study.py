@@ -7,17 +7,14 @@ from typing import Any
 
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
 from bo_tuner.study import checks, maxima
+from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
+from bo_tuner.study.constraint import CHANCE, WORST_CASE, Constraint
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
-    CHANCE,
-    WORST_CASE,
-    Budget,
-    CertificateRequirement,
-    Constraint,
     ContextVariable,
     Objective,
     ReportedMetric,

@@ -8,16 +8,15 @@ from typing import Any
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
+from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, arguments, build, under
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import (
-    Budget,
-    CertificateRequirement,
-    Constraint,
     ContextVariable,
     Objective,
     ReportedMetric,

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.special import bdtrc, stdtrit
 
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from math import nan
 
-from bo_tuner.study.parts import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
 from bo_tuner.verdict.differences import Change, Difference, paired, unpaired

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.study.parts import EXPECTATION, WORST_CASE
+from bo_tuner.study.constraint import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import (

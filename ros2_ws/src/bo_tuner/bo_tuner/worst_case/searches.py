@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.trials import WorstCase
 from bo_tuner.worst_case.protocol import WorstCaseSearch
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bo_tuner.errors import StudyError
-from bo_tuner.study.parts import WORST_CASE
+from bo_tuner.study.constraint import WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 from tuning_benchmark.problems.closed_form import LIMIT, Node, problem_of_study

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bo_tuner.errors import StudyError
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import EXPECTATION
+from bo_tuner.study.constraint import EXPECTATION
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 from bo_tuner.trials import Value

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Value
 

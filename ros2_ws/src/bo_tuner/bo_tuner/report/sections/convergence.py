@@ -26,7 +26,8 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
-from bo_tuner.study.parts import EXPECTATION, Constraint, Objective
+from bo_tuner.study.constraint import EXPECTATION, Constraint
+from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, values
 from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations

@@ -9,7 +9,7 @@ from bo_tuner.figures.figure import Axis, Color, Dash, Element, Figure, Limit, L
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, quantity
 from bo_tuner.report.sections.trajectories import LOOKS
-from bo_tuner.study.parts import Constraint
+from bo_tuner.study.constraint import Constraint
 
 
 def draws(analysis: Analysis) -> Section | None:

@@ -23,7 +23,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
 from bo_tuner.report.sections.convergence import describe, mean_axis
-from bo_tuner.study.parts import CHANCE, Constraint
+from bo_tuner.study.constraint import CHANCE, Constraint
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1

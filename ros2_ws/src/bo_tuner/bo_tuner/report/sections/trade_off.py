@@ -21,7 +21,7 @@ from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, change, number, numbered, quantity
 from bo_tuner.report.sections.convergence import mean_axis, trial_points
-from bo_tuner.study.parts import UPPER, Constraint
+from bo_tuner.study.constraint import UPPER, Constraint
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Trial
 from bo_tuner.tuning.limits import WITHIN, verdict

@@ -1,0 +1,98 @@
+"""What a run may take: its trials and evaluations, and the draws of its certificate."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from bo_tuner.study import checks, maxima
+
+MOST = {
+    "trials": maxima.TRIALS,
+    "initial_trials": maxima.TRIALS,
+    "drawn_contexts": maxima.EVALUATIONS,
+    "search_evaluations": maxima.EVALUATIONS,
+    "validation_draws": maxima.DRAWS,
+    "evaluations": maxima.TRIALS * maxima.EVALUATIONS,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateRequirement:
+    """What a certificate must have for `apply`, at least.
+
+    Attributes
+    ----------
+    draws : int
+        Fresh draws of context and noise, at most, and runs in a context that may be the worst; a
+        clear verdict takes fewer. More where a chance constraint takes more to be shown.
+    confidence : float
+        Confidence of each bound, between 0 and 1.
+    """
+
+    draws: int = 1000
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        checks.integer(self.draws, "draws", at_least=2)
+        object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Number of trials and evaluations.
+
+    Attributes
+    ----------
+    trials : int
+        Trials, each of one parameter set, including the initial design.
+    initial_trials : int
+        Trials of the initial design, which are at most all.
+    drawn_contexts : int, optional
+        Evaluations per trial in contexts drawn from their distribution. Unless given, the
+        algorithm's: 5, or 2 for boundary.
+    search_evaluations : int, optional
+        Largest number of evaluations per trial in the search for the worst context, for all
+        worst-case constraints together. Unless given, the algorithm's: 10, or 3 for boundary.
+    validation_draws : int
+        Fresh draws of context and noise for the validation of the result.
+    evaluations : int, optional
+        Evaluations of all trials together; the tuning also ends with the trial that reaches it.
+    """
+
+    trials: int
+    initial_trials: int
+    drawn_contexts: int | None = None
+    search_evaluations: int | None = None
+    validation_draws: int = 25
+    evaluations: int | None = None
+
+    def remaining(self, trials: int, evaluations: int) -> int:
+        """Return how many more trials the budget suffices for, after so many with so many.
+
+        Where evaluations limit it, further trials are expected to take as many each as the others.
+        """
+        left = self.trials - trials
+        if self.evaluations is not None:
+            each = max(evaluations, 1) / max(trials, 1)
+            left = min(left, math.ceil((self.evaluations - evaluations) / each))
+        return max(left, 0)
+
+    @property
+    def warning(self) -> str:
+        """Tell in a line that no trial is left after the initial design; empty if some are."""
+        if self.initial_trials < self.trials:
+            return ""
+        return f"the initial design takes all of the {self.trials} trials; none is proposed"
+
+    def is_spent(self, trials: int, evaluations: int) -> bool:
+        """Return whether so many trials, with so many evaluations, use up the budget."""
+        return self.remaining(trials, evaluations) == 0
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            if item.default is None and getattr(self, item.name) is None:
+                continue
+            lowest = 0 if item.name == "search_evaluations" else 1
+            most = MOST[item.name]
+            checks.integer(getattr(self, item.name), item.name, at_least=lowest, at_most=most)
+        object.__setattr__(self, "initial_trials", min(self.initial_trials, self.trials))
