@@ -426,7 +426,7 @@ def test_a_disturbed_run_is_stopped_before_the_reason_is_looked_for(backend, sys
 
 def test_a_machine_that_two_command_does_not_drive_home(backend, system, join, leave, monkeypatch):
     """Which of them has the safe parameters is not known."""
-    for module in ("study_client", "backend"):
+    for module in ("study_client", "safe_state"):
         monkeypatch.setattr(f"bo_tuner.backends.ros.{module}.LONGEST_LEASE", 0.1)
     home = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
     made = backend(run={"before": [], "recover": [home]})

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from rclpy.context import Context
 
@@ -30,8 +31,9 @@ from bo_tuner.backends.ros.isolation import (
 from bo_tuner.backends.ros.others import START
 from bo_tuner.backends.ros.previous_parameters import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
+from bo_tuner.backends.ros.safe_state import SafeState
 from bo_tuner.backends.ros.started_nodes import StartedNodes
-from bo_tuner.backends.ros.study_client import LONGEST_LEASE, PARK_TIMEOUT, StudyClient
+from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
@@ -56,6 +58,14 @@ ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 LOOK_AROUND = 1.0
 """Time [s] to discover nodes, or another tuner, that run already."""
+
+
+class _Opened(NamedTuple):
+    """What an open backend has."""
+
+    tuner: TunerNode
+    client: StudyClient
+    safe_state: SafeState
 
 
 class RosBackend(SequentialBackend):
@@ -114,8 +124,7 @@ class RosBackend(SequentialBackend):
         self._procedure: Procedure | None = None
         self._held: dict[str, dict[str, object]] = {}
         self._suspension = Suspension()
-        self._unfinished: list[str] = []
-        self._safe: dict[str, dict[str, object]] = {}
+        self._safe_state: SafeState | None = None
         self._previous: PreviousParameters | None = None
         self._left: list[str] = []
         self._started = StartedNodes(study, self._namespace, log_directory)
@@ -166,14 +175,17 @@ class RosBackend(SequentialBackend):
                 self._previous = PreviousParameters(self._restored, tuner, client.parameters)
                 self._previous.undo_killed(found)
             own, others = divide(self._study, found)
-            self._safe = safe_parameters(self._study)
+            safe = safe_parameters(self._study)
+            safe_state = SafeState(tuner, client, safe, self._suspension)
+            self._safe_state = safe_state
             if self._previous is not None:
-                self._previous.begin(own, self._safe)
+                self._previous.begin(own, safe)
                 self._left = left_parked(self._restored, own)
             initial = InitialParameters(self._study, tuner, client.parameters)
             initial.set_constants()
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
+            safe_state.held = self._held
             is_first = compare_with_earlier(
                 self._run_log or self._log_directory,
                 others,
@@ -185,9 +197,10 @@ class RosBackend(SequentialBackend):
             initial.set_undeclared(found)
             if self._study.run is not None:
                 # The nodes run by themselves, and from now on as they will between two runs.
-                initial.set_safe(self._safe)
+                initial.set_safe(safe)
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
+                safe_state.procedure = self._procedure
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
@@ -195,7 +208,7 @@ class RosBackend(SequentialBackend):
     @property
     def context(self) -> Context:
         """ROS context of the tuner; there while the backend is open."""
-        return self._opened[0].context
+        return self._opened.tuner.context
 
     def park(self) -> list[str]:
         """Set the safe parameters on all nodes and read them back.
@@ -205,7 +218,7 @@ class RosBackend(SequentialBackend):
         list of str
             What went wrong, each in a line.
         """
-        return self._opened[1].park(self._safe, self._held)
+        return self._opened.safe_state.park()
 
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
@@ -228,19 +241,20 @@ class RosBackend(SequentialBackend):
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
 
     def _attempt(self, planned: Evaluation) -> Outcome:
-        self._unfinished.clear()
+        safe_state = self._opened.safe_state
+        safe_state.take_unfinished()
         try:
             outcome = self._evaluated(planned)
         except BaseException:
             # Such as a signal. Records are closed before this backend is, and may take their time.
-            self._stop()
+            safe_state.stop()
             raise
         try:
             problems = self._leave_safe(outcome.state)
         except Interrupted:
             # The run ends, but not without what is known of these parameters.
-            problems = self._stop()
-        problems = [*self._unfinished, *problems]
+            problems = safe_state.stop()
+        problems = [*safe_state.take_unfinished(), *problems]
         if not problems:
             return outcome
         text = brief("; ".join(problems))
@@ -250,7 +264,7 @@ class RosBackend(SequentialBackend):
 
     def _evaluated(self, planned: Evaluation) -> Outcome:
         """Run an evaluation; whatever becomes of it is an outcome."""
-        _, client = self._opened
+        client = self._opened.client
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
@@ -261,10 +275,9 @@ class RosBackend(SequentialBackend):
             if self._procedure is not None:
                 self._procedure.forget()
                 self._procedure.expect_rest()
-                prepared = self._study.park.between_runs
-                if prepared:
+                if self._study.park.between_runs:
                     self._prepare(self._procedure)
-                run = partial(self._run, self._procedure, client, prepared)
+                run = partial(self._run, self._procedure)
             said = client.evaluate(wanted, kept, run, self._park_between)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)
@@ -295,16 +308,17 @@ class RosBackend(SequentialBackend):
             raise LostError("; ".join(problems))
         procedure.prepare()
 
-    def _run(self, procedure: Procedure, client: StudyClient, prepared: bool) -> None:
+    def _run(self, procedure: Procedure) -> None:
+        _, client, safe_state = self._opened
         try:
-            if not prepared:
+            if not self._study.park.between_runs:
                 procedure.prepare()
             procedure.perform()
         except (FailedRunError, DisturbedError) as error:
             # Parking overlooks what others have changed.
             disturbance = client.parameters.disturbance()
             # First the machine, then the reason: a node that does not answer is waited for.
-            self._stop()
+            safe_state.stop()
             if disturbance is not None:
                 raise disturbance from error
             if isinstance(error, DisturbedError):
@@ -317,54 +331,25 @@ class RosBackend(SequentialBackend):
 
     def _park_between(self) -> None:
         if self._study.park.between_runs:
-            self._unfinished += self.park()
-
-    def _stop(self) -> list[str]:
-        """Bring a run to its end at once, whoever asks for what; returns what is not parked.
-
-        Of a study without a run nothing is to be stopped: its nodes end an evaluation themselves.
-        """
-        if self._procedure is None:
-            return []
-        with self._opened[0].watched_by(self._suspension.look):
-            self._procedure.request_cancel()
-            problems = self.park()
-            self._unfinished += self._procedure.leave()
-            # A node may refuse parameters while it executes a goal.
-            return problems and self.park()
+            self._opened.safe_state.park_after_run()
 
     def _leave_safe(self, state: EvaluationState) -> list[str]:
         """Leave the nodes as they are to be after an evaluation; returns what went wrong."""
         if state is EvaluationState.COMPLETE:
             return []
-        return self._recover() if state is EvaluationState.LOST else self._make_safe()
-
-    def _make_safe(self) -> list[str]:
-        """Leave a run that failed with the machine safe, and home; returns what went wrong."""
-        if self._procedure is None:
-            return self.park()
-        # With the parameters of the trial the machine does not drive home.
-        if problems := self._stop():
-            return problems
-        # Nor do two at once, of which one may not be parked.
-        if twins := self._opened[1].presence.twins(LONGEST_LEASE):
-            return [f"not recovered: {twins}"]
-        problems = self._procedure.recover()
-        return problems and problems + self._stop()
-
-    def _recover(self) -> list[str]:
-        """Make safe what is left, and get lost nodes back; returns what went wrong."""
-        # Of the node that was lost nothing else is to be expected than that it is not parked.
-        self._stop()
-        if problem := self._get_back(*self._opened):
-            return [problem]
-        return self._make_safe()
+        safe_state = self._opened.safe_state
+        if state is EvaluationState.LOST:
+            # Of the node that was lost nothing else is to be expected than that it is not parked.
+            safe_state.stop()
+            if problem := self._get_back():
+                return [problem]
+        return safe_state.recover()
 
     @property
-    def _opened(self) -> tuple[TunerNode, StudyClient]:
-        if self._tuner is None or self._client is None:
+    def _opened(self) -> _Opened:
+        if self._tuner is None or self._client is None or self._safe_state is None:
             raise BackendError("the backend is not open")
-        return self._tuner, self._client
+        return _Opened(self._tuner, self._client, self._safe_state)
 
     @property
     def recording(self) -> Recording:
@@ -438,6 +423,7 @@ class RosBackend(SequentialBackend):
 
     def _let_go(self) -> None:
         self._claim = self._tuner = self._client = self._procedure = self._previous = None
+        self._safe_state = None
 
     @property
     def _restore_timeout(self) -> float:
@@ -462,7 +448,7 @@ class RosBackend(SequentialBackend):
         LostError
             If it does not come back.
         """
-        tuner, client = self._opened
+        tuner, client, _ = self._opened
         self._suspension.look()
         self._started.stop_one(key)
         self._suspension.skip()
@@ -485,8 +471,9 @@ class RosBackend(SequentialBackend):
                 "use --attach, or leave ROS_DOMAIN_ID unset"
             )
 
-    def _get_back(self, tuner: TunerNode, client: StudyClient) -> str:
-        """Get the nodes back; returns in a line why that failed."""
+    def _get_back(self) -> str:
+        """Get the nodes back after a loss; returns in a line why that failed."""
+        tuner, client, _ = self._opened
         client.parameters.forget_all()
         self._suspension.look()
         self._started.stop()

@@ -1,0 +1,82 @@
+"""Brings the machine to its safe state: nodes parked, no goal under way, the machine at home."""
+
+from bo_tuner.backends.ros.node_parameters import Values
+from bo_tuner.backends.ros.procedure import Procedure
+from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
+from bo_tuner.backends.ros.suspension import Suspension
+from bo_tuner.backends.ros.tuner_node import TunerNode
+
+
+class SafeState:
+    """The safe state of a study's nodes.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node.
+    client
+        Sets the parameters.
+    parameters
+        By node key the safe parameters.
+    suspension
+        Watched while the machine is stopped, which no interruption ends.
+
+    Attributes
+    ----------
+    held : dict
+        By node key all that the node must have besides; empty while that is not known.
+    procedure : Procedure or None
+        Runs of the study; None as long as none can be under way. Of a study without a run nothing
+        is to be stopped: its nodes end an evaluation themselves.
+    """
+
+    def __init__(
+        self, tuner: TunerNode, client: StudyClient, parameters: Values, suspension: Suspension
+    ) -> None:
+        self._tuner = tuner
+        self._client = client
+        self._parameters = parameters
+        self._suspension = suspension
+        self._unfinished: list[str] = []
+        self.held: Values = {}
+        self.procedure: Procedure | None = None
+
+    def park(self) -> list[str]:
+        """Set the safe parameters on all nodes and read them back; returns what went wrong."""
+        return self._client.park(self._parameters, self.held)
+
+    def park_after_run(self) -> None:
+        """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
+        self._unfinished += self.park()
+
+    def stop(self) -> list[str]:
+        """Bring a run to its end at once, whoever asks for what; returns what is not parked.
+
+        What else was not possible is for `take_unfinished`.
+        """
+        if self.procedure is None:
+            return []
+        with self._tuner.watched_by(self._suspension.look):
+            self.procedure.request_cancel()
+            problems = self.park()
+            self._unfinished += self.procedure.leave()
+            # A node may refuse parameters while it executes a goal.
+            return problems and self.park()
+
+    def recover(self) -> list[str]:
+        """Leave the machine safe, and home, after a run that failed; returns what went wrong."""
+        if self.procedure is None:
+            return self.park()
+        # With the parameters of the trial the machine does not drive home.
+        if problems := self.stop():
+            return problems
+        # Nor do two at once, of which one may not be parked.
+        if twins := self._client.presence.twins(LONGEST_LEASE):
+            return [f"not recovered: {twins}"]
+        problems = self.procedure.recover()
+        return problems and problems + self.stop()
+
+    def take_unfinished(self) -> list[str]:
+        """Return, and forget, what went wrong in an evaluation that was to be left safe."""
+        found, self._unfinished = self._unfinished, []
+        return found
