@@ -24,8 +24,8 @@ BoTorch
 Optuna
     `GPSampler` with one constraint, on the means too; it has suggested once before, so that it
     starts from its earlier kernels.
-Optuna, every evaluation
-    The same with the data that `boundary` has: every evaluation is a trial of Optuna's.
+BoTorch, Optuna, every evaluation
+    The same with the data that `boundary` has: every evaluation is a trial of theirs.
 
 Needs requirements/benchmarks.txt, in an environment of its own:
 
@@ -61,7 +61,7 @@ from bo_tuner.models import fitting, surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, WorstCase
+from bo_tuner.trials import Evaluation, EvaluationState, Stage, Trial, TrialState, Value, WorstCase
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 from tuning_benchmark.peers.optuna_samplers import distribution
@@ -83,7 +83,7 @@ WORST_CONTEXT = {"stiffness_factor": 1.3, "damping_factor": 0.7}
 FITTED = " with a fit"
 OURS = ("boundary", f"boundary{FITTED}", "boundary without warm start", "IV", f"IV{FITTED}")
 EVERY = ", every evaluation"
-OTHERS = ("BoTorch", "Optuna", f"Optuna{EVERY}")
+OTHERS = ("BoTorch", f"BoTorch{EVERY}", "Optuna", f"Optuna{EVERY}")
 RIVALS_UP_TO = 300
 """Trials; an exact process with more takes too long to ask it several times."""
 
@@ -168,10 +168,22 @@ class Problem:
             for t in self._trials
         ]
 
-    def botorch(self) -> Callable[[], object]:
-        """Make ready BoTorch's data."""
-        X = torch.tensor(np.array([self._space.to_cube(t) for t in self._tuned]))
-        Y = torch.tensor(np.column_stack([-self._cost, self._excess]))
+    def _data(self, every: bool) -> list[tuple[dict[str, Value], float, float]]:
+        """Return parameters, cost and excess over the limit: of means, or of all evaluations."""
+        if not every:
+            return list(zip(self._tuned, self._cost, self._excess, strict=True))
+        metric = self._study.objective.metric
+        return [
+            (tuned, np.log(found[metric]), found["overshoot"] - self._limit)
+            for tuned, trial in zip(self._tuned, self._of_boundary(), strict=True)
+            for found in (evaluation.outcome.metrics for evaluation in trial.evaluations)
+        ]
+
+    def botorch(self, every: bool) -> Callable[[], object]:
+        """Make ready BoTorch's data, of means or of all evaluations."""
+        tuned, cost, excess = zip(*self._data(every), strict=True)
+        X = torch.tensor(np.array([self._space.to_cube(t) for t in tuned]))
+        Y = torch.tensor(np.column_stack([-np.array(cost), excess]))
         torch.manual_seed(self._seed)
 
         def suggest() -> object:
@@ -198,19 +210,7 @@ class Problem:
         study = optuna.create_study(
             sampler=optuna.samplers.GPSampler(seed=self._seed, n_startup_trials=1)
         )
-        data = list(zip(self._tuned, self._cost, self._excess, strict=True))
-        latest = 1
-        if every:
-            latest = OF_BOUNDARY + 1
-            data = [
-                (
-                    tuned,
-                    np.log(found[self._study.objective.metric]),
-                    found["overshoot"] - self._limit,
-                )
-                for tuned, trial in zip(self._tuned, self._of_boundary(), strict=True)
-                for found in (evaluation.outcome.metrics for evaluation in trial.evaluations)
-            ]
+        latest = OF_BOUNDARY + 1 if every else 1
         rows = [
             optuna.trial.create_trial(
                 params=tuned,
@@ -218,7 +218,7 @@ class Problem:
                 value=float(cost),
                 constraints={"overshoot": float(excess)},
             )
-            for tuned, cost, excess in data
+            for tuned, cost, excess in self._data(every)
         ]
         study.add_trials(rows[:-latest])
         pending = study.ask(distributions)
@@ -228,10 +228,11 @@ class Problem:
 
     def ready(self, contender: str) -> Callable[[], object]:
         """Make a contender ready to suggest."""
-        if contender == "BoTorch":
-            return self.botorch()
+        every = contender.endswith(EVERY)
+        if contender.startswith("BoTorch"):
+            return self.botorch(every)
         if contender.startswith("Optuna"):
-            return self.optuna(every=contender.endswith(EVERY))
+            return self.optuna(every)
         return self.ours(contender)
 
 

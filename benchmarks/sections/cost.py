@@ -15,6 +15,12 @@ LIVE_PARTS = {
 }
 """What `live_overhead.py` measures."""
 
+RIVALS = {"Optuna": 3.0, "BoTorch": 10.0}
+"""How many times the time of a proposal a rival's is to be, at least."""
+
+COMPARED_AT = "300"
+"""Trials at which it is to be."""
+
 
 def suggestion(result: Result) -> list[str]:
     """Time of a suggestion against other optimizers, and its growth."""
@@ -29,14 +35,28 @@ def suggestion(result: Result) -> list[str]:
         "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
         "that of `boundary` and of IV (median and range over the turns). The models of "
         "`boundary` have three evaluations of each trial as their data, those of the others "
-        "means and worst cases; Optuna is also given every evaluation as a trial of its own, "
+        "means and worst cases; they are also given every evaluation as a trial of its own, "
         "the data of `boundary`. Beyond a hundred trials, hyperparameters are fitted whenever "
         "the trials have grown by a tenth: the time is the mean over the trials between "
         "two fits. `benchmarks/suggestion_time.py` tells the set-up.",
         markdown(["trials", "optimizer", "to boundary", "to IV"], rows),
         f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
         f"the medians: {growth}.",
+        f"At {COMPARED_AT} trials a rival is to take at least so many times as long:",
+        markdown(["rival", "target", "boundary", "IV"], _targets(result["counts"][COMPARED_AT])),
     ]
+
+
+def _targets(entry: Result) -> list[list[str]]:
+    """Return for each rival, on means and on every evaluation, whether its target is met."""
+    rows = []
+    for contender, summary in entry["summary"].items():
+        target = RIVALS.get(contender.split(",")[0])
+        if target is not None:
+            ratios = [summary[f"median_to_{base}"] for base in ("boundary", "IV")]
+            said = [f"{k:.2f}: {'met' if k >= target else 'missed'}" for k in ratios]
+            rows.append([contender, f"{target:g}", *said])
+    return rows
 
 
 def _ratio(summary: Result, base: str) -> str:
