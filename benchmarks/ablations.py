@@ -55,7 +55,7 @@ class Variant:
 
     title: str
     changes: Sequence[Change] = ()
-    budget: Mapping[str, int] = field(default_factory=dict)
+    budget: Mapping[str, Any] = field(default_factory=dict)
     cases: Sequence[str] = ("mean",)
 
 

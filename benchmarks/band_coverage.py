@@ -19,6 +19,7 @@ those of the result were not.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from common import provenance, result_parser, table, write_result
@@ -76,10 +77,10 @@ class MetricBackend(SequentialBackend):
         return Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": peak})
 
 
-def study_of(metric: Response, limit: Mapping[str, object], seed: int, *, uniform: bool) -> Study:
+def study_of(metric: Response, limit: Mapping[str, Any], seed: int, *, uniform: bool) -> Study:
     """Return a study with a limit on the metric in every context."""
     node = {"node": "machine"}
-    context: dict[str, object] = node | {"distribution": "uniform", "bounds": [0.0, 1.0]}
+    context: dict[str, Any] = node | {"distribution": "uniform", "bounds": [0.0, 1.0]}
     if not uniform:
         context |= {"distribution": "truncated_normal", "mean": 0.5, "standard_deviation": SPREAD}
     study = study_from_mapping(
@@ -99,7 +100,7 @@ def study_of(metric: Response, limit: Mapping[str, object], seed: int, *, unifor
     return replace(study, seed=seed)
 
 
-def case(seed: int) -> dict[str, object]:
+def case(seed: int) -> dict[str, Any]:
     """Certify one random metric, and compare with its truth."""
     rng = np.random.default_rng((20_261_122, seed))
     metric = response(rng)
@@ -126,7 +127,7 @@ def case(seed: int) -> dict[str, object]:
         few = [*evidence.drawn[:FEW_DRAWS], *evidence.search[:FEW_SEARCHED]]
         (tolerance,) = context_tolerances(study, few)
         bands += _bands(FEW, tolerance, metric, limit)
-    result: dict[str, object] = {
+    result: dict[str, Any] = {
         "seed": seed,
         "kind": metric.kind,
         "contexts": metric.dimension,
@@ -156,7 +157,7 @@ def case(seed: int) -> dict[str, object]:
 
 def _bands(
     source: str, found: ContextTolerance, metric: Response, limit: float
-) -> list[dict[str, object]]:
+) -> list[dict[str, Any]]:
     """List the bands of a certificate, each with its truth."""
     nominal = np.full(metric.dimension, 0.5)
     names = list(found.worst_context)
@@ -205,9 +206,9 @@ def counted(held: int, count: int) -> dict[str, float | int]:
     return {"held": found.count, "of": found.runs, "low": found.low, "high": found.high}
 
 
-def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
+def summarize(cases: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Count how often each band and bound holds the truth."""
-    bands: dict[str, dict[str, object]] = {}
+    bands: dict[str, dict[str, Any]] = {}
     for source in (ALL, FEW):
         for name in (WORST, "nominal mean", "relief", "drift"):
             chosen = [
@@ -232,9 +233,9 @@ def summarize(cases: Sequence[Mapping[str, object]]) -> dict[str, object]:
             bounds[name] = counted(sum(b["truth"] <= b["bound"] for b in chosen), len(chosen))
     verdicts = {}
     for name, keeps in (("keeps", True), ("violates", False)):
-        chosen = [c["passed"] for c in cases if (c["margin"] > 0.0) is keeps]
-        if chosen:
-            verdicts[name] = counted(sum(chosen), len(chosen))
+        passed = [c["passed"] for c in cases if (c["margin"] > 0.0) is keeps]
+        if passed:
+            verdicts[name] = counted(sum(passed), len(passed))
     return {"bands": bands, "bounds": bounds, "passed": verdicts}
 
 

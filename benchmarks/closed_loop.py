@@ -58,7 +58,7 @@ def seconds(work: Callable[[], Any]) -> float:
 def evaluation(backend: Any, seed: int = 1) -> None:
     """Run one cut of the hand-tuned parameter set; a failed one ends the benchmark."""
     planned = Evaluation(0, 0, Stage.DRAWN, PARAMETERS, CONTEXT, seed)
-    outcome = evaluate(STUDY, backend, planned, NOBODY).outcome
+    outcome = evaluate(backend, planned, NOBODY).outcome
     if outcome.state is not EvaluationState.COMPLETE:
         raise SystemExit(f"error: a cut failed: {outcome.reason}")
 

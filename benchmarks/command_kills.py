@@ -24,6 +24,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import A_RESULT, provenance, result_parser, start_command, table, write_result
@@ -180,7 +181,7 @@ def life(folder: Path, study: Study, seconds: Mapping[str, float], number: int) 
     return found
 
 
-def soak(count: int, jobs: int, folder: Path) -> Iterator[dict[str, object]]:
+def soak(count: int, jobs: int, folder: Path) -> Iterator[dict[str, Any]]:
     """Kill at least so often, in so many runs side by side; gives the figures after each run."""
     study = short_study()
     whole = Run(folder / "whole", study)

@@ -35,7 +35,7 @@ def result_parser(documentation: str, result: str) -> argparse.ArgumentParser:
     return parser
 
 
-def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, object]:
+def provenance(packages: Sequence[str] = OTHER_PACKAGES) -> dict[str, Any]:
     """Tell when, on what and with which versions a result came about; call it at the start."""
     files = [Path(getattr(module, "__file__", None) or "") for module in list(sys.modules.values())]
     code = (*STARTED, *(path.stem for path in files if path.parent == BENCHMARKS))
@@ -99,7 +99,7 @@ def read_result(path: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
-def write_result(path: Path, result: Mapping[str, object]) -> None:
+def write_result(path: Path, result: Mapping[str, Any]) -> None:
     """Write a result file: indented JSON, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(result, indent=1, allow_nan=False) + "\n")

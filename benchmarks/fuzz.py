@@ -21,6 +21,7 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from common import BENCHMARKS, provenance, result_parser, table, write_result
 from hypothesis import HealthCheck, given, seed, settings
@@ -61,7 +62,7 @@ def by_hypothesis(count: int, folder: Path) -> dict[str, dict[str, float]]:
     size = (run / c.JOURNAL).stat().st_size
     scratch = folder / "journals"
     scratch.mkdir()
-    plans: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
+    plans: dict[str, tuple[Callable[..., object], dict[str, Any]]] = {
         "study text": (c.check_study, {"text": c.studies()}),
         "study bytes": (
             lambda data: c.check_study_bytes(data, c.below(folder)),
@@ -83,7 +84,7 @@ def by_hypothesis(count: int, folder: Path) -> dict[str, dict[str, float]]:
     return result
 
 
-def mutated_records(count: int, processes: int) -> dict[str, object]:
+def mutated_records(count: int, processes: int) -> dict[str, Any]:
     """Let all readers read mutated records; returns how many they answered and refused."""
     begin = time.perf_counter()
     shares = [range(k, count, processes) for k in range(processes)]
@@ -120,7 +121,7 @@ def _read_records(numbers: range) -> Counter[str]:
     return found
 
 
-def by_atheris(count: int) -> dict[str, object]:
+def by_atheris(count: int) -> dict[str, Any]:
     """Let atheris look for study files in a process of its own, which it never returns from."""
     with tempfile.TemporaryDirectory() as name:
         done = subprocess.run(

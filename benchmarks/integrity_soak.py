@@ -21,6 +21,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -62,7 +63,7 @@ class Stranger:
         self._node = Node("stranger", context=self._context, start_parameter_services=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._clients: dict[str, object] = {}
+        self._clients: dict[str, Any] = {}
 
     def names(self, node: str) -> list[str]:
         """All parameters of a node."""
@@ -88,7 +89,7 @@ class Stranger:
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def _call(self, kind: type, name: str, request: object) -> object:
+    def _call(self, kind: type, name: str, request: object) -> Any:
         client = self._clients.setdefault(name, None) or self._node.create_client(kind, name)
         self._clients[name] = client
         client.wait_for_service(DEADLINE)
@@ -102,7 +103,7 @@ class Stranger:
         raise SystemExit(f"error: {name} does not answer")
 
 
-def other_value(value: object, rng: np.random.Generator) -> object:
+def other_value(value: Any, rng: np.random.Generator) -> Any:
     """Another value of the same type, not far from this one."""
     if isinstance(value, bool):
         return not value
@@ -208,7 +209,7 @@ def short_study() -> Study:
     return study_from_mapping(mapping)
 
 
-def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
+def soak(changes: int, folder: Path, domain: int) -> dict[str, Any]:
     """Change parameters under a run, and look at its record."""
     study = short_study()
     backend = RosBackend(study, folder, attach=True, ros_arguments=ROS_ARGUMENTS)
@@ -231,7 +232,7 @@ def soak(changes: int, folder: Path, domain: int) -> dict[str, object]:
             stranger.join()
             changer.close()
     wrong = wrong_rows(study, read_journal(folder / "journal.sqlite").evaluations)
-    settings: Mapping[str, Mapping[str, object]] = {
+    settings: Mapping[str, Mapping[str, Any]] = {
         "milling_plant": asdict(plant_defaults()),
         "mpc_controller": asdict(controller_defaults()),
     }

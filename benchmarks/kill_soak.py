@@ -23,6 +23,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import A_RESULT, provenance, result_parser, start_command, table, write_result
@@ -80,6 +81,8 @@ class Tuner:
 
     def record(self) -> RunRecord:
         """Read the present run."""
+        if self._run is None:
+            raise SystemExit("error: no run has begun")
         return read_run(self._run)
 
     def whole_evaluations(self) -> int:
@@ -140,7 +143,7 @@ def missing(before: tuple, after: tuple) -> int:
     )
 
 
-def summary(times: list[float]) -> dict[str, object]:
+def summary(times: list[float]) -> dict[str, Any]:
     """All of them [s], their median and the longest."""
     if not times:
         return {"seconds": [], "median": None, "worst": None}
@@ -190,7 +193,7 @@ def main() -> None:
                 print(f"{number} {victim}: {until_next_evaluation[victim][-1]:.2f} s", flush=True)
         finally:
             tuner.stop()
-    result = {
+    result: dict[str, Any] = {
         "provenance": origin,
         "seed": SEED,
         "kills": dict(Counter(order)),

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import BENCHMARKS, check_end, events, start_tuning
@@ -86,7 +87,7 @@ def make_run(folder: Path, name: str, trials: int, more: int) -> Path:
     return run.path
 
 
-def finish_live(run: Path, trials: int) -> Mapping[str, object]:
+def finish_live(run: Path, trials: int) -> Mapping[str, Any]:
     """Finish a run with so many trials on record, and return how soon its live page shows what.
 
     Returns the seconds until the page is loaded, has the table of trials, and the answer, all since

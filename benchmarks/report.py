@@ -13,6 +13,7 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from common import provenance, result_parser, table, write_result
 from long_run import Chromium, finish_live, make_run
@@ -52,7 +53,7 @@ def open_page(page: Path) -> tuple[float, float, float]:
         return opened, drawn, thread
 
 
-def axe_findings(page: Path, axe: str) -> list[dict[str, object]]:
+def axe_findings(page: Path, axe: str) -> list[dict[str, Any]]:
     """List what axe-core finds, in light, dark and on a phone."""
     found = []
     with tempfile.TemporaryDirectory() as profile, Chromium(Path(profile)) as browser:

@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from common import opened, provenance, result_parser, table, write_result
@@ -60,7 +61,7 @@ def growth(evaluations: list[int], values: list[int]) -> dict[str, float]:
     }
 
 
-def run(evaluations: int, folder: Path) -> dict[str, object]:
+def run(evaluations: int, folder: Path) -> dict[str, Any]:
     """Run cuts and look at the processes meanwhile."""
     study = load_study("benchmark")
     space, contexts = study.search_space(), study.context_space()

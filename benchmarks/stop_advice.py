@@ -11,6 +11,7 @@ docs/performance.md.
 """
 
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 from common import opened, provenance, result_parser, table, write_result
@@ -29,7 +30,7 @@ PROBLEM = ClosedForm(parameters=2, contexts=1, noise=CONSTANT)
 TRIALS = 40
 
 
-def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str, object] | None:
+def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str, Any] | None:
     """Settle the answer from trials, and return its true cost and worst mean; None without one."""
     with opened(InProcessBackend(study)) as backend:
         found = choose_answer(study, backend, algorithm, trials)
@@ -45,7 +46,7 @@ def answer(study: Study, algorithm: Algorithm, trials: list[Trial]) -> dict[str,
     }
 
 
-def run(name: str, seed: int) -> dict[str, object]:
+def run(name: str, seed: int) -> dict[str, Any]:
     """Optimize once, and compare the answers with and without the advice."""
     study, algorithm = PROBLEM.study(), ALGORITHMS[name]
     study = replace(study, seed=seed, budget=replace(study.budget, trials=TRIALS))
@@ -55,7 +56,7 @@ def run(name: str, seed: int) -> dict[str, object]:
         for _ in tuning:
             advisor.consider(tuning.trials)
     whole = answer(study, algorithm, tuning.trials)
-    result: dict[str, object] = {"seed": seed, "algorithm": name, "whole": whole, "advice": None}
+    result: dict[str, Any] = {"seed": seed, "algorithm": name, "whole": whole, "advice": None}
     if advisor.advice is not None:
         stopped = answer(study, algorithm, tuning.trials[: advisor.advice.trials])
         result |= {"advice": asdict(advisor.advice), "stopped": stopped}
@@ -63,10 +64,10 @@ def run(name: str, seed: int) -> dict[str, object]:
     return result
 
 
-def summarize(runs: list[dict[str, object]]) -> dict[str, object]:
+def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     """Compare expected and realised gains over the runs with an advice."""
     advised = [r for r in runs if r.get("gain") is not None]
-    summary: dict[str, object] = {"runs": len(runs), "advised": len(advised)}
+    summary: dict[str, Any] = {"runs": len(runs), "advised": len(advised)}
     if not advised:
         return summary
     gains = np.array([r["gain"] for r in advised])

@@ -105,7 +105,7 @@ def make_trials(study: Study, count: int) -> list[Trial]:
                 seed = int(rng.integers(2**31))
                 stage = Stage.DRAWN if index < REPLICATES else Stage.SEARCH
                 planned = Evaluation(len(trials), index, stage, parameters, context, seed)
-                evaluations.append(evaluate(study, backend, planned, NOBODY))
+                evaluations.append(evaluate(backend, planned, NOBODY))
             if any(
                 evaluation.outcome.state is not EvaluationState.COMPLETE
                 for evaluation in evaluations

@@ -15,6 +15,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from common import (
     check_end,
@@ -67,9 +68,9 @@ def load(wanted: bool) -> Iterator[None]:
             burner.wait()
 
 
-def run(arguments: Sequence[str], loaded: tuple[bool, bool]) -> list[dict[str, object]]:
+def run(arguments: Sequence[str], loaded: tuple[bool, bool]) -> list[dict[str, Any]]:
     """Run a study, with a change of the load after a quarter of its trials; return its events."""
-    found: list[dict[str, object]] = []
+    found: list[dict[str, Any]] = []
     with contextlib.ExitStack() as now, start_tuning(*arguments) as process:
         now.enter_context(load(loaded[0]))
         total = 0
@@ -84,7 +85,7 @@ def run(arguments: Sequence[str], loaded: tuple[bool, bool]) -> list[dict[str, o
     return found
 
 
-def points(found: Sequence[dict[str, object]]) -> list[dict[str, object]]:
+def points(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return what was announced from a third of the run on, and what was left in truth [s]."""
     (total,) = (event["trials"] for event in found if event["event"] == "run")
     (end,) = (event["time"] for event in found if event["event"] == "result")
@@ -111,10 +112,10 @@ def main() -> None:
     arguments = parser.parse_args()
     about = provenance()
     chosen = [case for case in CASES if case.name in (arguments.cases or [c.name for c in CASES])]
-    result: dict[str, object] = {}
+    result: dict[str, Any] = {}
     rows = []
     for case in chosen:
-        runs = []
+        runs: list[dict[str, Any]] = []
         for seed in range(1, arguments.seeds + 1):
             before = os.getloadavg()[0]
             with tempfile.TemporaryDirectory() as folder:

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 from common import (
@@ -100,7 +101,7 @@ def first_trial(folder: Path) -> float:
     return elapsed
 
 
-def measured_study() -> Mapping[str, object]:
+def measured_study() -> Mapping[str, Any]:
     """Return the example's study with short runs, which also hear the counter."""
     mapping = dict(study_to_mapping(load_study(str(STUDY))))
     signals = {name: {"topic": f"/{name}", "field": "data"} for name in RATES}
@@ -115,7 +116,7 @@ def measured_study() -> Mapping[str, object]:
     return mapping
 
 
-def measure_runs(count: int, folder: Path) -> dict[str, object]:
+def measure_runs(count: int, folder: Path) -> dict[str, Any]:
     """Run the measured study; returns the overheads [s] and the counts of messages."""
     study = study_from_mapping(measured_study())
     defaults = study.search_space().defaults

@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from common import (
     check_end,
@@ -78,7 +79,7 @@ def processor_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / CLOCK_TICK
 
 
-def run(study: str, trials: int, seed: int, folder: Path, *, web: bool) -> dict[str, object]:
+def run(study: str, trials: int, seed: int, folder: Path, *, web: bool) -> dict[str, Any]:
     """Run a study; return its times, and the delays of the page's trials."""
     process = start_tuning(
         *("--backend", "inprocess", "--study", study, "--trials", str(trials)),
@@ -128,7 +129,7 @@ def main() -> None:
         pairs.append(pair)
         load.append(os.getloadavg()[0])
     rows = []
-    result: dict[str, object] = {
+    result: dict[str, Any] = {
         "provenance": about, "study": arguments.study, "trials": arguments.trials,
         "load_average": load, "pairs": pairs,
     }  # fmt: skip
