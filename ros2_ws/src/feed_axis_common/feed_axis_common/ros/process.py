@@ -1,6 +1,5 @@
 """The life of a node's process: start, spin, and a clean end on SIGINT and SIGTERM."""
 
-import faulthandler
 import os
 import signal
 import sys
@@ -17,6 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from feed_axis_common.errors import SettingsError
+from feed_axis_common.exit_deadline import exit_after
 from feed_axis_common.parameters import Specification
 from feed_axis_common.signals import STOP_SIGNALS
 
@@ -31,7 +31,6 @@ SPIN_PERIOD = 0.1
 """Longest time [s] from a signal to the end of the loop."""
 EXIT_TIMEOUT = 5.0
 """Time [s] that the middleware has to return from a spin, and again to shut down."""
-STDERR = 2
 
 
 def make_executor() -> Executor:
@@ -91,14 +90,13 @@ def run(make_node: Callable[[], Node], what: str, parameters: Sequence[Specifica
         for signum in STOP_SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
         # On rare occasions the middleware hangs in its shutdown.
-        deadline = _deadline()
+        exit_after(EXIT_TIMEOUT, 0 if stop else 1)
         executor.remove_node(node)
         # Before the node: what it has would else be destroyed within the executor, as that lets go
         # of it, where the middleware has been seen to hang.
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
-        deadline.cancel()
     return 0
 
 
@@ -115,23 +113,9 @@ def _watch_for_stop() -> None:
     def wait() -> None:
         while os.read(receiver, 1)[0] not in STOP_SIGNALS:
             pass
-        _deadline()
+        exit_after(EXIT_TIMEOUT, 0)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-def _deadline() -> threading.Timer:
-    """Start the time after which the process ends, unless that is canceled.
-
-    A timer of Python waits for the interpreter's lock, which rclpy holds while it destroys what
-    the node has. Where the middleware hangs in that, the process ends after twice the time with
-    code 1 and the place on stderr.
-    """
-    faulthandler.dump_traceback_later(2.0 * EXIT_TIMEOUT, exit=True, file=STDERR)
-    timer = threading.Timer(EXIT_TIMEOUT, os._exit, (0,))
-    timer.daemon = True
-    timer.start()
-    return timer
 
 
 def _answer_arguments(what: str, parameters: Sequence[Specification]) -> int | None:
