@@ -5,21 +5,12 @@ import contextlib
 import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bo_tuner.backends.factory import make_backend
-from bo_tuner.backends.protocol import Backend
-from bo_tuner.backends.recorded import RecordedEvaluations
-from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
-from bo_tuner.certificate.certification import (
-    DRAWS,
-    Certification,
-    Subject,
-    most_evaluations,
-)
 from bo_tuner.certificate.judgement import most_draws_needed
 from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
@@ -31,13 +22,12 @@ from bo_tuner.certificate.store import (
     shortfall,
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
-from bo_tuner.certificate.unfinished import Unfinished
+from bo_tuner.cli.certifier import Certifier
 from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     attached,
     guarded,
-    opened,
     read_result,
     recorded_backend,
     split_ros_arguments,
@@ -49,7 +39,6 @@ from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
-from bo_tuner.monitoring.monitor import Gate
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
 from bo_tuner.storage.parameter_file import from_yaml, node_values
@@ -58,9 +47,7 @@ from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
-from bo_tuner.text import counted
-from bo_tuner.trials import DEFAULT, TUNED, Trial
-from bo_tuner.tuning.observer import Observers, RunObserver
+from bo_tuner.trials import Trial
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
 
@@ -177,31 +164,30 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)
-        for candidate in _candidates(record, trial, most):
-            nodes = make_backend(
+        certifier = Certifier(
+            record,
+            folder,
+            partial(
+                make_backend,
                 backend,
                 record.study,
                 folder.log,
                 attach=attach,
                 ros_arguments=ros_arguments,
                 interrupted=interruption.check,
-            )
+            ),
+            confidence,
+            interruption,
+            console,
+            with_default=arguments.with_default,
+            more=most > 1,
+        )
+        for candidate in _candidates(record, trial, most):
             attempt = next_attempt(folder.path)
             draws = _draws(arguments, parser, record, confidence, attempt)
             try:
-                certificate, path = _certify(
-                    record,
-                    folder,
-                    candidate,
-                    nodes,
-                    draws,
-                    confidence,
-                    attempt,
-                    digest if candidate is trial else None,
-                    interruption,
-                    console,
-                    with_default=arguments.with_default,
-                    more=most > 1,
+                certificate, path = certifier.certify(
+                    candidate, draws, attempt, digest if candidate is trial else None
                 )
             except (RunError, OutputError) as error:
                 console.print(f"error: {error}; {again}", soft_wrap=True)
@@ -269,104 +255,6 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     ranked = rank(record.study, record.trials, ALGORITHMS[record.algorithm].models)
     others = [c.trial for c in ranked if c.believed_feasible and c.trial.number not in known]
     yield from others[: count - 1]
-
-
-def _certify(
-    record: RunRecord,
-    folder: RunFolder,
-    trial: Trial,
-    nodes: Backend,
-    draws: int,
-    confidence: float,
-    attempt: int,
-    best_sha256: str | None,
-    interruption: Interruption,
-    console: Console,
-    *,
-    with_default: bool,
-    more: bool,
-) -> tuple[Certificate, Path]:
-    """Run all evaluations of a trial's parameter set, and write its certificate."""
-    study = record.study
-    suspected = tuple(
-        trial.worst_cases[constraint.name].context
-        for constraint in study.worst_case_constraints
-        if constraint.name in trial.worst_cases
-    )
-    subjects = [Subject(TUNED, trial.parameters, suspected)]
-    if with_default:
-        subjects.insert(0, Subject(DEFAULT, study.search_space().defaults))
-    _tell_most(study, subjects, draws, console)
-    unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
-    if unfinished.evaluations:
-        done = len(unfinished.evaluations)
-        console.print(f"going on after {counted(done, 'evaluation')} of an interrupted certificate")
-    backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
-    try:
-        bar, observers = _Bar(console), Observers()
-        observers.add(unfinished)
-        observers.add(bar)
-        observers.add(Gate(interruption, observers))
-        certification = Certification(
-            study,
-            backend,
-            confidence=spent(confidence, attempt, len(subjects)),
-            attempt=attempt,
-            observer=observers,
-        )
-        with opened(backend, interruption, again=more), bar.progress:
-            found = certification.collect(subjects, draws)
-    finally:
-        unfinished.close()
-    evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
-    certificate = make_certificate(
-        record, trial, evidence, draws, confidence, attempt, nodes.name, best_sha256
-    )
-    folder.check()
-    path = write_certificate(folder.path, certificate, evidence)
-    unfinished.remove()
-    return certificate, path
-
-
-def _tell_most(study: Study, subjects: Sequence[Subject], draws: int, console: Console) -> None:
-    """Say how many evaluations it takes at most."""
-    most = most_evaluations(study, subjects, draws)
-    parts = [f"{most.drawn} draws"]
-    if most.searched:
-        parts.append(f"{most.searched} to search for the worst contexts")
-    if most.repeated:
-        parts.append(f"{most.repeated} in these")
-    console.print(
-        f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is clear",
-        soft_wrap=True,
-    )
-
-
-class _Bar(RunObserver):
-    """A bar for one phase after the other, or a line for each where there is no terminal."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self.progress = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
-
-    def begin(self, phase: str, total: int) -> None:
-        for task in self.progress.task_ids:
-            self.progress.remove_task(task)
-        self.progress.add_task(phase, total=total)
-        if self.progress.disable:
-            most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
-            self._console.print(f"{phase}: {most}", soft_wrap=True)
-
-    def advance(self) -> None:
-        for task in self.progress.task_ids:
-            self.progress.advance(task)
 
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:

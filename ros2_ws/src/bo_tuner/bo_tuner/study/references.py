@@ -12,13 +12,7 @@ from bo_tuner.study.building import under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import (
-    ContextVariable,
-    Objective,
-    ReportedMetric,
-    SeedParameter,
-    Trigger,
-)
+from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 

@@ -14,13 +14,7 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import (
-    ContextVariable,
-    Objective,
-    ReportedMetric,
-    SeedParameter,
-    Trigger,
-)
+from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
 from bo_tuner.study.references import (
     check_constraint,
     check_objectives,

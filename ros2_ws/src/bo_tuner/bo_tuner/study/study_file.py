@@ -16,13 +16,7 @@ from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import (
-    ContextVariable,
-    Objective,
-    ReportedMetric,
-    SeedParameter,
-    Trigger,
-)
+from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
 from bo_tuner.study.run import Run, build_run
 from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
 from bo_tuner.study.study import Study

@@ -1,0 +1,180 @@
+"""Makes the certificate of one parameter set of a run, and shows how far it is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from bo_tuner.backends.protocol import Backend
+from bo_tuner.backends.recorded import RecordedEvaluations
+from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
+from bo_tuner.certificate.certification import DRAWS, Certification, Subject, most_evaluations
+from bo_tuner.certificate.sequential import spent
+from bo_tuner.certificate.unfinished import Unfinished
+from bo_tuner.cli.common import opened
+from bo_tuner.interruption import Interruption
+from bo_tuner.monitoring.monitor import Gate
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.text import counted
+from bo_tuner.trials import DEFAULT, TUNED, Trial
+from bo_tuner.tuning.observer import Observers, RunObserver
+
+
+@dataclass(frozen=True)
+class Certifier:
+    """Certifies parameter sets of a run.
+
+    Attributes
+    ----------
+    record
+        Of the run.
+    folder
+        Of the run, open.
+    make_nodes
+        Makes the backend of one certificate.
+    confidence
+        Of all certificates of the run together.
+    interruption
+        Ends the evaluations.
+    console
+        Is told how far they are.
+    with_default
+        Whether the default is certified, too, in the same draws.
+    more
+        Whether another certificate may follow in this call.
+    """
+
+    record: RunRecord
+    folder: RunFolder
+    make_nodes: Callable[[], Backend]
+    confidence: float
+    interruption: Interruption
+    console: Console
+    with_default: bool
+    more: bool
+
+    def certify(
+        self, trial: Trial, draws: int, attempt: int, best_sha256: str | None
+    ) -> tuple[Certificate, Path]:
+        """Run all evaluations of a trial's parameter set, and write its certificate.
+
+        Parameters
+        ----------
+        trial
+            Of the run.
+        draws
+            Largest number of draws.
+        attempt
+            Number of the certificate in the run, from 1.
+        best_sha256
+            Digest of the parameter file, of the run's result only.
+
+        Returns
+        -------
+        Certificate, Path
+            And where it is.
+
+        Raises
+        ------
+        Interrupted
+            If the evaluations are; the next call goes on after them.
+        RunError, OutputError
+            If the nodes are lost or disturbed too often, or a file cannot be written.
+        """
+        study, folder = self.record.study, self.folder
+        subjects = self._subjects(trial)
+        self._tell_most(subjects, draws)
+        nodes = self.make_nodes()
+        unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
+        if unfinished.evaluations:
+            done = counted(len(unfinished.evaluations), "evaluation")
+            self.console.print(f"going on after {done} of an interrupted certificate")
+        backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
+        try:
+            bar, observers = _Bar(self.console), Observers()
+            observers.add(unfinished)
+            observers.add(bar)
+            observers.add(Gate(self.interruption, observers))
+            certification = Certification(
+                study,
+                backend,
+                confidence=spent(self.confidence, attempt, len(subjects)),
+                attempt=attempt,
+                observer=observers,
+            )
+            with opened(backend, self.interruption, again=self.more), bar.progress:
+                found = certification.collect(subjects, draws)
+        finally:
+            unfinished.close()
+        evidence = {subject.name: item for subject, item in zip(subjects, found, strict=True)}
+        certificate = make_certificate(
+            self.record,
+            trial,
+            evidence,
+            draws,
+            self.confidence,
+            attempt,
+            nodes.name,
+            best_sha256,
+        )
+        folder.check()
+        path = write_certificate(folder.path, certificate, evidence)
+        unfinished.remove()
+        return certificate, path
+
+    def _subjects(self, trial: Trial) -> list[Subject]:
+        """Return the parameter sets to certify, with the worst contexts that the run has found."""
+        study = self.record.study
+        suspected = tuple(
+            trial.worst_cases[constraint.name].context
+            for constraint in study.worst_case_constraints
+            if constraint.name in trial.worst_cases
+        )
+        tuned = Subject(TUNED, trial.parameters, suspected)
+        if self.with_default:
+            return [Subject(DEFAULT, study.search_space().defaults), tuned]
+        return [tuned]
+
+    def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
+        """Say how many evaluations it takes at most."""
+        most = most_evaluations(self.record.study, subjects, draws)
+        parts = [f"{most.drawn} draws"]
+        if most.searched:
+            parts.append(f"{most.searched} to search for the worst contexts")
+        if most.repeated:
+            parts.append(f"{most.repeated} in these")
+        self.console.print(
+            f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
+            "clear",
+            soft_wrap=True,
+        )
+
+
+class _Bar(RunObserver):
+    """A bar for one phase after the other, or a line for each where there is no terminal."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self.progress = Progress(
+            TextColumn("[bold]{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+        )
+
+    def begin(self, phase: str, total: int) -> None:
+        for task in self.progress.task_ids:
+            self.progress.remove_task(task)
+        self.progress.add_task(phase, total=total)
+        if self.progress.disable:
+            most = f"at most {total}" if phase == DRAWS else f"up to about {total} evaluations"
+            self._console.print(f"{phase}: {most}", soft_wrap=True)
+
+    def advance(self) -> None:
+        for task in self.progress.task_ids:
+            self.progress.advance(task)
