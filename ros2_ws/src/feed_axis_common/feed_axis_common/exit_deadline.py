@@ -41,22 +41,14 @@ def exit_after(seconds: float, code: int) -> None:
         From now on.
     code
         Exit code.
-
-    Raises
-    ------
-    OSError
-        If the system has no timer left.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
+    libc = ctypes.CDLL(None)
     event = _Event(
-        value=code,
-        notify=SIGEV_THREAD,
-        function=ctypes.cast(libc._exit, ctypes.c_void_p),
+        value=code, notify=SIGEV_THREAD, function=ctypes.cast(libc._exit, ctypes.c_void_p)
     )
     timer = ctypes.c_void_p()
-    whole, rest = divmod(seconds, 1.0)
-    times = _Times(first=int(whole), first_nanoseconds=int(rest * 1e9))
-    if libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) or (
+    # Where the system has no timer left, the process is to end as well as it can without.
+    if libc.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) == 0:
+        whole, rest = divmod(seconds, 1.0)
+        times = _Times(first=int(whole), first_nanoseconds=int(rest * 1e9))
         libc.timer_settime(timer, 0, ctypes.byref(times), None)
-    ):
-        raise OSError(ctypes.get_errno(), "cannot set a timer")
