@@ -31,7 +31,7 @@ def suggestion(result: Result) -> list[str]:
     ]
     counts = list(result["counts"])
     growth = "; ".join(f"{name} as trials^{k:.2f}" for name, k in result["growth"].items())
-    return [
+    text = [
         "A whole proposal on the same data, one thread, in turn in one process, as a ratio to "
         "that of `boundary` and of IV (median and range over the turns). The models of "
         "`boundary` have three evaluations of each trial as their data, those of the others "
@@ -42,9 +42,14 @@ def suggestion(result: Result) -> list[str]:
         markdown(["trials", "optimizer", "to boundary", "to IV"], rows),
         f"From {counts[0]} to {counts[-1]} trials the time of a proposal grows, by a fit of "
         f"the medians: {growth}.",
-        f"At {COMPARED_AT} trials a rival is to take at least so many times as long:",
-        markdown(["rival", "target", "boundary", "IV"], _targets(result["counts"][COMPARED_AT])),
     ]
+    if COMPARED_AT in result["counts"]:
+        targets = _targets(result["counts"][COMPARED_AT])
+        text += [
+            f"At {COMPARED_AT} trials a rival is to take at least so many times as long:",
+            markdown(["rival", "target", "boundary", "IV"], targets),
+        ]
+    return text
 
 
 def _targets(entry: Result) -> list[list[str]]:

@@ -176,8 +176,6 @@ class RosBackend(SequentialBackend):
                 self._previous.undo_killed(found)
             own, others = divide(self._study, found)
             safe = safe_parameters(self._study)
-            safe_state = SafeState(tuner, client, safe, self._suspension)
-            self._safe_state = safe_state
             if self._previous is not None:
                 self._previous.begin(own, safe)
                 self._left = left_parked(self._restored, own)
@@ -185,7 +183,6 @@ class RosBackend(SequentialBackend):
             initial.set_constants()
             constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
             self._held = {key: found[key] | dict(constants[key]) for key in found}
-            safe_state.held = self._held
             is_first = compare_with_earlier(
                 self._run_log or self._log_directory,
                 others,
@@ -200,7 +197,9 @@ class RosBackend(SequentialBackend):
                 initial.set_safe(safe)
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
-                safe_state.procedure = self._procedure
+            self._safe_state = SafeState(
+                tuner, client, safe, self._held, self._procedure, self._suspension
+            )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss

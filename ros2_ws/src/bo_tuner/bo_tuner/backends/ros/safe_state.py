@@ -18,32 +18,35 @@ class SafeState:
         Sets the parameters.
     parameters
         By node key the safe parameters.
+    held
+        By node key all that the node must have besides.
+    procedure
+        Runs of the study. Of a study without one nothing is to be stopped: its nodes end an
+        evaluation themselves.
     suspension
         Watched while the machine is stopped, which no interruption ends.
-
-    Attributes
-    ----------
-    held : dict
-        By node key all that the node must have besides; empty while that is not known.
-    procedure : Procedure or None
-        Runs of the study; None as long as none can be under way. Of a study without a run nothing
-        is to be stopped: its nodes end an evaluation themselves.
     """
 
     def __init__(
-        self, tuner: TunerNode, client: StudyClient, parameters: Values, suspension: Suspension
+        self,
+        tuner: TunerNode,
+        client: StudyClient,
+        parameters: Values,
+        held: Values,
+        procedure: Procedure | None,
+        suspension: Suspension,
     ) -> None:
         self._tuner = tuner
         self._client = client
         self._parameters = parameters
+        self._held = held
+        self._procedure = procedure
         self._suspension = suspension
         self._unfinished: list[str] = []
-        self.held: Values = {}
-        self.procedure: Procedure | None = None
 
     def park(self) -> list[str]:
         """Set the safe parameters on all nodes and read them back; returns what went wrong."""
-        return self._client.park(self._parameters, self.held)
+        return self._client.park(self._parameters, self._held)
 
     def park_after_run(self) -> None:
         """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
@@ -54,18 +57,18 @@ class SafeState:
 
         What else was not possible is for `take_unfinished`.
         """
-        if self.procedure is None:
+        if self._procedure is None:
             return []
         with self._tuner.watched_by(self._suspension.look):
-            self.procedure.request_cancel()
+            self._procedure.request_cancel()
             problems = self.park()
-            self._unfinished += self.procedure.leave()
+            self._unfinished += self._procedure.leave()
             # A node may refuse parameters while it executes a goal.
             return problems and self.park()
 
     def recover(self) -> list[str]:
         """Leave the machine safe, and home, after a run that failed; returns what went wrong."""
-        if self.procedure is None:
+        if self._procedure is None:
             return self.park()
         # With the parameters of the trial the machine does not drive home.
         if problems := self.stop():
@@ -73,7 +76,7 @@ class SafeState:
         # Nor do two at once, of which one may not be parked.
         if twins := self._client.presence.twins(LONGEST_LEASE):
             return [f"not recovered: {twins}"]
-        problems = self.procedure.recover()
+        problems = self._procedure.recover()
         return problems and problems + self.stop()
 
     def take_unfinished(self) -> list[str]:
