@@ -10,7 +10,7 @@ from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.base import ACQUISITION
 from bo_tuner.tuning.loop import Tuning
-from bo_tuner.worst_case.search import ReinterpolationSearch
+from bo_tuner.worst_case.reinterpolation_search import ReinterpolationSearch
 
 
 def valley(gain, load, seed):

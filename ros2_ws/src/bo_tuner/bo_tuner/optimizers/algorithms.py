@@ -16,12 +16,12 @@ from bo_tuner.optimizers.random_search import RandomSearch
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
+from bo_tuner.worst_case.constraint_searches import ConstraintSearch, WorstCaseSearches
 from bo_tuner.worst_case.contexts import worst_contexts_nearby
 from bo_tuner.worst_case.joint_search import JointSearch
 from bo_tuner.worst_case.pooled_search import PooledSearch
 from bo_tuner.worst_case.protocol import WorstCaseSearch
-from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
-from bo_tuner.worst_case.searches import ConstraintSearch, WorstCaseSearches
+from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
 
 
 @dataclass(frozen=True)

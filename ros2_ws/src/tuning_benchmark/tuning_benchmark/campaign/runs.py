@@ -19,7 +19,7 @@ from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluation
 from bo_tuner.tuning.settling import before_repetitions, part_of_trials, with_known_repetitions
 from bo_tuner.tuning.summary import choose_answer
 from bo_tuner.tuning.validation import validate
-from bo_tuner.worst_case.search import OBSERVED
+from bo_tuner.worst_case.reinterpolation_search import OBSERVED
 from tuning_benchmark.campaign.own_contexts import OwnContextsRun
 from tuning_benchmark.campaign.timed_backend import TimedBackend
 from tuning_benchmark.experiments import plugins

@@ -11,7 +11,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from bo_tuner.worst_case.search import OBSERVED, POSTERIOR
+from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR
 from tuning_benchmark.experiments.optima import Optimum, optimum_of
 
 RANDOM, WORST_CASE, OWN = "random", "worst_case", "own"

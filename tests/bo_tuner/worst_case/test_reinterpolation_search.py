@@ -7,7 +7,7 @@ from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.distributions import Discrete, TruncatedNormal, Uniform
 from bo_tuner.trials import WorstCase
 from bo_tuner.worst_case.contexts import worst_contexts_nearby
-from bo_tuner.worst_case.search import OBSERVED, POSTERIOR, ReinterpolationSearch
+from bo_tuner.worst_case.reinterpolation_search import OBSERVED, POSTERIOR, ReinterpolationSearch
 
 LOAD = TruncatedNormal(mean=1.0, standard_deviation=0.2, bounds=(0.7, 1.3))
 DRAWN = 5
