@@ -11,11 +11,12 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
-from bo_tuner.backends.ros.conditions import known, latest, sampled
+from bo_tuner.backends.ros.conditions import latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
+from bo_tuner.backends.ros.run_watch import RunWatch
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
@@ -26,7 +27,6 @@ from bo_tuner.metrics.recording import (
     FailedRunError,
     Recording,
 )
-from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
 from bo_tuner.study.run import AFTER, SIM, Run
@@ -34,8 +34,6 @@ from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
 
-OVERLAP = 0.5
-"""Time [s] of a run that a condition is judged on again, for messages that come in late."""
 DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
 ACKNOWLEDGED = 1
@@ -85,17 +83,17 @@ class Procedure:
         self._recorder = SignalRecorder(tuner.context, study.signals)
         self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
-        self._abort = self._condition(run.abort_when)
-        self._end = self._condition(run.end.when)
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
         self._publishers: dict[str, Publisher] = {}
         self._started: list[Goal] = []
         self._is_recording = False
         self._due: list[int] = []
-        self._judged = 0.0
         try:
             self._connect()
+            self._watch = RunWatch(
+                run, study.signals, tuner, self._recorder, self._clock, self._started
+            )
         except BaseException:
             self.close()
             raise
@@ -104,7 +102,7 @@ class Procedure:
         """Raise `LostError` if a goal of an earlier run does not end; it is waited for."""
         problems = self._cancel()
         # One that is not accepted yet is cancelled should it be, but does not block all runs.
-        self._started = [goal for goal in self._started if goal.is_active]
+        self._started[:] = [goal for goal in self._started if goal.is_active]
         if problems:
             raise LostError("; ".join(problems))
 
@@ -159,8 +157,7 @@ class Procedure:
 
     def expect_publishers(self) -> None:
         """Raise `LostError` if nothing publishes a signal any more."""
-        if unpublished := self._recorder.unpublished:
-            raise LostError(unpublished)
+        self._watch.expect_publishers()
 
     def request_cancel(self) -> None:
         """Ask for the end of the goals that are active, and do not wait for it."""
@@ -210,107 +207,17 @@ class Procedure:
         self._recorder.close()
 
     def _record(self) -> Recording:
-        run = self._run
         self._clock.begin()
         self._recorder.begin()
-        self._judged = 0.0
+        self._watch.begin()
         self._is_recording = True
         try:
             self._perform("start")
-            if run.end.after is not None:
-                self._watch_until(run.end.after)
-                return self._recorder.recording(run.end.after)
-            ended = self._watch_until(run.timeout, ends=True)
-            if ended is not None:
-                return self._recorder.recording(ended)
-            missing = f"{checks.quoted(run.end.when)} does not hold"
-            if run.end.result:
-                names = [goal.name for goal in self._started if goal.is_active]
-                missing = f"{' and '.join(names)} has no result"
-            raise FailedRunError(f"the run does not end: {missing} within {run.timeout:g} s")
+            return self._recorder.recording(self._watch.wait_for_end())
         finally:
             self._is_recording = False
             self._recorder.end()
             self._clock.end()
-
-    def _watch_until(
-        self, end: float, ends: bool = False, held: Callable[[], bool] | None = None
-    ) -> float | None:
-        """Look on until `end` [s], or until `held`.
-
-        With `ends`, return when before it the run came to its own end.
-        """
-        begin = self._now
-        while True:
-            since = max(self._judged - OVERLAP, 0.0)
-            now = self._judge(end)
-            ended = None
-            if ends:
-                ended = self._ended(max(since, begin), min(now, end))
-            if ended is not None or now >= end or (held is not None and held()):
-                return ended
-            self._tuner.spin_once(min(POLL_PERIOD, end - now))
-
-    def _judge(self, end: float = np.inf) -> float:
-        """See whether the run may go on, which ends at `end` [s] at the latest; returns the time.
-
-        Raises
-        ------
-        FailedRunError
-            If it is to be aborted, a goal has failed, or the signals will not be whole.
-        LostError
-            If the server of a goal, or the publisher of a signal, is gone.
-        DisturbedError
-            If the stamps of a signal do not go on.
-        """
-        now = self._now
-        self._recorder.poll()
-        seen = min(now, end)
-        since = max(self._judged - OVERLAP, 0.0)
-        # Whatever its stamp, a message that is here tells how the machine was.
-        aborted = self._holds(self._abort, since, max(seen, self._recorder.latest))
-        if aborted is None and self._holds_late(self._abort, now):
-            aborted = now
-        if aborted is not None:
-            raise FailedRunError(
-                f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
-            )
-        if stale := self._recorder.stale:
-            # Two clocks may be behind them.
-            raise DisturbedError(self._recorder.mixed or stale)
-        self.expect_publishers()
-        self._recorder.recording(seen, since).check_latest(self._study.signals, OVERLAP)
-        for goal in self._started:
-            goal.check()
-        self._judged = seen
-        return now
-
-    def _ended(self, since: float, now: float) -> float | None:
-        """Return when [s] the run came to its end, if it did."""
-        if not self._run.end.result:
-            return self._holds(self._end, since, now)
-        return None if any(goal.is_active for goal in self._started) else now
-
-    @property
-    def _now(self) -> float:
-        """Time since the start of the run [s]."""
-        self._clock.look()
-        return self._recorder.seconds
-
-    def _holds(self, condition: Expression | None, since: float, now: float) -> float | None:
-        """Return the first time [s] from `since` on at which a condition holds, if there is one."""
-        if condition is None:
-            return None
-        times, values = sampled(condition, self._recorder.recording(now, since))
-        held = np.flatnonzero(known(values) & (times >= since))
-        return float(times[held[0]]) if len(held) else None
-
-    def _holds_late(self, condition: Expression | None, now: float) -> bool:
-        """Whether a condition holds by what came last, of late messages by each since the last."""
-        if condition is None:
-            return False
-        found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
-        return any(bool(known(values).any()) for values in found)
 
     @property
     def _all_after(self) -> list[int]:
@@ -355,7 +262,7 @@ class Procedure:
         elif step.restart and self._restart is not None:
             self._restart(step.restart)
         else:
-            judged = self._tuner.also_watched_by(self._judge)
+            judged = self._tuner.also_watched_by(self._watch.judge)
             with judged if self._is_recording else contextlib.nullcontext():
                 if path in self._goals:
                     self._send(self._goals[path])
@@ -375,7 +282,7 @@ class Procedure:
 
     def _wait(self, period: float, poll: Callable[[], object]) -> None:
         if self._is_recording:
-            self._watch_until(self._now + period)
+            self._watch.wait(period)
             return
         watch = Stopwatch(self._clock)
         while (left := period - watch.seconds) > 0.0:
@@ -408,7 +315,7 @@ class Procedure:
             return len(times) > 0 and bool(np.all(np.nan_to_num(values[first:]) != 0.0))
 
         if self._is_recording:
-            self._watch_until(began + wait.timeout, held=held)
+            self._watch.wait_until(began + wait.timeout, held)
         else:
             poll = self._poll(path)
             while not held() and watch.seconds <= wait.timeout:
@@ -426,9 +333,6 @@ class Procedure:
         """Cancel the goals that are active; returns what went wrong."""
         self.request_cancel()
         return [problem for goal in self._started if (problem := goal.cancel())]
-
-    def _condition(self, text: str) -> Expression | None:
-        return expression(text, self._study.signals) if text else None
 
     def _connect(self) -> None:
         wait = partial(self._tuner.wait_until, timeout=CONNECT_TIMEOUT)

@@ -1,0 +1,179 @@
+"""Watches a run as it is recorded: whether it may go on, and when it has come to its end."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from bo_tuner.backends.ros.clock import RunClock
+from bo_tuner.backends.ros.conditions import known, sampled
+from bo_tuner.backends.ros.errors import DisturbedError, LostError
+from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.signals import SignalRecorder
+from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.study import checks
+from bo_tuner.study.run import Run
+from bo_tuner.study.signals import TIME, Signal, expression
+
+OVERLAP = 0.5
+"""Time [s] of a run that a condition is judged on again, for messages that come in late."""
+
+
+class RunWatch:
+    """Judges the run in progress by its signals, its goals and the clock.
+
+    Parameters
+    ----------
+    run
+        What makes up a run: when it is to be aborted, and when it ends.
+    signals
+        The study's signals by name.
+    tuner
+        The tuner's node.
+    recorder
+        Hears the signals.
+    clock
+        The clock of the run.
+    goals
+        Goals sent in runs; others may be sent while this looks on.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        signals: Mapping[str, Signal],
+        tuner: TunerNode,
+        recorder: SignalRecorder,
+        clock: RunClock,
+        goals: Sequence[Goal],
+    ) -> None:
+        self._run = run
+        self._signals = signals
+        self._tuner = tuner
+        self._recorder = recorder
+        self._clock = clock
+        self._goals = goals
+        self._abort = expression(run.abort_when, signals) if run.abort_when else None
+        self._end = expression(run.end.when, signals) if run.end.when else None
+        self._judged = 0.0
+
+    def begin(self) -> None:
+        """Start a run, with the recorder."""
+        self._judged = 0.0
+
+    def expect_publishers(self) -> None:
+        """Raise `LostError` if nothing publishes a signal any more."""
+        if unpublished := self._recorder.unpublished:
+            raise LostError(unpublished)
+
+    def wait(self, period: float) -> None:
+        """Look on for a time [s]; raises as `judge`."""
+        self.wait_until(self._now + period)
+
+    def wait_until(self, end: float, held: Callable[[], bool] = lambda: False) -> None:
+        """Look on until `end` [s], or until `held`; raises as `judge`."""
+        while (now := self.judge(end)) < end and not held():
+            self._tuner.spin_once(min(POLL_PERIOD, end - now))
+
+    def wait_for_end(self) -> float:
+        """Look on until the run comes to its end; raises as `judge`.
+
+        Returns
+        -------
+        float
+            The time of its end [s].
+
+        Raises
+        ------
+        FailedRunError
+            If it does not end in time.
+        """
+        end = self._run.end
+        if end.after is not None:
+            self.wait_until(end.after)
+            return end.after
+        begin, timeout = self._now, self._run.timeout
+        while True:
+            since = self._since
+            now = self.judge(timeout)
+            ended = self._ended(max(since, begin), min(now, timeout))
+            if ended is not None:
+                return ended
+            if now >= timeout:
+                raise FailedRunError(f"the run does not end: {self._missing} within {timeout:g} s")
+            self._tuner.spin_once(min(POLL_PERIOD, timeout - now))
+
+    def judge(self, end: float = np.inf) -> float:
+        """See whether the run may go on, which ends at `end` [s] at the latest; returns the time.
+
+        Raises
+        ------
+        FailedRunError
+            If it is to be aborted, a goal has failed, or the signals will not be whole.
+        LostError
+            If the server of a goal, or the publisher of a signal, is gone, or the clock stands
+            still.
+        DisturbedError
+            If the clock was set, or the stamps of a signal do not go on.
+        """
+        now = self._now
+        self._recorder.poll()
+        seen = min(now, end)
+        since = self._since
+        # Whatever its stamp, a message that is here tells how the machine was.
+        aborted = self._holds(self._abort, since, max(seen, self._recorder.latest))
+        if aborted is None and self._holds_late(self._abort, now):
+            aborted = now
+        if aborted is not None:
+            raise FailedRunError(
+                f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
+            )
+        if stale := self._recorder.stale:
+            # Two clocks may be behind them.
+            raise DisturbedError(self._recorder.mixed or stale)
+        self.expect_publishers()
+        self._recorder.recording(seen, since).check_latest(self._signals, OVERLAP)
+        for goal in self._goals:
+            goal.check()
+        self._judged = seen
+        return now
+
+    @property
+    def _since(self) -> float:
+        """Time [s] from which on messages are judged."""
+        return max(self._judged - OVERLAP, 0.0)
+
+    @property
+    def _now(self) -> float:
+        """Time since the start of the run [s]."""
+        self._clock.look()
+        return self._recorder.seconds
+
+    @property
+    def _missing(self) -> str:
+        if not self._run.end.result:
+            return f"{checks.quoted(self._run.end.when)} does not hold"
+        names = [goal.name for goal in self._goals if goal.is_active]
+        return f"{' and '.join(names)} has no result"
+
+    def _ended(self, since: float, now: float) -> float | None:
+        """Return when [s] the run came to its end, if it did."""
+        if not self._run.end.result:
+            return self._holds(self._end, since, now)
+        return None if any(goal.is_active for goal in self._goals) else now
+
+    def _holds(self, condition: Expression | None, since: float, now: float) -> float | None:
+        """Return the first time [s] from `since` on at which a condition holds, if there is one."""
+        if condition is None:
+            return None
+        times, values = sampled(condition, self._recorder.recording(now, since))
+        held = np.flatnonzero(known(values) & (times >= since))
+        return float(times[held[0]]) if len(held) else None
+
+    def _holds_late(self, condition: Expression | None, now: float) -> bool:
+        """Whether a condition holds by what came last, of late messages by each since the last."""
+        if condition is None:
+            return False
+        found = [condition(values | {TIME: now}) for values in self._recorder.take_late()]
+        return any(bool(known(values).any()) for values in found)
