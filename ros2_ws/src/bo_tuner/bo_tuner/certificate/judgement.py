@@ -263,51 +263,56 @@ def _worst_case(
         failed = text.counted(failures, "evaluation")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
     passed = all(w.shown for w in worst)
-    on_mean = constraint.statistic == EXPECTATION
-    # The context with the largest mean need not have the largest bound.
-    top = max(
-        worst,
-        key=lambda w: (
-            constraint.sign * _mean_bound(constraint, w) if on_mean else w.violation_bound
-        ),
-    )
-    context = text.values(top.context)
-    which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
-    where = f"in {which} ({context}) " if context else ""
-    says = "at most" if passed else "may be"
-    if on_mean and refuting and not np.isfinite(_mean_bound(constraint, top)):
-        # It ends the evaluations before the bound of a mean has its runs.
-        by = refuting[0]
-        inside = text.values(by.context)
-        limit = f"limit {constraint.limit:g} {unit}".rstrip()
-        mean = text.shown_beside(by.mean.value, constraint.limit)
-        return False, (
-            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is {mean}, {limit}: "
-            f"{by.evaluations} evaluations show that it is not kept"
-        )
-    if on_mean and not np.isfinite(_mean_bound(constraint, top)):
-        return passed, (
-            f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
-        )
-    if on_mean and not passed and not constraint.violations(_mean_bound(constraint, top)):
-        return False, (
-            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts say too "
-            "little about the noise to show that the mean over it is within the limit"
-        )
-    if on_mean:
-        if passed and constraint.sign < 0.0:
-            says = "at least"
-        return passed, (
-            f"mean over noise {where}{says} "
-            f"{text.shown_beside(_mean_bound(constraint, top), constraint.limit)}, "
-            f"limit {constraint.limit:g} {unit}".rstrip()
-        )
+    if constraint.statistic == EXPECTATION:
+        return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
+    top = max(worst, key=lambda w: w.violation_bound)
     return passed, (
-        f"{where}{top.beyond} of {top.evaluations} runs violate the limit: "
-        f"violation probability {says} "
+        f"{_place(top, worst)}{top.beyond} of {top.evaluations} runs violate the limit: "
+        f"violation probability {'at most' if passed else 'may be'} "
         f"{text.shown_beside(top.violation_bound, constraint.allowed)}, "
         f"allowed {constraint.allowed:.4g}"
     )
+
+
+def _said_of_mean(
+    constraint: Constraint,
+    worst: Sequence[WorstContext],
+    unit: str,
+    refuting: Sequence[WorstContext],
+    passed: bool,
+) -> str:
+    limit = f"limit {constraint.limit:g} {unit}".rstrip()
+    # The context with the largest mean need not have the largest bound.
+    top = max(worst, key=lambda w: constraint.sign * _mean_bound(constraint, w))
+    bound = _mean_bound(constraint, top)
+    if refuting and not np.isfinite(bound):
+        # It ends the evaluations before the bound of a mean has its runs.
+        by = refuting[0]
+        inside = text.values(by.context)
+        return (
+            f"mean over noise {f'in a context ({inside}) ' if inside else ''}is "
+            f"{text.shown_beside(by.mean.value, constraint.limit)}, {limit}: "
+            f"{by.evaluations} evaluations show that it is not kept"
+        )
+    where = _place(top, worst)
+    if not np.isfinite(bound):
+        return f"{top.evaluations} evaluations {where}are too few to bound the mean over noise"
+    if not passed and not constraint.violations(bound):
+        return (
+            f"{sum(w.evaluations for w in worst)} evaluations in the worst contexts say too "
+            "little about the noise to show that the mean over it is within the limit"
+        )
+    says = "may be"
+    if passed:
+        says = "at most" if constraint.sign > 0.0 else "at least"
+    return f"mean over noise {where}{says} {text.shown_beside(bound, constraint.limit)}, {limit}"
+
+
+def _place(top: WorstContext, worst: Sequence[WorstContext]) -> str:
+    """Name a context among the worst ones, with a space at its end; empty if there is but one."""
+    context = text.values(top.context)
+    which = "the worst context" if top is worst[0] else "the least certain of the worst contexts"
+    return f"in {which} ({context}) " if context else ""
 
 
 def _mean_bound(constraint: Constraint, worst: WorstContext) -> float:
