@@ -87,3 +87,9 @@ def certify(run, default, tuned, *, with_default=True, repeated=2):
     certificate = make_certificate(run, trial, evidence, len(tuned), 0.95, 1, "inprocess", None)
     write_certificate(run.path, certificate, evidence)
     return certificate
+
+
+def default_trial(run):
+    """The trial of the parameters' defaults."""
+    defaults = run.study.search_space().defaults
+    return next(trial for trial in run.trials if dict(trial.parameters) == defaults)

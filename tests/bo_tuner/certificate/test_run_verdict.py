@@ -1,0 +1,295 @@
+"""The verdict on the result of a run, from its validation or from a certificate."""
+
+import dataclasses
+import json
+import shutil
+from math import isnan
+
+import pytest
+from judged_runs import certify, default_trial, evaluations, made
+
+from bo_tuner.certificate.certificate import make_certificate, write_certificate
+from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.run_verdict import certified, run_verdict
+from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
+from bo_tuner.tuning.limits import WITHIN
+from bo_tuner.tuning.limits import verdict as verdict_of
+from bo_tuner.verdict.differences import Change
+from bo_tuner.verdict.next_steps import next_steps
+from bo_tuner.verdict.validated import fresh_draws, is_default
+from bo_tuner.verdict.verdict import FAIL, PASS, State, Status
+
+
+def test_apply_is_no_next_step_where_it_refuses(run, monkeypatch):
+    certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
+    path = run.path / "certificates" / "0001.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"verdict": PASS}))
+    with monkeypatch.context() as patch:
+        patch.setattr("bo_tuner.certificate.run_verdict.certificate_problem", lambda *_: "")
+        commands = [step.command for step in next_steps(run_verdict(run), "run")]
+        assert commands[0] == "apply run"
+    # 40 draws are fewer than the study asks for.
+    verdict = run_verdict(run)
+    assert verdict.certificate == PASS
+    assert "the study requires" in verdict.remarks[-1]
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert commands[0] == "validate run"
+    assert not any(command.startswith("apply") for command in commands)
+
+
+@pytest.mark.parametrize("certificate", [None, "tuned", "both"])
+def test_a_better_default_is_preferred(run, certificate):
+    """The error is the objective; the peak is lower, and kept by both."""
+    draws = [[(error + 0.01 * k, peak - 0.001 * k) for k in range(40)]
+             for error, peak in ((1.0, 0.6), (2.0, 0.5))]  # fmt: skip
+    run = made(run, *draws, True)
+    if certificate:
+        certify(run, *draws, with_default=certificate == "both", repeated=40)
+    verdict = run_verdict(run)
+    assert verdict.feasible
+    assert verdict.default_keeps
+    assert verdict.status is Status.WARNING
+    told = "By the objective the default is the better choice"
+    if certificate == "both":
+        assert f"{told}." in verdict.sentences
+    else:
+        assert f"{told}, unless it breaks a limit: validate --with-default checks this." in (
+            verdict.sentences
+        )
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert not any(command.startswith("apply") for command in commands)
+    assert ("validate run --with-default" in commands) == (certificate != "both")
+
+
+def test_a_worse_objective_is_the_price_of_a_limit_that_holds(tuned):
+    run = made(tuned, [(1.0 + 0.01 * k, 1.5) for k in range(8)], [(2.0, 0.5)] * 8, True)
+    verdict = run_verdict(run)
+    assert not verdict.default_keeps
+    assert verdict.status is Status.GOOD
+    assert not any("better choice" in sentence for sentence in verdict.sentences)
+
+
+@pytest.mark.parametrize("stage", [Stage.NOMINAL, Stage.SEARCH])
+def test_without_a_search_no_draw_may_exceed_a_worst_case_limit(tuned, stage):
+    """On the mean in every context; one of 8 draws exceeds it, for default and tuned alike."""
+    trial = tuned.trials[tuned.summary["trial"]]
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, draws, True)
+    own = [e for e in run.evaluations if dict(e.parameters) == dict(trial.parameters)]
+    others = [e for e in run.evaluations if e not in own]
+    own = [e if e.stage is Stage.VALIDATION else dataclasses.replace(e, stage=stage) for e in own]
+    verdict = run_verdict(dataclasses.replace(run, evaluations=(*others, *own)))
+    assert not verdict.default_keeps
+    assert verdict.feasible == (stage is Stage.SEARCH)
+    if stage is Stage.NOMINAL:
+        assert verdict.reasons == verdict.default_reasons
+
+
+@pytest.mark.parametrize(("worst", "keeps"), [(None, False), (0.9, True), (1.1, False)])
+def test_a_default_whose_worst_context_was_searched_counts_as_such(tuned, worst, keeps):
+    """One of 8 draws exceeds a limit on the mean in every context, as it may."""
+    draws = [(1.0, 0.5)] * 7 + [(1.0, 1.1)]
+    run = made(tuned, draws, [(1.0, 0.5)] * 8, True)
+    if worst is not None:
+        trial = default_trial(run)
+        found = WorstCase(worst, {"load": 2.0}, worst, 0.01)
+        trials = list(run.trials)
+        trials[trial.number] = dataclasses.replace(trial, worst_cases={"peak": found})
+        searched = evaluations(trial.number, trial.parameters, [(1.0, worst)], Stage.SEARCH)
+        run = dataclasses.replace(
+            run, trials=tuple(trials), evaluations=(*run.evaluations, *searched)
+        )
+    verdict = run_verdict(run)
+    assert verdict.default_keeps is keeps
+    if worst == 1.1:
+        trial = default_trial(run).number
+        assert verdict.default_reasons == (f"peak: worst case 1.1 N in trial {trial}, limit 1",)
+    if worst is None:
+        assert "(its worst context was not searched)" in verdict.default_reasons[0]
+
+
+def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):
+    trial = default_trial(tuned).number
+    run = dataclasses.replace(tuned, summary=dict(tuned.summary) | {"trial": trial})
+    for passed_check in (True, False):
+        draws = [(1.0, 0.5)] * 8
+        verdict = run_verdict(made(run, draws, draws, passed_check))
+        assert verdict.is_default
+        assert verdict.reasons == verdict.default_reasons
+        assert verdict.keeps_in_words == ("yes", "yes") if passed_check else ("NO", "NO")
+
+
+def test_a_feasible_default_beside_an_infeasible_result_is_not_kept_quiet(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True))
+    assert verdict.headline == "The tuned parameter set is not feasible, but the default is"
+    assert "The default kept all limits." in verdict.sentences
+
+
+def another_trial(run):
+    """A trial that is neither the result nor the default."""
+    others = {run.summary["trial"], default_trial(run).number}
+    return next(t for t in run.trials if t.number not in others and t.worst_cases)
+
+
+def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
+    """It knows of the default what the validation found, and its next steps name the trial."""
+    draws = [(1.0, 0.5)] * 40
+    run = made(run, draws, [(1.0, 0.9)] * 40, True)
+    other = another_trial(run)
+    made_of = dataclasses.replace(run, summary=dict(run.summary) | {"trial": other.number})
+    certify(made_of, draws, draws, with_default=False, repeated=40)
+    verdict = certified(run, other, run.path / "certificates" / "0001.json")
+    assert verdict.certificate == PASS
+    assert not verdict.is_result
+    assert verdict.keeps_in_words == ("yes", "yes")
+    assert verdict.evidence == (
+        "40 fresh draws of context and noise, and the default in the 40 draws of the validation"
+    )
+    # The draws of the validation are of another parameter set, so there are no pairs.
+    assert all(q.change is Change.UNKNOWN for q in verdict.quantities)
+    number = other.number
+    refused = [step.command for step in next_steps(verdict, "run")]
+    assert refused == [f"validate run --trial {number}", f"replay run {number}"]
+    opened = dataclasses.replace(verdict, apply_refuses=False)
+    commands = [step.command for step in next_steps(opened, "run")]
+    assert commands[0] == f"apply run --trial {number}"
+    failed = dataclasses.replace(verdict, state=State.REFUSED, is_result=True)
+    assert [step.command for step in next_steps(failed, "run")] == [
+        "validate run --until-pass 3",
+        "tune --resume run --trials N",
+        "replay run",
+    ]
+    assert run_verdict(run).certificate == ""
+
+
+def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
+    """A draw of the validation beyond the limit counts as on record, and once."""
+    draws = [(1.0, 0.5)] * 24
+    run = made(run, [*draws, (1.0, 0.5)], [*draws, (1.0, 1.4)], True)
+    trial = run.trials[run.summary["trial"]]
+    known = sum(
+        dict(e.parameters) == dict(trial.parameters) and e.outcome.complete for e in run.evaluations
+    )
+    found = certify(run, draws, [(1.2, 0.6)] * 40, with_default=False, repeated=40)
+    verdict = run_verdict(run)
+    (worst,) = [q for q in verdict.quantities if q.metric == "peak" and q.holds is not None]
+    (error,) = [q for q in verdict.quantities if q.label == "mean error"]
+    assert f"largest of {known + found.tuned.evaluations} evaluations on record 1.4" in worst.remark
+    assert error.tuned == pytest.approx(1.2)
+    assert error.difference.mean == 0.0
+    assert verdict.observed[1].values("peak") == [0.6] * 40
+
+
+def test_a_limit_on_single_runs_names_what_decides(tuned_of_single_runs):
+    """None of 40 draws is beyond the limit, but 10 of 40 runs in the worst context are."""
+    run, values = tuned_of_single_runs, [(1.0, 0.7)] * 40
+    run = made(run, values, values, True)
+    trial = run.trials[run.summary["trial"]]
+    there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(40)]
+    worst = evaluations(1, trial.parameters, there, Stage.CHECK_WORST)
+    evidence = {
+        "tuned": Evidence(
+            trial.parameters, evaluations(1, trial.parameters, values), repeated=(worst,)
+        )
+    }
+    found = make_certificate(run, trial, evidence, 40, 0.95, 1, "inprocess", None)
+    write_certificate(run.path, found, evidence)
+    (quantity,) = [q for q in run_verdict(run).quantities if q.holds is not None]
+    bound = found.tuned.constraints[0].worst[0].violation_bound
+    assert f"and {bound:.4g} in the worst contexts, allowed 0.15," in quantity.remark
+    assert isnan(quantity.bound)
+
+
+@pytest.fixture
+def tuned_of_single_runs(tuned, tmp_path):
+    shutil.copytree(tuned.path, tmp_path / "single")
+    constraint = dataclasses.replace(tuned.study.constraints["peak"], probability=0.85)
+    study = dataclasses.replace(tuned.study, constraints={"peak": constraint})
+    return dataclasses.replace(tuned, path=tmp_path / "single", study=study)
+
+
+def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws)
+    certify(run, draws, draws)
+    first = run.path / "certificates" / "0001.json"
+    first.write_text(json.dumps(json.loads(first.read_text()) | {"confidence": 0.5}))
+    assert run_verdict(run).remarks[0].endswith("have 50 % together.")
+
+
+def test_the_largest_value_on_record_is_not_hidden(tuned):
+    """A peak of 0.99 in the tuning is named beside the 0.5 of a validation."""
+    trial = tuned.trials[tuned.summary["trial"]]
+    run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
+    seen = evaluations(trial.number, trial.parameters, [(1.0, 0.99)], Stage.SEARCH)
+    verdict = run_verdict(dataclasses.replace(run, evaluations=(*run.evaluations, *seen)))
+    (peak,) = [q for q in verdict.quantities if q.label == "largest peak"]
+    assert peak.tuned == 0.5
+    assert "on record 0.99" in peak.remark
+    assert "gained nothing" in verdict.sentences[-1]
+
+
+def test_a_result_that_is_the_default_is_said_to_be_it(tuned):
+    verdict = run_verdict(made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True))
+    says = "The tuned parameter set is the default: no other was found to be better."
+    assert not verdict.is_default
+    assert says not in verdict.sentences
+    same = dataclasses.replace(verdict, is_default=True)
+    assert same.sentences[-1] == says
+    assert not any(sentence.startswith(("Better", "Worse", "Lower")) for sentence in same.sentences)
+    assert not same.gained
+    assert not same.default_preferred
+    assert is_default(tuned.study, tuned.study.search_space().defaults)
+
+
+@pytest.mark.parametrize("words", ["context and noise", "noise"])
+def test_draws_are_of_contexts_only_where_there_are_some(tuned, words):
+    contexts = tuned.study.contexts if "context" in words else {}
+    study = dataclasses.replace(tuned.study, contexts=contexts)
+    assert fresh_draws(study, 5) == f"5 fresh draws of {words}"
+
+
+def test_lost_draws_are_said_to_be_run_again(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 5, [(1.0, 0.5)] * 5, True)
+    last = run.evaluations[-1]
+    assert (last.stage, last.trial) == (Stage.VALIDATION, 1)
+    lost = Outcome(EvaluationState.LOST, {}, "gone")
+    gone = (*run.evaluations[:-1], dataclasses.replace(last, outcome=lost))
+    (remark,) = run_verdict(dataclasses.replace(run, evaluations=gone)).remarks
+    assert remark.startswith("1 of the draws that failed was lost with the nodes")
+    # Run again, it is none any more.
+    again = dataclasses.replace(run, evaluations=(*gone, last))
+    assert run_verdict(again).remarks == ()
+
+
+@pytest.mark.parametrize("text", ["", "parameter_set,stage\ntuned,none\n", "\x00", None])
+def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
+    certify(run, [(1.0, 0.5)] * 3, [(1.0, 2.0)] * 3)
+    path = run.path / "certificates" / "0001_evaluations.csv"
+    path.unlink() if text is None else path.write_text(text)
+    verdict = run_verdict(run)
+    assert verdict.certificate == FAIL
+    assert verdict.reasons[0].startswith("peak: ")
+
+
+def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
+    within = [t.number for t in run.trials if verdict_of(run.study, t) == WITHIN]
+    ranked = [t.number for t in run.trials if t.number != within[0]]
+    summary = dict(run.summary) | {"ranked_trials": ranked}
+    found = run_verdict(dataclasses.replace(run, summary=summary))
+    assert found.outliers == (within[0],)
+    assert any(f"Trial {within[0]} kept all limits" in text for text in found.sentences)
+    for known in ([*ranked, within[0]], None):
+        everyone = dataclasses.replace(run, summary=summary | {"ranked_trials": known})
+        assert run_verdict(everyone).outliers == ()
+
+
+def test_a_repetition_is_no_outlier(tuned):
+    """Its evaluations count as those of the first trial of the parameter set, which is ranked."""
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True)
+    within = next(t for t in run.trials if verdict_of(run.study, t) == WITHIN)
+    again = dataclasses.replace(within, number=len(run.trials))
+    run = dataclasses.replace(run, trials=(*run.trials, again))
+    assert again.number not in run.summary["ranked_trials"]
+    assert run_verdict(run).outliers == ()
