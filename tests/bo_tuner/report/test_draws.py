@@ -8,6 +8,7 @@ import pytest
 from bo_tuner.figures.figure import Limit, Line
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.draws import draws
+from bo_tuner.study.constraint import CHANCE
 from bo_tuner.trials import Stage
 
 
@@ -43,3 +44,22 @@ def test_a_bound_is_explained_where_one_is_drawn(analysis):
     found = tuple(dataclasses.replace(q, bound=0.7) for q in verdict.quantities)
     vars(of_its_own)["verdict"] = dataclasses.replace(verdict, quantities=found)
     assert "Dotted: confidence bound" in draws(of_its_own).figures[0].caption
+
+
+def test_a_bound_is_beside_the_limit_that_it_is_of(analysis):
+    """Another limit on the same metric has the same value."""
+    record = analysis.record
+    peak = record.study.constraints["peak"]
+    often = dataclasses.replace(peak, name="often", kind=CHANCE, probability=0.9)
+    study = dataclasses.replace(record.study, constraints={"peak": peak, "often": often})
+    both = Analysis(dataclasses.replace(record, study=study))
+    verdict = analysis.verdict
+    (known,) = [q for q in verdict.quantities if q.constraint]
+    found = (dataclasses.replace(known, bound=0.7), dataclasses.replace(known, constraint="often"))
+    vars(both)["verdict"] = dataclasses.replace(verdict, quantities=found)
+    panels = {panel.title: panel for panel in draws(both).figures[0].panels}
+    limits = {
+        name: [e.value for e in panel.elements if isinstance(e, Limit)]
+        for name, panel in panels.items()
+    }
+    assert limits == {"peak": [1.0, 0.7], "often": [1.0]}

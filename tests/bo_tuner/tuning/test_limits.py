@@ -17,6 +17,7 @@ from bo_tuner.tuning.limits import (
     judge_sample,
     most_violations,
     refuted,
+    tightest,
     verdict,
     violated,
     worst_case_holds,
@@ -61,6 +62,29 @@ def test_a_worst_case_within_its_limit_is_not_called_a_violation(
     assert describe(trial, study).endswith(f"  {found}  [1{JOIN}evaluation]") is (
         found != "within limits"
     )
+
+
+@pytest.mark.parametrize(("probability", "name"), [(None, "error"), (0.9, "peak")])
+def test_the_tightest_limit_on_single_runs_is_by_what_must_keep_it(
+    make_study, make_trial, probability, name
+):
+    """A mean of 0.8 with deviations of 0.1: the 0.9 quantile, 0.928, is nearer to 1 than 0.9."""
+    given = {} if probability is None else {"probability": probability}
+    worst = {"kind": "worst_case", "upper": 1.0}
+    study = make_study(
+        constraints={
+            "error": worst | {"metric": "error"},
+            "peak": worst | {"metric": "peak"} | given,
+        }
+    )
+    trial = make_trial(0, {"gain": 0.5}, [1.0])
+    found = {
+        "error": WorstCase(0.9, {"load": 1.0}, 0.9, 0.0),
+        "peak": WorstCase(0.8, {"load": 2.0}, 0.8, 0.1),
+    }
+    trial = replace(trial, worst_cases=found)
+    constraint, case = tightest(study, trial)
+    assert (constraint.name, case) == (name, found[name])
 
 
 @pytest.mark.parametrize(("count", "probability"), [(10, 0.85), (25, 0.85), (25, 0.5), (300, 0.99)])

@@ -15,7 +15,7 @@ import yaml
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import tightest
+from bo_tuner.tuning.limits import excess, tightest
 
 MEGABYTE = 1_000_000
 KEPT_AS = "kept_as"
@@ -66,8 +66,7 @@ class RecordOptions:
 def badness(study: Study, trial: Trial) -> float:
     """How bad a complete trial is: its worst case, or its mean cost if the study has none."""
     if (found := tightest(study, trial)) is not None:
-        constraint, worst = found
-        return constraint.excess(worst.value)
+        return excess(*found)
     mean = trial.mean(study.objective.metric)
     return -math.inf if mean is None else float(study.objective.sign * mean)
 

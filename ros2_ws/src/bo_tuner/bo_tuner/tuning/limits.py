@@ -111,14 +111,18 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
     }
 
 
-def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:
-    """Return whether an estimated worst case keeps the limit.
+def excess(constraint: Constraint, worst_case: WorstCase) -> float:
+    """Return how far an estimated worst case is beyond the limit, as `Constraint.excess`.
 
-    On single runs, the quantile of a normal metric with the estimated mean and noise must keep it.
+    On single runs it is the quantile of a normal metric with the estimated mean and noise.
     """
-    sign = constraint.sign
-    quantile = sign * worst_case.value + constraint.deviations * worst_case.noise
-    return quantile <= sign * constraint.limit
+    deviation = constraint.deviations * worst_case.noise
+    return constraint.excess(worst_case.value + constraint.sign * deviation)
+
+
+def worst_case_holds(constraint: Constraint, worst_case: WorstCase) -> bool:
+    """Return whether an estimated worst case keeps the limit."""
+    return excess(constraint, worst_case) <= 0.0
 
 
 def refuted(constraint: Constraint, values: ArrayLike) -> bool:
@@ -184,7 +188,7 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
         for constraint in study.worst_case_constraints
         if constraint.name in trial.worst_cases
     ]
-    return max(found, key=lambda pair: pair[0].excess(pair[1].value), default=None)
+    return max(found, key=lambda pair: excess(*pair), default=None)
 
 
 def verdict(study: Study, trial: Trial) -> str:

@@ -124,6 +124,7 @@ def _of_constraint(
         holds=holds,
         remark="; ".join(parts),
         draws=draws,
+        constraint=name,
     )
 
 

@@ -65,6 +65,8 @@ class Quantity:
         How many draws each number is from, if they are not the same; else empty.
     objective
         Whether it is the mean of an objective.
+    constraint
+        Name of the constraint that the limit is of; empty without one.
     """
 
     label: str
@@ -80,6 +82,7 @@ class Quantity:
     remark: str
     draws: str = ""
     objective: bool = False
+    constraint: str = ""
 
     @property
     def values_in_words(self) -> tuple[str, str]:

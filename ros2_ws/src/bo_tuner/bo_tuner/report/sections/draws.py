@@ -49,7 +49,7 @@ def _panel(analysis: Analysis, constraint: Constraint) -> Panel:
     verdict, metric = analysis.verdict, analysis.study.metrics[constraint.metric]
     elements: list[Element] = [Limit(value=constraint.limit, name="limit", vertical=True)]
     for q in verdict.quantities:
-        if q.metric == metric.name and q.limit == constraint.limit and isfinite(q.bound):
+        if q.constraint == constraint.name and isfinite(q.bound):
             elements.append(
                 Limit(
                     value=q.bound,

@@ -170,7 +170,7 @@ def _default(analysis: Analysis, constraint: Constraint) -> list[Element]:
     study, found = analysis.study, analysis.verdict.quantities
     objective = study.objective.metric
     means = [q.default for q in found if q.metric == objective and q.difference is not None]
-    largest = [q for q in found if q.metric == constraint.metric and q.limit == constraint.limit]
+    largest = [q for q in found if q.constraint == constraint.name]
     if not means or not largest or not np.isfinite([means[0], largest[0].default]).all():
         return []
     return [
