@@ -108,8 +108,7 @@ class ConstraintVerdict:
     tail
         Conditional value at risk of the draws at level `TAIL`, of the smallest for a lower limit.
     worst
-        For a worst case: the contexts that may be the worst, first those where the limit is not
-        shown to hold, then by the worst mean.
+        For a worst case: the contexts that may be the worst, by their mean, the worst one first.
     passed, reason
         Whether the constraint is shown to hold, and why or why not.
     """

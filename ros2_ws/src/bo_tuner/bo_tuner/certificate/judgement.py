@@ -190,9 +190,7 @@ def _judge(
         ]
         # A context without a complete evaluation has no mean, and counts as the worst.
         sign = constraint.sign
-        worst = tuple(
-            sorted(found, key=lambda w: (w.shown, -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
-        )
+        worst = tuple(sorted(found, key=lambda w: -np.nan_to_num(sign * w.mean.value, nan=np.inf)))
         refuting = [
             context
             for context, runs in zip(found, evidence.repeated, strict=True)
