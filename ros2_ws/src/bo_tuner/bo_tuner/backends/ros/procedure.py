@@ -157,7 +157,7 @@ class Procedure:
 
     def expect_publishers(self) -> None:
         """Raise `LostError` if nothing publishes a signal any more."""
-        self._watch.expect_publishers()
+        self._recorder.expect_publishers()
 
     def request_cancel(self) -> None:
         """Ask for the end of the goals that are active, and do not wait for it."""

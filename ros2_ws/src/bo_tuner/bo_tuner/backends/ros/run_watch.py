@@ -6,7 +6,7 @@ import numpy as np
 
 from bo_tuner.backends.ros.clock import RunClock
 from bo_tuner.backends.ros.conditions import known, sampled
-from bo_tuner.backends.ros.errors import DisturbedError, LostError
+from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.backends.ros.goals import Goal
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
@@ -61,11 +61,6 @@ class RunWatch:
     def begin(self) -> None:
         """Start a run, with the recorder."""
         self._judged = 0.0
-
-    def expect_publishers(self) -> None:
-        """Raise `LostError` if nothing publishes a signal any more."""
-        if unpublished := self._recorder.unpublished:
-            raise LostError(unpublished)
 
     def wait(self, period: float) -> None:
         """Look on for a time [s]; raises as `judge`."""
@@ -132,7 +127,7 @@ class RunWatch:
         if stale := self._recorder.stale:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
-        self.expect_publishers()
+        self._recorder.expect_publishers()
         self._recorder.recording(seen, since).check_latest(self._signals, OVERLAP)
         for goal in self._goals:
             goal.check()

@@ -15,6 +15,7 @@ from rclpy.subscription import Subscription
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
     has_header,
@@ -118,6 +119,11 @@ class SignalRecorder:
                 of = f", which was {heard.node}" if heard.node != UNKNOWN_NODE else ""
                 return f"{heard.name} has no publisher any more{of}"
         return ""
+
+    def expect_publishers(self) -> None:
+        """Raise `LostError` if nothing publishes a signal any more."""
+        if unpublished := self.unpublished:
+            raise LostError(unpublished)
 
     @property
     def stale(self) -> str:
