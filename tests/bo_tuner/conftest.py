@@ -3,7 +3,6 @@
 import shutil
 
 import pytest
-import yaml
 from functions import (  # noqa: F401  (fixtures)
     _failed,
     _function_backend,
@@ -15,13 +14,12 @@ from functions import (  # noqa: F401  (fixtures)
 @pytest.fixture(scope="session")
 def axis_run(tmp_path_factory):
     """Function that runs a study of a small object, with changed sections, and reads the run."""
-    from report_runs import axis_study, run_study
+    from report_runs import run_axis
 
     from bo_tuner.storage.record import read_run
 
     def run(**sections):
-        text = yaml.safe_dump(axis_study(**sections))
-        return read_run(run_study(tmp_path_factory.mktemp("axis"), text))
+        return read_run(run_axis(tmp_path_factory.mktemp("axis"), **sections))
 
     return run
 

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
 sys.path.append(str(Path(__file__).parent))
 
@@ -56,10 +55,9 @@ def feed_axis_page(feed_axis_run, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def harmful_page(tmp_path_factory):
-    from report_runs import axis_study, run_study, with_ends
+    from report_runs import run_axis, with_ends
 
-    text = yaml.safe_dump(axis_study(**with_ends(0.6)))
-    run = run_study(tmp_path_factory.mktemp("harmful"), text)
+    run = run_axis(tmp_path_factory.mktemp("harmful"), **with_ends(0.6))
     return _page(run, tmp_path_factory)
 
 

@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+import yaml
 from functions import NODE, study_mapping
 
 from bo_tuner.cli import tune
@@ -88,6 +89,11 @@ def feed_axis_study(**budget):
         "validation_draws": 6,
     }
     return study_to_yaml(load_study("benchmark").replace(**small | budget))
+
+
+def run_axis(folder: Path, **sections) -> Path:
+    """Run a study of the object, with changed sections, and return its run folder."""
+    return run_study(folder, yaml.safe_dump(axis_study(**sections)))
 
 
 def run_study(folder: Path, text: str) -> Path:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import shutil
 from math import isnan
 
 import pytest
@@ -180,9 +179,9 @@ def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     assert verdict.observed[1].values("peak") == [0.6] * 40
 
 
-def test_a_limit_on_single_runs_names_what_decides(tuned_of_single_runs):
+def test_a_limit_on_single_runs_names_what_decides(run_of_single_runs):
     """None of 40 draws is beyond the limit, but 10 of 40 runs in the worst context are."""
-    run, values = tuned_of_single_runs, [(1.0, 0.7)] * 40
+    run, values = run_of_single_runs, [(1.0, 0.7)] * 40
     run = made(run, values, values, True)
     trial = run.trials[run.summary["trial"]]
     there = [(1.0, 0.7) if k % 4 else (1.0, 1.05) for k in range(40)]
@@ -201,11 +200,10 @@ def test_a_limit_on_single_runs_names_what_decides(tuned_of_single_runs):
 
 
 @pytest.fixture
-def tuned_of_single_runs(tuned, tmp_path):
-    shutil.copytree(tuned.path, tmp_path / "single")
-    constraint = dataclasses.replace(tuned.study.constraints["peak"], probability=0.85)
-    study = dataclasses.replace(tuned.study, constraints={"peak": constraint})
-    return dataclasses.replace(tuned, path=tmp_path / "single", study=study)
+def run_of_single_runs(run):
+    constraint = dataclasses.replace(run.study.constraints["peak"], probability=0.85)
+    study = dataclasses.replace(run.study, constraints={"peak": constraint})
+    return dataclasses.replace(run, study=study)
 
 
 def test_attempts_with_another_confidence_have_the_lowest_one_together(run):
