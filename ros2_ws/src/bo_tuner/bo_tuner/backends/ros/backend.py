@@ -148,53 +148,15 @@ class RosBackend(SequentialBackend):
         signals = signal_sources(self._study, lambda: self.recording)
         self._collector = Collector(self._study, {**signals, **self._sources})
         given = domain_of_environment()
-        # Without a domain in the environment, nodes that run already are in 0.
-        self._claim = DomainClaim(self._namespace, 0 if self._attach and given is None else given)
-        if not self._attach:
-            # The middleware reads the environment of the process, in this one too.
-            os.environ.update(isolated_environment(self._claim.domain))
-        os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
-        tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
-        self._tuner = tuner
-        client = StudyClient(self._study, tuner)
-        self._client = client
+        tuner, client = self._enter(given)
         try:
             if not self._attach:
                 if given is not None:
                     self._refuse_running_nodes(tuner, client)
                 self._started.start()
-            client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
-            if self._attach:
-                # That the nodes are discovered does not mean that another tuner is, too.
-                tuner.spin_for(LOOK_AROUND)
-            tuner.refuse_other_tuner()
-            if twins := client.presence.twins(LEASE):
-                raise BackendError(f"{twins}; end all but one")
-            found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
-            if self._attach:
-                self._previous = PreviousParameters(self._restored, tuner, client.parameters)
-                self._previous.undo_killed(found)
-            own, others = divide(self._study, found)
-            safe = safe_parameters(self._study)
-            if self._previous is not None:
-                self._previous.begin(own, safe)
-                self._left = left_parked(self._restored, own)
-            initial = InitialParameters(self._study, tuner, client.parameters)
-            initial.set_constants()
-            constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
-            self._held = {key: found[key] | dict(constants[key]) for key in found}
-            is_first = compare_with_earlier(
-                self._run_log or self._log_directory,
-                others,
-                refuse=self._attach,
-                note=self._run_log is None,
-            )
-            if is_first:
-                initial.refuse_ranges()
-            initial.set_undeclared(found)
+            self._discover(tuner, client)
+            safe = self._take_over(tuner, client)
             if self._study.run is not None:
-                # The nodes run by themselves, and from now on as they will between two runs.
-                initial.set_safe(safe)
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
             self._safe_state = SafeState(
@@ -203,6 +165,75 @@ class RosBackend(SequentialBackend):
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
             raise BackendError(f"{loss}{hint}") from loss
+
+    def _enter(self, domain: int | None) -> tuple[TunerNode, StudyClient]:
+        """Claim a ROS domain, by number or any, and join it."""
+        # Without a domain in the environment, nodes that run already are in 0.
+        self._claim = DomainClaim(self._namespace, 0 if self._attach and domain is None else domain)
+        if not self._attach:
+            # The middleware reads the environment of the process, in this one too.
+            os.environ.update(isolated_environment(self._claim.domain))
+        os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
+        self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
+        self._client = StudyClient(self._study, self._tuner)
+        return self._tuner, self._client
+
+    def _discover(self, tuner: TunerNode, client: StudyClient) -> None:
+        """Wait for the nodes, and refuse to share them.
+
+        Raises
+        ------
+        BackendError
+            If another tuner is at work on them, or one runs more than once.
+        LostError
+            If one does not appear in time.
+        """
+        client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+        if self._attach:
+            # That the nodes are discovered does not mean that another tuner is, too.
+            tuner.spin_for(LOOK_AROUND)
+        tuner.refuse_other_tuner()
+        if twins := client.presence.twins(LEASE):
+            raise BackendError(f"{twins}; end all but one")
+
+    def _take_over(self, tuner: TunerNode, client: StudyClient) -> dict[str, dict[str, object]]:
+        """Note what the nodes have, then set constant and safe parameters; returns the safe ones.
+
+        Raises
+        ------
+        BackendError
+            If, attached, a parameter that the study does not set is not what it was.
+        LostError
+            If a node does not answer.
+        StudyError
+            If a node does not take its parameters.
+        """
+        found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
+        if self._attach:
+            self._previous = PreviousParameters(self._restored, tuner, client.parameters)
+            self._previous.undo_killed(found)
+        own, others = divide(self._study, found)
+        safe = safe_parameters(self._study)
+        if self._previous is not None:
+            self._previous.begin(own, safe)
+            self._left = left_parked(self._restored, own)
+        initial = InitialParameters(self._study, tuner, client.parameters)
+        initial.set_constants()
+        constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
+        self._held = {key: found[key] | dict(constants[key]) for key in found}
+        is_first = compare_with_earlier(
+            self._run_log or self._log_directory,
+            others,
+            refuse=self._attach,
+            note=self._run_log is None,
+        )
+        if is_first:
+            initial.refuse_ranges()
+        initial.set_undeclared(found)
+        if self._study.run is not None:
+            # The nodes run by themselves, and from now on as they will between two runs.
+            initial.set_safe(safe)
+        return safe
 
     @property
     def context(self) -> Context:

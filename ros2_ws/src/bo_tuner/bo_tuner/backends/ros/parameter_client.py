@@ -30,8 +30,7 @@ discovered until its lease ends, and one may receive a request before it has dis
 class ParameterClient:
     """Calls the parameter services of a node.
 
-    What gives `Calls` is for `TunerNode.complete`, and raises `SilentError` if the node does not
-    answer in time.
+    What gives `Calls` is for `TunerNode.complete`.
 
     Parameters
     ----------

@@ -4,6 +4,7 @@ import contextlib
 import re
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -12,6 +13,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import namespace_of
@@ -27,8 +29,28 @@ POLL_PERIOD = 0.01
 """Time [s] between two looks at a condition that is waited for."""
 LOOK_AROUND = 1.0
 """Time [s] to discover a second node of a name."""
-Calls = Generator[None, None, Any]
-"""Calls of services, one after the other, that `TunerNode.complete` goes on with at each answer."""
+
+
+@dataclass(frozen=True)
+class PendingCall:
+    """A call of a service that may not be answered yet."""
+
+    answer: Future
+    node: str
+    service: str
+    begun: float
+    """Time [s] of `time.monotonic` at which it was made."""
+
+    def silence(self, timeout: float) -> SilentError:
+        """Make the error that it was not answered within `timeout` seconds."""
+        return SilentError(f"{self.node} does not answer {self.service} within {timeout:g} s")
+
+
+Calls = Generator[PendingCall, None, Any]
+"""Calls of services, one after the other, that `TunerNode.complete` goes on with at each answer.
+
+Where one is not answered in time, `SilentError` is raised, which they may handle.
+"""
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -72,7 +94,6 @@ class TunerNode:
     ) -> None:
         self._watch = watch
         self._period = SPIN_PERIOD
-        self._limit: tuple[float, float] | None = None
         self.node = _make_node(name, ros_arguments, domain)
         self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -170,17 +191,10 @@ class TunerNode:
         return answer
 
     def calling(self, client: Client, request: Any, name: str) -> Calls:
-        """Call a service, as one of `Calls`; returns its answer or raises `SilentError`."""
-        timeout, deadline = self._limit or (CALL_TIMEOUT, time.monotonic() + CALL_TIMEOUT)
+        """Call a service, as one of `Calls`; returns its answer."""
         future = client.call_async(request)
         try:
-            while not future.done():
-                # A dead server looks ready until its lease ends, and the call would never return.
-                if time.monotonic() > deadline:
-                    raise SilentError(
-                        f"{name} does not answer {client.srv_name} within {timeout:g} s"
-                    )
-                yield
+            yield PendingCall(future, name, client.srv_name, time.monotonic())
             return future.result()
         finally:
             client.remove_pending_request(future)
@@ -195,23 +209,31 @@ class TunerNode:
         timeout
             Time [s] that all of them have together; `CALL_TIMEOUT` for each call unless given.
         """
-        self._limit = None if timeout is None else (timeout, time.monotonic() + timeout)
+        begun = time.monotonic()
         found: list[Any] = [None] * len(works)
-        waiting = dict(enumerate(works))
+        pending: dict[int, PendingCall | None] = dict.fromkeys(range(len(works)))
         try:
             while True:
-                for index, work in list(waiting.items()):
+                for index, call in list(pending.items()):
                     try:
-                        next(work)
+                        if call is None or call.answer.done():
+                            pending[index] = next(works[index])
+                            continue
+                        since, limit = call.begun, CALL_TIMEOUT
+                        if timeout is not None:
+                            since, limit = begun, timeout
+                        # A dead server looks ready until its lease ends, and never answers.
+                        if time.monotonic() > since + limit:
+                            pending[index] = works[index].throw(call.silence(limit))
                     except StopIteration as end:
                         found[index] = end.value
-                        del waiting[index]
-                if not waiting:
+                        del pending[index]
+                if not pending:
                     return found
                 self.spin_once()
         finally:
-            for work in waiting.values():
-                work.close()
+            for index in pending:
+                works[index].close()
 
 
 def _make_node(name: str, ros_arguments: Sequence[str], domain: int | None) -> Node:
