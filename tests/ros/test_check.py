@@ -15,8 +15,10 @@ from std_msgs.msg import Float64
 from waiting import DEADLINE
 
 from bo_tuner.backends.ros import others, preparation, steps
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
+from bo_tuner.errors import BackendError
 
 pytestmark = pytest.mark.ros
 
@@ -282,6 +284,21 @@ def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypa
         "run.start[2].send_goal.action: there is no action /turn",
     ):
         assert sum(line.startswith(f"error: {text}") for line in lines) == 1, text
+
+
+def test_a_node_that_is_not_set_back_is_told(servo, tmp_path, monkeypatch, capsys):
+    close = RosBackend.close
+
+    def refuse(backend):
+        close(backend)
+        raise BackendError("servo is not set back: servo does not answer")
+
+    monkeypatch.setattr(RosBackend, "close", refuse)
+    write_study(tmp_path)
+    code, out, err = call(tune, capsys, "--check", tmp_path / "servo.yaml")
+    assert code == 1
+    assert err.splitlines()[-1] == "error: servo is not set back: servo does not answer"
+    assert "metrics of the default" in out
 
 
 def test_a_node_that_is_not_there(servo, tmp_path):

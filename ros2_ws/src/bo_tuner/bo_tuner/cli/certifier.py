@@ -58,7 +58,7 @@ class Certifier:
 
     def certify(
         self, trial: Trial, draws: int, attempt: int, best_sha256: str | None
-    ) -> tuple[Certificate, Path]:
+    ) -> tuple[Certificate, Path, list[str]]:
         """Run all evaluations of a trial's parameter set, and write its certificate.
 
         Parameters
@@ -74,8 +74,8 @@ class Certifier:
 
         Returns
         -------
-        Certificate, Path
-            And where it is.
+        Certificate, Path, list of str
+            Where it is, and what the nodes could not be left with.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Certifier:
                 attempt=attempt,
                 observer=observers,
             )
-            with opened(backend, self.interruption, again=self.more), bar.progress:
+            with opened(backend, self.interruption, again=self.more) as left, bar.progress:
                 found = certification.collect(subjects, draws)
         finally:
             unfinished.close()
@@ -123,7 +123,7 @@ class Certifier:
         folder.check()
         path = write_certificate(folder.path, certificate, evidence)
         unfinished.remove()
-        return certificate, path
+        return certificate, path, left
 
     def _subjects(self, trial: Trial) -> list[Subject]:
         """Return the parameter sets to certify, with the worst contexts that the run has found."""

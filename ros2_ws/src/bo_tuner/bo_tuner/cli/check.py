@@ -1,6 +1,5 @@
 """``tune --check``: hold a study against the running nodes, and try two runs."""
 
-import contextlib
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from bo_tuner.backends.ros.preparation import run_problems
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
+from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
 from bo_tuner.errors import BackendError
@@ -145,9 +145,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
             ros_arguments=list(ros_arguments),
             interrupted=interruption.check,
         )
-        interruption.keep_running()
-        try:
-            backend.open()
+        with opened(backend, interruption) as left:
             held = []
             for index in range(RUNS):
                 seed = noise_seed(study.seed, Stream.NOISE, 0, index)
@@ -155,9 +153,6 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
                 done += backend.run([planned])
                 recording = backend.recording
                 held.append({n for n, s in recording.signals.items() if np.any(s.time < 0.0)})
-        finally:
-            with contextlib.suppress(BackendError):
-                backend.close()
     _plot(study, recording)
     for name in sorted((held[-1] - held[0]) & _heard(study).keys()):
         say(
@@ -172,7 +167,7 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
     if complete := [e for e in done if e not in failed]:
         _show_metrics(study, complete)
         _estimate(study, float(np.mean([e.seconds for e in complete])))
-    return EXIT_INFEASIBLE if failed else EXIT_OK
+    return ended(left, EXIT_INFEASIBLE if failed else EXIT_OK)
 
 
 def _plot(study: Study, recording: Recording) -> None:

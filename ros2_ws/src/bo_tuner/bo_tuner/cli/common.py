@@ -166,7 +166,9 @@ def _fault(error: OSError, interruption: Interruption) -> int:
 
 
 @contextlib.contextmanager
-def opened(backend: Backend, interruption: Interruption, *, again: bool = False) -> Iterator[None]:
+def opened(
+    backend: Backend, interruption: Interruption, *, again: bool = False
+) -> Iterator[list[str]]:
     """Open a backend for a ``with`` block, and close it whatever comes, signals included.
 
     Parameters
@@ -178,24 +180,44 @@ def opened(backend: Backend, interruption: Interruption, *, again: bool = False)
         not stop this process.
     again
         Whether more evaluations follow, so that signals are still taken if all goes well.
+
+    Yields
+    ------
+    list of str
+        Empty; after the block it has what the nodes could not be left with. That is told, and does
+        not keep the command from writing what it has found: `ended` gives its exit code.
     """
+    left: list[str] = []
     try:
         interruption.check()
         if backend.name == ROS:
             interruption.keep_running()
         backend.open()
-        yield
+        yield left
     except BaseException:
-        interruption.ignore()
-        # What ended the run is what the command tells last, and by its exit code.
+        again = False
+        raise
+    finally:
+        if not again:
+            interruption.ignore()
         try:
             backend.close()
         except BackendError as error:
             say_error(f"error: {error}")
-        raise
-    if not again:
-        interruption.ignore()
-    backend.close()
+            left.append(str(error))
+
+
+def ended(left: Sequence[str], code: int) -> int:
+    """Return the exit code of a command that has come to its end.
+
+    Parameters
+    ----------
+    left
+        From `opened`.
+    code
+        What the command returns if the nodes are as they should be.
+    """
+    return EXIT_FAULT if left else code
 
 
 def whole_number(text: str) -> int:

@@ -12,6 +12,7 @@ from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     attached,
+    ended,
     guarded,
     opened,
     read_result,
@@ -60,7 +61,7 @@ both in process.
 
 exit codes:
   0    the result is as recorded, in all that is judged
-  1    standard output cannot be written
+  1    standard output cannot be written, or an attached node is not set back
   2    bad input: run, trial, evaluation, option or nodes, or a folder that
        cannot be written
   3    the result differs; the table shows where
@@ -133,7 +134,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if isinstance(backend, RosBackend):
         with writing(log):
             log.mkdir(parents=True, exist_ok=True)
-        with opened(backend, interruption):
+        with opened(backend, interruption) as left:
             result, default, inbox, sides = _run_both(record, recorded, backend)
         _show(record, result, name)
         for warning in inbox.warnings:
@@ -145,11 +146,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             console.print("no bag: no message was received", soft_wrap=True)
     else:
-        with opened(backend, interruption):
+        with opened(backend, interruption) as left:
             result = replay(record, recorded, backend)
         _show(record, result, name)
         console.print("no bag: an evaluation in process has no messages", soft_wrap=True)
-    return EXIT_OK if result.confirmed else EXIT_INFEASIBLE
+    return ended(left, EXIT_OK if result.confirmed else EXIT_INFEASIBLE)
 
 
 def _description(evaluation: Evaluation, backend: str) -> str:

@@ -9,7 +9,7 @@ from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.cli.common import opened
+from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
@@ -175,11 +175,10 @@ class Session:
                 earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
-            code: int | None = None
             try:
                 try:
                     with (
-                        opened(backend, self._interruption),
+                        opened(backend, self._interruption) as left,
                         Journal(folder.journal, provenance, earlier.trials) as journal,
                     ):
                         # A file of fewer trials is that of an earlier session.
@@ -192,13 +191,10 @@ class Session:
                     with contextlib.suppress(JournalError, OutputError):
                         folder.check()
                         export_csv(folder.journal, folder.path)
-                    if code is not None:
-                        # The run is whole; only its nodes are not as they were before it.
-                        write_deliverables(folder.path, self._display.tell, self._display.warn)
                     raise
                 export_csv(folder.journal, folder.path)
                 write_deliverables(folder.path, self._display.tell, self._display.warn)
-                return code
+                return ended(left, code)
             except Interrupted as interrupt:
                 if not folder.journal.exists():
                     raise

@@ -23,10 +23,11 @@ exit codes:
        validation; with --check, both runs were completed; with --init, the
        study is written
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
-       full); its record is kept
+       full), and its record is kept; or it is complete, but an attached node
+       is not set back, or a goal does not end
   2    bad input: study, option, folder or nodes
-  3    the run is complete, but no feasible parameter set was found; with
-       --check, a run of the default failed
+  3    the run is complete, but no feasible parameter set was found, or its
+       certificate is a FAIL; with --check, a run of the default failed
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: the output pipe was closed);
        the nodes are stopped, the record is kept, and --resume continues the run

@@ -27,6 +27,7 @@ from bo_tuner.cli.common import (
     Parser,
     allow_programs,
     attached,
+    ended,
     guarded,
     read_result,
     recorded_backend,
@@ -78,7 +79,8 @@ parameters.
 exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full); an
-       existing certificate is kept, and the next call continues from here
+       existing certificate is kept, and the next call continues from here;
+       or an attached node is not set back
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -186,7 +188,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             attempt = next_attempt(folder.path)
             draws = _draws(arguments, parser, record, confidence, attempt)
             try:
-                certificate, path = certifier.certify(
+                certificate, path, left = certifier.certify(
                     candidate, draws, attempt, digest if candidate is trial else None
                 )
             except (RunError, OutputError) as error:
@@ -197,7 +199,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 return EXIT_SIGNAL + interrupt.signum
             verdict = certified(record, candidate, path)
             _report(verdict, record.study, path)
-            if certificate.passed:
+            if certificate.passed or left:
                 break
         interruption.ignore()
     if certificate.passed and not verdict.is_result and most > 1:
@@ -215,7 +217,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             console.print(text, soft_wrap=True)
 
         write_deliverables(folder.path, tell, tell)
-    return exit_code(verdict)
+    return ended(left, exit_code(verdict))
 
 
 def _draws(
