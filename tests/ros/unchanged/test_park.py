@@ -299,6 +299,36 @@ def test_what_a_run_has_shown_is_kept_when_the_way_home_is_interrupted(interrupt
     wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
 
 
+def test_an_interruption_while_a_machine_is_stopped_keeps_it_from_driving_home(
+    interruptible, system, monkeypatch
+):
+    """It does not end the steps after the run, but what follows on them."""
+    rest = {"wait_until": {"condition": "angle < -0.2", "timeout": DEADLINE}}
+    made = interruptible(
+        lambda: system.setpoint == -0.5,
+        run={
+            "before": [],
+            "after": [{"publish": {"topic": "setpoint", "message": {"data": -0.5}}}, rest],
+            "recover": [{"publish": {"topic": "setpoint", "message": {"data": 0.25}}}],
+        },
+    )
+    published, publisher = [], made._procedure._publishers["/setpoint"]
+    publish = publisher.publish
+
+    def noting(message):
+        published.append(message.data)
+        publish(message)
+
+    def disturbed():
+        if made._procedure._is_recording:
+            raise DisturbedError("the clock was set")
+
+    publisher.publish = noting
+    monkeypatch.setattr(made._procedure._clock, "look", disturbed)
+    assert failure(run(made)).startswith("the clock was set")
+    assert set(published) == {1.0, -0.5}
+
+
 def test_a_machine_that_does_not_come_home_is_brought_to_rest(backend, system):
     leaving = {"publish": {"topic": "setpoint", "message": {"data": 0.25}}}
     never = {"wait_until": {"condition": "angle > 9", "timeout": 0.3}}

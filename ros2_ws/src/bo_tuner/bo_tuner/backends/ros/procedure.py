@@ -249,6 +249,8 @@ class Procedure:
 
     def _perform(self, phase: str) -> None:
         for index, step in enumerate(getattr(self._run, phase)):
+            # A step may act before it waits: the end may have been asked for since the last wait.
+            self._tuner.look()
             self._perform_step(("run", phase, index), step)
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:

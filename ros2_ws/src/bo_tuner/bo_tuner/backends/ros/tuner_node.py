@@ -159,6 +159,10 @@ class TunerNode:
         finally:
             self._period = period
 
+    def look(self) -> None:
+        """Ask `watch` now, ahead of what does not wait for anything."""
+        self._watch()
+
     def spin_once(self, period: float = SPIN_PERIOD) -> None:
         """Take one message or answer, if one comes within `period` seconds."""
         self._watch()
