@@ -251,7 +251,9 @@ def test_a_run_goes_on_where_nothing_can_be_noted(backend, system, tmp_path, mon
 
 
 @pytest.mark.parametrize("phase", ["before", "start"])
-def test_an_interrupted_run_stops_the_machine_ahead_of_all_else(interruptible, system, phase):
+def test_an_interrupted_run_stops_the_machine_ahead_of_all_else(
+    interruptible, system, monkeypatch, phase
+):
     """As Ctrl-C does, when it moves: not only when the backend is closed, after the records."""
     moving = [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}, {"wait": DEADLINE}]
     steps = {
@@ -265,11 +267,29 @@ def test_an_interrupted_run_stops_the_machine_ahead_of_all_else(interruptible, s
         ],
     }
     made = interruptible(lambda: system.setpoint == 1.0, run=steps | {phase: moving})
+    said = []
+    monkeypatch.setattr(made._tuner, "warn", said.append)
     with pytest.raises(Interrupted):
         run(made, 0.75)
     # The first of the steps is refused, which does not keep the next one from being done.
     wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
     assert gain(system) == 0.5
+    # It has no other record.
+    assert said == ["run.after[0]: /servo/enable refused: the brake is on"]
+
+
+def test_a_node_that_is_not_parked_after_an_interruption_is_told(
+    interruptible, system, monkeypatch
+):
+    moving = [{"publish": {"topic": "setpoint", "message": {"data": 1.0}}}, {"wait": DEADLINE}]
+    made = interruptible(lambda: system.setpoint == 1.0, run={"before": moving})
+    said = []
+    monkeypatch.setattr(made._tuner, "warn", said.append)
+    system.accepts = lambda: system.setpoint != 1.0
+    with pytest.raises(Interrupted):
+        run(made, 0.75)
+    assert said == ["servo is not parked: servo refused its parameters: it is at work"]
+    system.accepts = lambda: True
 
 
 def test_an_interruption_ahead_of_an_evaluation_sets_nothing(interruptible, system):

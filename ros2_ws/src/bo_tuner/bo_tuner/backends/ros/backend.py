@@ -277,7 +277,8 @@ class RosBackend(SequentialBackend):
             outcome = self._evaluated(planned)
         except BaseException:
             # Such as a signal. Records are closed before this backend is, and may take their time.
-            safe_state.stop()
+            for problem in [*safe_state.stop(), *safe_state.take_unfinished()]:
+                self._opened.tuner.warn(problem)
             raise
         try:
             problems = self._leave_safe(outcome.state)
