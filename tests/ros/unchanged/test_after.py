@@ -117,8 +117,26 @@ def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(
     wait_until(lambda: publisher.get_subscription_count() == 0, "the clamp is gone")
     publisher.publish = published.append
     patience(0.1)
-    assert failure(run(made)) == "nothing subscribes to /clamp"
-    assert len(published) == 1
+    unheard = "nothing subscribes to /clamp"
+    assert failure(run(made)) == f"{unheard}; run.after[0]: {unheard}"
+    assert published
+
+
+def test_a_machine_that_listens_again_is_told_to_stop_in_the_end(
+    backend, system, patience, join, leave
+):
+    """As when its driver is started anew."""
+    clamp = join(Clamp, system)
+    made = backend(run={"before": [], "after": [OPEN]})
+    publisher = made._procedure._publishers["/clamp"]
+    leave(clamp)
+    wait_until(lambda: publisher.get_subscription_count() == 0, "the clamp is gone")
+    patience(0.1)
+    assert failure(run(made)).startswith("nothing subscribes to /clamp")
+    back = join(Clamp, system)
+    wait_until(lambda: publisher.get_subscription_count() == 1, "the clamp is back")
+    made.close()
+    wait_until(lambda: back.opened_at, "the clamp is open")
 
 
 def test_what_a_node_that_hangs_has_not_done_is_asked_of_it_again(backend, system):

@@ -288,7 +288,8 @@ class RosBackend(SequentialBackend):
         problems = [*safe_state.take_unfinished(), *problems]
         if not problems:
             return outcome
-        text = brief("; ".join(problems))
+        # What was tried more than once is told once.
+        text = brief("; ".join(dict.fromkeys(problems)))
         if outcome.state is EvaluationState.COMPLETE:
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))

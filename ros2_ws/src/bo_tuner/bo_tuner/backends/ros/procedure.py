@@ -18,7 +18,7 @@ from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.run_watch import RunWatch
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, where
+from bo_tuner.backends.ros.steps import CONNECT_TIMEOUT, PreparedStep, UnheardError, where
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
@@ -177,10 +177,11 @@ class Procedure:
             What went wrong, each in a line.
         """
         self.request_cancel()
-        first = takewhile(lambda index: self._run.after[index].publish is not None, self._due)
-        problems = self._leave_by(list(first))
+        first = list(takewhile(lambda i: self._run.after[i].publish is not None, self._due))
+        problems = self._leave_by(first)
         problems += self._cancel()
-        return problems + self._leave_by(self._due.copy())
+        # What nobody has heard just now waits for the next call.
+        return problems + self._leave_by([index for index in self._due if index not in first])
 
     def recover(self) -> list[str]:
         """Perform the steps that bring the machine home; returns what went wrong, in lines.
@@ -224,10 +225,13 @@ class Procedure:
         return list(range(len(self._run.after)))
 
     def _perform_after(self, index: int) -> None:
-        """Perform a step of `after`; it stays due if an interruption or a lost node ends it."""
+        """Perform a step of `after`; it stays due if an interruption or a lost node ends it.
+
+        So does a message that nobody hears: who is to hear it may be back before the end.
+        """
         try:
             self._perform_step(("run", AFTER, index), self._run.after[index])
-        except SilentError:
+        except (SilentError, UnheardError):
             # The others do not wait for this node once more.
             self._due.remove(index)
             self._due.append(index)

@@ -31,6 +31,10 @@ UNDONE = {"deactivate": ("inactive", "unconfigured"), "cleanup": ("unconfigured"
 """States in which a transition that takes something back has nothing to do."""
 
 
+class UnheardError(FailedRunError):
+    """Nobody hears a message."""
+
+
 class PreparedStep(Protocol):
     """A step, ready to be performed."""
 
@@ -167,7 +171,7 @@ class Publication:
             stamp = to_stamp(self.clock.now)
             self.publisher.publish(make_message(self.kind, self.publish.message, stamp))
         if not is_heard:
-            raise FailedRunError(self._unheard)
+            raise UnheardError(self._unheard)
 
     @property
     def _unheard(self) -> str:
