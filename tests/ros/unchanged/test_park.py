@@ -68,6 +68,42 @@ def test_between_two_runs_and_while_one_is_prepared(backend, system):
     assert (system.gains_at_reset, gain(system)) == ([SAFE], SAFE)
 
 
+def test_a_preparation_that_fails_with_the_safe_parameters_is_no_fault_of_the_trial(
+    backend, system
+):
+    never = {"wait_until": {"condition": "angle > 9", "timeout": 0.3}}
+    stop = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    made = backend(
+        run={"before": [never], "after": [stop]},
+        park={"parameters": {"gain": SAFE}, "between_runs": True},
+    )
+    outcome = run(made, 0.75)
+    assert outcome.spoilt
+    assert outcome.reason.startswith(
+        "the preparation with the safe parameters failed: run.before[0]: 'angle > 9' does not hold"
+    )
+    wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+
+
+def test_a_preparation_that_somebody_else_made_fail(backend, system):
+    moving = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    never = {"wait_until": {"condition": "angle > 9", "timeout": 2.0}}
+    made = backend(
+        run={"before": [moving, never]}, park={"parameters": {"gain": SAFE}, "between_runs": True}
+    )
+    values = [0.125]
+
+    def disturb():
+        if system.setpoint == 1.0 and values:
+            system.set_gain(values.pop())
+
+    with made._tuner.also_watched_by(disturb):
+        outcome = run(made, 0.75)
+    assert outcome.spoilt
+    changed = "servo: parameter gain is 0.125, expected 0.25 (changed by someone else)"
+    assert outcome.reason.startswith(changed)
+
+
 def test_a_node_that_refuses_a_trial(backend, system):
     made = backend(run=ROOM)
     with system.refusing("the key is out"):

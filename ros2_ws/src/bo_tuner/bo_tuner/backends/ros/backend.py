@@ -333,33 +333,52 @@ class RosBackend(SequentialBackend):
 
         Raises
         ------
+        DisturbedError
+            If that fails: no node has the parameters of the trial yet, which it tells nothing of.
         LostError
-            If a node does not have them.
+            If a node does not have the safe ones, or does not answer.
         """
         if problems := self.park():
             raise LostError("; ".join(problems))
-        procedure.prepare()
+        try:
+            procedure.prepare()
+        except (RefusedError, FailedRunError, DisturbedError) as error:
+            self._stop_failed(procedure, error)
+            reason = f"the preparation with the safe parameters failed: {error}"
+            raise DisturbedError(reason) from error
 
     def _run(self, procedure: Procedure) -> None:
-        _, client, safe_state = self._opened
         try:
             if not self._study.park.between_runs:
                 procedure.prepare()
             procedure.perform()
         except (FailedRunError, DisturbedError) as error:
-            # Parking overlooks what others have changed.
-            disturbance = client.parameters.disturbance()
-            # First the machine, then the reason: a node that does not answer is waited for.
-            safe_state.stop()
-            if disturbance is not None:
-                raise disturbance from error
-            if isinstance(error, DisturbedError):
-                raise
-            # A run may have failed for want of a node.
-            for key in self._study.nodes:
-                client.parameters.expect_answer(key)
-            procedure.expect_publishers()
+            self._stop_failed(procedure, error)
             raise
+
+    def _stop_failed(self, procedure: Procedure, error: Exception) -> None:
+        """Stop the machine in a run that failed, and look whose fault that was.
+
+        Raises
+        ------
+        DisturbedError
+            If somebody else was at work.
+        LostError
+            If a node is not there.
+        """
+        _, client, safe_state = self._opened
+        # Parking overlooks what others have changed.
+        disturbance = client.parameters.disturbance()
+        # First the machine, then the reason: a node that does not answer is waited for.
+        safe_state.stop()
+        if disturbance is not None:
+            raise disturbance from error
+        if isinstance(error, DisturbedError):
+            raise error
+        # A run may have failed for want of a node.
+        for key in self._study.nodes:
+            client.parameters.expect_answer(key)
+        procedure.expect_publishers()
 
     def _park_between(self) -> None:
         if self._study.park.between_runs:
