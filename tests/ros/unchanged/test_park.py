@@ -10,7 +10,7 @@ from rclpy.node import Node
 from servo import failure, run
 from waiting import DEADLINE, wait_until
 
-from bo_tuner.backends.ros.errors import DisturbedError
+from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.storage.state import state_folder
@@ -526,6 +526,20 @@ def test_a_machine_that_two_command_does_not_drive_home(backend, system, join, l
     leave(second)
     wait_until(lambda: servers() == 1, "the second one is gone")
     made.close()
+    assert system.setpoint != -0.5
+
+
+def test_a_node_that_ends_while_a_second_one_is_waited_for_is_told(backend, system, monkeypatch):
+    home = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
+    made = backend(run={"before": [], "recover": [home]})
+
+    def twins(_timeout):
+        raise LostError("servo has ended")
+
+    monkeypatch.setattr(made._client.presence, "twins", twins)
+    outcome = run(made)
+    assert outcome.state is EvaluationState.LOST
+    assert outcome.reason == "servo has ended; not recovered: servo has ended"
     assert system.setpoint != -0.5
 
 

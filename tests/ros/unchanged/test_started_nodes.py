@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from example_nodes import UNCHANGED, start_script
-from waiting import DEADLINE
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.node_parameters import NodeParameters
@@ -189,6 +189,24 @@ def test_a_node_that_ends_in_mid_run_is_started_anew_and_the_machine_parked(
     # What they declare then is no change by others, also if it becomes known late.
     assert sorted(renewed) == ["motor", "pid"]
     assert run(made).state is EvaluationState.COMPLETE
+
+
+def test_a_node_that_ends_in_a_pause_is_not_parked_and_started_anew_for_the_next_run(backend):
+    """As one that hung, and was killed for that."""
+    nodes = {
+        "pid": {"node": "pid", "command": command("pid")},
+        "motor": {"node": "motor", "command": command("motor")},
+    }
+    made = backend(position(nodes=nodes))
+    pid = made._started.processes["pid"]
+    os.kill(pid.pid, signal.SIGKILL)
+    wait_until(lambda: pid.exit_reason is not None, "its end")
+    (problem,) = made.park()
+    assert problem.startswith("pid is not parked: pid does not answer ")
+    found = run(made)
+    assert (found.state, found.reason) == (EvaluationState.LOST, "pid was ended by SIGKILL")
+    assert run(made).state is EvaluationState.COMPLETE
+    assert made.park() == []
 
 
 @pytest.mark.parametrize(

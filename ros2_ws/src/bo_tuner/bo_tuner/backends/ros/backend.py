@@ -160,7 +160,7 @@ class RosBackend(SequentialBackend):
                 restart = None if self._attach else self._restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
             self._safe_state = SafeState(
-                tuner, client, safe, self._held, self._procedure, self._suspension
+                tuner, client, safe, self._held, self._procedure, self._suspension, self._look
             )
         except LostError as loss:
             hint = f" (--attach starts no node: {START})" if self._attach else ""
@@ -338,6 +338,8 @@ class RosBackend(SequentialBackend):
         LostError
             If a node does not have the safe ones, or does not answer.
         """
+        # One that has ended is not told as one that does not answer.
+        self._started.check()
         if problems := self.park():
             raise LostError("; ".join(problems))
         try:

@@ -1,5 +1,8 @@
 """Brings the machine to its safe state: nodes parked, no goal under way, the machine at home."""
 
+from collections.abc import Callable
+
+from bo_tuner.backends.ros.errors import LostError
 from bo_tuner.backends.ros.node_parameters import Values
 from bo_tuner.backends.ros.procedure import Procedure
 from bo_tuner.backends.ros.study_client import LONGEST_LEASE, StudyClient
@@ -25,6 +28,9 @@ class SafeState:
         evaluation themselves.
     suspension
         Watched while the machine is stopped, which no interruption ends.
+    look
+        Watch while the nodes are parked: one that has ended keeps no other from that, and is not
+        parked itself.
     """
 
     def __init__(
@@ -35,6 +41,7 @@ class SafeState:
         held: Values,
         procedure: Procedure | None,
         suspension: Suspension,
+        look: Callable[[], None],
     ) -> None:
         self._tuner = tuner
         self._client = client
@@ -42,15 +49,17 @@ class SafeState:
         self._held = held
         self._procedure = procedure
         self._suspension = suspension
+        self._look = look
         self._unfinished: list[str] = []
 
     def park(self) -> list[str]:
         """Set the safe parameters on all nodes and read them back; returns what went wrong."""
-        return self._client.park(self._parameters, self._held)
+        with self._tuner.watched_by(self._look):
+            return self._park()
 
     def park_after_run(self) -> None:
         """Park the nodes in an evaluation, whose `take_unfinished` has what went wrong."""
-        self._unfinished += self.park()
+        self._unfinished += self._park()
 
     def stop(self) -> list[str]:
         """Bring a run to its end at once, whoever asks for what; returns what is not parked.
@@ -61,10 +70,10 @@ class SafeState:
             return []
         with self._tuner.watched_by(self._suspension.look):
             self._procedure.request_cancel()
-            problems = self.park()
+            problems = self._park()
             self._unfinished += self._procedure.leave()
             # A node may refuse parameters while it executes a goal.
-            return problems and self.park()
+            return problems and self._park()
 
     def recover(self) -> list[str]:
         """Leave the machine safe, and home, after a run that failed; returns what went wrong."""
@@ -74,7 +83,11 @@ class SafeState:
         if problems := self.stop():
             return problems
         # Nor do two at once, of which one may not be parked.
-        if twins := self._client.presence.twins(LONGEST_LEASE):
+        try:
+            twins = self._client.presence.twins(LONGEST_LEASE)
+        except LostError as loss:
+            twins = str(loss)
+        if twins:
             return [f"not recovered: {twins}"]
         problems = self._procedure.recover()
         return problems and problems + self.stop()
@@ -83,3 +96,6 @@ class SafeState:
         """Return, and forget, what went wrong in an evaluation that was to be left safe."""
         found, self._unfinished = self._unfinished, []
         return found
+
+    def _park(self) -> list[str]:
+        return self._client.park(self._parameters, self._held)
