@@ -492,6 +492,24 @@ def test_between_two_runs_the_machine_is_parked_before_the_run_is_judged(
     assert found == [SAFE, SAFE]
 
 
+@pytest.mark.parametrize("refusals", [1, 2])
+def test_a_node_that_is_not_parked_after_a_run_is_told_again_and_then_named(
+    backend, system, monkeypatch, refusals
+):
+    made = backend(park={"parameters": {"gain": SAFE}, "between_runs": True})
+    said = []
+    monkeypatch.setattr(made._tuner, "warn", said.append)
+    # It takes the gain of the trial, and not at once the safe one after it.
+    answers = [True, *[False] * refusals]
+    system.accepts = lambda: answers.pop(0) if answers else True
+    outcome = run(made, 0.75)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    problem = "servo is not parked: servo refused its parameters: it is at work"
+    assert said == [problem] * (refusals > 1)
+    assert ("park" in outcome.details) == (refusals > 1)
+    assert gain(system) == (SAFE if refusals == 1 else 0.75)
+
+
 def test_a_disturbed_run_is_stopped_before_the_reason_is_looked_for(backend, system, monkeypatch):
     stop = {"publish": {"topic": "setpoint", "message": {"data": -0.5}}}
     made = backend(run={"before": [], "after": [stop]}, park={"parameters": {"gain": SAFE}})

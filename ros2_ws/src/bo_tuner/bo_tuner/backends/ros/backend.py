@@ -291,6 +291,8 @@ class RosBackend(SequentialBackend):
         # What was tried more than once is told once.
         text = brief("; ".join(dict.fromkeys(problems)))
         if outcome.state is EvaluationState.COMPLETE:
+            # Of a complete run nobody else tells what is amiss.
+            self._opened.tuner.warn(text)
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
 
@@ -388,9 +390,10 @@ class RosBackend(SequentialBackend):
 
     def _leave_safe(self, state: EvaluationState) -> list[str]:
         """Leave the nodes as they are to be after an evaluation; returns what went wrong."""
-        if state is EvaluationState.COMPLETE:
-            return []
         safe_state = self._opened.safe_state
+        if state is EvaluationState.COMPLETE:
+            # Between two runs nobody looks at what was not parked right after one.
+            return safe_state.take_unfinished() and safe_state.park()
         if state is EvaluationState.LOST:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
             safe_state.stop()
