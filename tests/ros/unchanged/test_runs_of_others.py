@@ -287,6 +287,16 @@ def test_what_a_dead_sensor_said_last_is_not_waited_for_with_success(backend, sy
     assert re.search(r"\(angle [0-9.]+, silent for [0-9.]+ s\)$", reason)
 
 
+@pytest.mark.parametrize("condition", ["limit > 2 and t > 0.3", "t > 0.3"])
+def test_a_condition_on_time_comes_to_hold_though_no_message_comes(backend, condition):
+    """What is latched is older than the step, and has its value all the same."""
+    limit = {"limit": {"topic": "limit", "field": "data", "minimum_messages": 0}}
+    late = {"wait_until": {"condition": condition, "hold": 0.1, "timeout": 2.0}}
+    made = backend(signals=limit, run={"before": [late]})
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+
+
 SENSED = {"sensed": {"topic": "sensed", "field": "data"}}
 
 

@@ -135,7 +135,9 @@ class Recording:
         silence = self.end - float(seen.time[-1])
         return silence if silence > spec.largest_gap else 0.0
 
-    def sample(self, expression: Expression, held: bool = True) -> tuple[Array, Array]:
+    def sample(
+        self, expression: Expression, held: bool = True, since: float = 0.0
+    ) -> tuple[Array, Array]:
         """Evaluate an expression at the time of each message of its signals.
 
         Parameters
@@ -144,12 +146,14 @@ class Recording:
             The expression.
         held
             Whether the values that hold at the start and at the end count, too.
+        since
+            The start [s].
 
         Returns
         -------
         tuple of Array
-            Times (n,) [s], from 0, or where the last of its signals begins, to the end of the run,
-            and values (n,).
+            Times (n,) [s], from `since`, or where the last of its signals begins, to the end of the
+            run, and values (n,).
 
         Raises
         ------
@@ -160,7 +164,7 @@ class Recording:
         for name, seen in used.items():
             if not len(seen.time):
                 raise MissingMetricError(f"signal {name} has no message")
-        begin = max([0.0, *(seen.time[0] for seen in used.values())])
+        begin = max([since, *(seen.time[0] for seen in used.values())])
         runs = [np.array([begin, self.end] if held else []), *(s.time for s in used.values())]
         stamps = np.concatenate(runs)
         # Sorted runs, which a merge sort takes in one pass. Counted along it, the messages of a

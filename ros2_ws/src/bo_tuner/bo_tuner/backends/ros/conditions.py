@@ -14,12 +14,12 @@ UNKNOWN = RecordedSignal(np.array([0.0]), np.array([np.nan]))
 """A signal without a message."""
 
 
-def sampled(condition: Expression, recording: Recording) -> tuple[Array, Array]:
-    """Return times (n,) [s] and values (n,), which are NaN where a message would decide."""
+def sampled(condition: Expression, recording: Recording, since: float = 0.0) -> tuple[Array, Array]:
+    """Return times (n,) from `since` on [s] and values (n,), NaN where a message would decide."""
     signals = {
         name: seen if len(seen.time) else UNKNOWN for name, seen in recording.signals.items()
     }
-    return Recording(signals, recording.end).sample(condition)
+    return Recording(signals, recording.end).sample(condition, since=since)
 
 
 def known(values: Array) -> NDArray[np.bool_]:

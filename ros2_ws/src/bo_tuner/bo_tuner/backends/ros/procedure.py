@@ -315,10 +315,8 @@ class Procedure:
             recording = self._recorder.recording(now, since)
             if any(recording.silence(name, spec) for name, spec in used.items()):
                 return False
-            times, values = sampled(condition, recording)
-            # What holds at `since` is what came last before it.
-            first = max(np.searchsorted(times, since, side="right") - 1, 0)
-            return len(times) > 0 and bool(np.all(np.nan_to_num(values[first:]) != 0.0))
+            _, values = sampled(condition, recording, since)
+            return len(values) > 0 and bool(np.all(np.nan_to_num(values) != 0.0))
 
         if self._is_recording:
             self._watch.wait_until(began + wait.timeout, held)
