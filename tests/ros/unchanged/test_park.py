@@ -6,6 +6,7 @@ import threading
 
 import pytest
 from node_threads import at_work
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from servo import failure, run
 from waiting import DEADLINE, wait_until
@@ -186,6 +187,74 @@ def test_safe_values_that_the_study_names_stay(backend, system, capfd):
     # What the node has already is not worth a line.
     backend(run={"before": []}, park=park).close()
     assert "park values" not in capfd.readouterr().err
+
+
+class Filter(Node):
+    """Has an array, and two numbers of which one must not be above the other."""
+
+    def __init__(self, context):
+        super().__init__("filter", context=context)
+        self.declare_parameter("noise", [0.25, 0.5])
+        self.declare_parameter("control", 5)
+        self.declare_parameter("prediction", 8)
+        self.add_on_set_parameters_callback(self.judge)
+
+    def judge(self, parameters):
+        new = {parameter.name: parameter.value for parameter in parameters}
+        control, prediction = (
+            new.get(name, self.get_parameter(name).value) for name in ("control", "prediction")
+        )
+        return SetParametersResult(successful=control <= prediction, reason="too few steps")
+
+    @property
+    def values(self):
+        noise, *numbers = (
+            self.get_parameter(name).value for name in ("noise", "control", "prediction")
+        )
+        return [list(noise), *numbers]
+
+
+@pytest.fixture
+def filter_parked(backend, join):
+    """Function that opens a backend for a filter beside the servo, and closes it again."""
+
+    def make(**values):
+        node = join(Filter)
+        of_filter = {"node": "filter"}
+        integer = of_filter | {"type": "integer", "bounds": [1, 30]}
+        made = backend(
+            nodes={
+                "servo": {"node": "servo"},
+                "filter": of_filter | {"parameters": {"noise": [1.0, 2.0]}},
+            },
+            parameters={
+                "gain": {"node": "servo", "type": "double", "bounds": [0, 3], "default": 0.5},
+                "noise[0]": of_filter | {"type": "double", "bounds": [0, 3], "default": 1.0},
+                "control": integer | {"default": 5},
+                "prediction": integer | {"default": 20},
+            },
+            park={"parameters": values},
+        )
+        parked = node.values
+        made.close()
+        return parked, node.values
+
+    return make
+
+
+def test_of_an_array_only_the_items_that_the_study_names_stay(filter_parked, capfd):
+    parked, left = filter_parked(**{"noise[0]": 0.75})
+    assert (parked, left) == ([[0.75, 2.0], 5, 20], [[0.75, 0.5], 5, 8])
+    said = "filter is left with the park values: noise [0.75, 0.5] (was [0.25, 0.5])"
+    assert said in capfd.readouterr().err
+
+
+def test_a_node_that_refuses_the_safe_values_beside_its_own_has_its_own_again(filter_parked, capfd):
+    """Ten steps of control go with the default of 20 steps of prediction, but not with 8."""
+    parked, left = filter_parked(control=10)
+    assert (parked, left) == ([[1.0, 2.0], 10, 20], [[0.25, 0.5], 5, 8])
+    said = "filter is left with what it had, and not with the park values: filter refused its"
+    assert said in capfd.readouterr().err
 
 
 @pytest.fixture

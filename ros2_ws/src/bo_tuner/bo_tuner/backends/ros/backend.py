@@ -17,7 +17,6 @@ from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
 from bo_tuner.backends.ros.held_parameters import (
     compare_with_earlier,
     divide,
-    left_parked,
     safe_parameters,
 )
 from bo_tuner.backends.ros.initial_parameters import InitialParameters
@@ -126,7 +125,6 @@ class RosBackend(SequentialBackend):
         self._suspension = Suspension()
         self._safe_state: SafeState | None = None
         self._previous: PreviousParameters | None = None
-        self._left: list[str] = []
         self._started = StartedNodes(study, self._namespace, log_directory)
 
     def open(self) -> None:
@@ -216,7 +214,6 @@ class RosBackend(SequentialBackend):
         safe = safe_parameters(self._study)
         if self._previous is not None:
             self._previous.begin(own, safe)
-            self._left = left_parked(self._restored, own)
         initial = InitialParameters(self._study, tuner, client.parameters)
         initial.set_constants()
         constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
@@ -452,7 +449,7 @@ class RosBackend(SequentialBackend):
             if self._tuner is not None and self._client is not None:
                 stack.enter_context(self._tuner.watched_by(self._look))
                 if self._previous is not None:
-                    stack.callback(self._restore, self._tuner, self._previous, problems)
+                    stack.callback(self._restore, self._previous, problems)
                     stack.callback(self._client.parameters.forget_all)
                 if self._procedure is not None:
                     stack.callback(self._note_unended, self._procedure, unended)
@@ -463,10 +460,8 @@ class RosBackend(SequentialBackend):
         if unended or problems:
             raise BackendError("; ".join([*unended, *problems]))
 
-    def _restore(self, tuner: TunerNode, previous: PreviousParameters, problems: list[str]) -> None:
+    def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
         problems += previous.restore(self._restore_timeout)
-        for text in [] if problems else self._left:
-            tuner.warn(text)
 
     def _note_unended(self, procedure: Procedure, unended: list[str]) -> None:
         # A node that the tuner has started ends with it.

@@ -37,28 +37,40 @@ def divide(
     return own, others
 
 
-def left_parked(study: Study, previous: Mapping[str, Mapping[str, object]]) -> list[str]:
-    """Tell in a line of each node with which of the values that ``park`` names it is left.
+def named_safe(
+    study: Study, previous: Mapping[str, Mapping[str, object]]
+) -> dict[str, dict[str, object]]:
+    """Return by node key the values that ``park`` names and nodes do not have already.
 
     Parameters
     ----------
     study
         The study.
     previous
-        What the nodes had before, by key; what has the same value then is not worth a word.
+        What the nodes have, by key. Of an array the items that are not named stay as they are.
     """
-    safe = _assigned(study, study.safe_parameters)
-    changes: dict[str, dict[str, str]] = {}
+    safe, whole = study.safe_parameters, _assigned(study, study.safe_parameters)
+    found: dict[str, dict[str, object]] = {}
     for item in (study.parameters[name] for name in study.park.parameters):
-        name = item.array or item.parameter
-        value, had = safe[item.node][name], previous[item.node].get(name)
-        if not same_value(value, had):
-            of_node = changes.setdefault(study.nodes[item.node].node, {})
-            of_node[name] = f"{name} {_shown(value)} (was {_shown(had)})"
-    return [
-        f"{node} is left with the park values: {', '.join(texts.values())}"
-        for node, texts in changes.items()
-    ]
+        of_node = found.setdefault(item.node, {})
+        if not item.array:
+            of_node[item.parameter] = safe[item.name]
+            continue
+        had = of_node.get(item.array, previous[item.node].get(item.array))
+        if isinstance(had, list) and item.item < len(had):
+            of_node[item.array] = [*had[: item.item], safe[item.name], *had[item.item + 1 :]]
+        else:
+            of_node[item.array] = whole[item.node][item.array]
+    return {
+        key: {n: v for n, v in values.items() if not same_value(v, previous[key].get(n))}
+        for key, values in found.items()
+    }
+
+
+def left_parked(values: Mapping[str, object], previous: Mapping[str, object]) -> str:
+    """Tell in a few words with which safe values a node is left, and which it had before."""
+    texts = [f"{n} {_shown(v)} (was {_shown(previous.get(n))})" for n, v in values.items()]
+    return f"is left with the park values: {', '.join(texts)}"
 
 
 def _shown(value: object) -> str:

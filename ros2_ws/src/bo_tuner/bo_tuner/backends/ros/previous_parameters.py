@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_tuner.backends.ros.errors import RefusedError
+from bo_tuner.backends.ros.held_parameters import left_parked, named_safe
 from bo_tuner.backends.ros.isolation import place_name
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.tuner_node import TunerNode
@@ -103,6 +104,8 @@ class PreviousParameters:
     def restore(self, timeout: float) -> list[str]:
         """Give the nodes back what they had, but for safe parameters that the study names.
 
+        A node may refuse these beside the others. It gets back all that it had then.
+
         Parameters
         ----------
         timeout
@@ -113,19 +116,28 @@ class PreviousParameters:
         list of str
             What went wrong, each in a line; the note keeps what these nodes had.
         """
-        chosen = [self._study.parameters[name] for name in self._study.park.parameters]
-        final = {}
-        for key, values in self._previous.items():
-            names = {item.array or item.parameter for item in chosen if item.node == key}
-            safe = self._safe.get(key, {})
-            final[key] = {**values, **{name: v for name, v in safe.items() if name in names}}
+        previous, study = self._previous, self._study
+        safe = named_safe(study, previous)
+        final = {key: values | safe.get(key, {}) for key, values in previous.items()}
         failed = self._parameters.assign_side_by_side(final, timeout)
-        for key in final.keys() - failed.keys():
-            self._note.content.pop(self._study.nodes[key].node, None)
+        refused = {
+            key: failed.pop(key)
+            for key in list(failed)
+            if safe.get(key) and isinstance(failed[key], RefusedError)
+        }
+        again = {key: previous[key] for key in refused}
+        failed |= self._parameters.assign_side_by_side(again, timeout)
+        for key in previous.keys() - failed.keys():
+            self._note.content.pop(study.nodes[key].node, None)
         self._write()
-        return [
-            f"{self._study.nodes[key].node} is not set back: {why}" for key, why in failed.items()
-        ]
+        for key, values in safe.items():
+            if key in failed or not values:
+                continue
+            left = left_parked(values, previous[key])
+            if key in refused:
+                left = f"is left with what it had, and not with the park values: {refused[key]}"
+            self._tuner.warn(f"{study.nodes[key].node} {left}")
+        return [f"{study.nodes[key].node} is not set back: {why}" for key, why in failed.items()]
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""
