@@ -11,6 +11,7 @@ from rclpy.node import Node
 from servo import failure, run
 from waiting import DEADLINE, wait_until
 
+from bo_tuner.backends.ros import suspension
 from bo_tuner.backends.ros.errors import DisturbedError, LostError
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
@@ -406,6 +407,28 @@ def test_an_interruption_ahead_of_an_evaluation_sets_nothing(interruptible, syst
     with pytest.raises(Interrupted):
         run(made, 0.75)
     assert system.asked_to_set == asked
+
+
+def test_an_interruption_of_a_suspended_tuner_keeps_a_run_from_being_repeated(
+    interruptible, system, monkeypatch
+):
+    """Of the parameters it has shown nothing."""
+    interrupting, passed = [], [0.0]
+    made = interruptible(lambda: interrupting, run={"before": [], **ROOM})
+    now, evaluate = suspension._now, made._client.evaluate
+    monkeypatch.setattr(suspension, "_now", lambda: now() + passed[0])
+
+    def suspended(*arguments):
+        try:
+            return evaluate(*arguments)
+        finally:
+            passed[0] += 2 * suspension.LONGEST
+            interrupting.append(True)
+
+    monkeypatch.setattr(made._client, "evaluate", suspended)
+    with pytest.raises(Interrupted):
+        run(made, UNSTABLE)
+    assert len(interrupting) == 1
 
 
 def test_what_a_run_has_shown_is_kept_when_the_way_home_is_interrupted(interruptible, system):

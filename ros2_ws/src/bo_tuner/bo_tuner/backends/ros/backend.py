@@ -256,9 +256,10 @@ class RosBackend(SequentialBackend):
         or, attached, waited for. One during which this process was suspended says nothing of the
         parameters, and is repeated.
         """
-        # A request to end that came during the proposal: no node is to get its parameters.
-        self._look()
         for _ in range(ATTEMPTS):
+            # A request to end that came during the proposal, or while the tuner was suspended: no
+            # node is to get these parameters.
+            self._look()
             self._suspension.begin()
             outcome = self._attempt(planned)
             self._suspension.look()
