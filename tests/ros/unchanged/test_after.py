@@ -10,6 +10,7 @@ from std_msgs.msg import Float64
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.trials import EvaluationState
 
@@ -120,6 +121,8 @@ def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(
     unheard = "nothing subscribes to /clamp"
     assert failure(run(made)) == f"{unheard}; run.after[0]: {unheard}"
     assert published
+    with pytest.raises(BackendError, match=f"^run.after.0.: {unheard}$"):
+        made.close()
 
 
 def test_a_machine_that_listens_again_is_told_to_stop_in_the_end(
@@ -147,3 +150,14 @@ def test_what_a_node_that_hangs_has_not_done_is_asked_of_it_again(backend, syste
     reason = failure(run(made))
     assert "; run.after[1]: the node that run.after[1] calls does not answer /servo/reset" in reason
     assert len(system.gains_at_reset) == 2
+
+
+def test_a_step_that_is_never_done_is_an_error_in_the_end(backend):
+    """The machine may not be at rest."""
+    brake = {"call": {"service": "hang", "timeout": 0.2}}
+    made = backend(run={"before": [], "after": [brake]})
+    assert run(made).state is EvaluationState.LOST
+    with pytest.raises(BackendError) as caught:
+        made.close()
+    silent = "the node that run.after[0] calls does not answer /hang within 0.2 s"
+    assert str(caught.value) == f"run.after[0]: {silent}"

@@ -431,10 +431,11 @@ class RosBackend(SequentialBackend):
         Raises
         ------
         BackendError
-            If an attached node does not have them, or does not end a goal; all else is closed then.
+            If an attached node does not have them, does not end a goal, or does not do a step of
+            `after` that is still due; all else is closed then.
         """
         problems: list[str] = []
-        unended: list[str] = []
+        undone: list[str] = []
         # A signal has its effect already, and must not leave the nodes half set.
         self._interrupted = lambda: None
         with contextlib.ExitStack() as stack:
@@ -453,20 +454,22 @@ class RosBackend(SequentialBackend):
                     stack.callback(self._restore, self._previous, problems)
                     stack.callback(self._client.parameters.forget_all)
                 if self._procedure is not None:
-                    stack.callback(self._note_unended, self._procedure, unended)
-                    stack.callback(self._warn_of, self._tuner, self._procedure.leave)
+                    stack.callback(self._leave, self._tuner, self._procedure, undone)
                     stack.callback(self._warn_of, self._tuner, self.park)
         if problems:
             problems.append("the next command with --attach does that")
-        if unended or problems:
-            raise BackendError("; ".join([*unended, *problems]))
+        if undone or problems:
+            raise BackendError("; ".join([*undone, *problems]))
 
     def _restore(self, previous: PreviousParameters, problems: list[str]) -> None:
         problems += previous.restore(self._restore_timeout)
 
-    def _note_unended(self, procedure: Procedure, unended: list[str]) -> None:
-        # A node that the tuner has started ends with it.
-        unended += procedure.unended if self._attach else []
+    def _leave(self, tuner: TunerNode, procedure: Procedure, undone: list[str]) -> None:
+        if self._attach:
+            undone += procedure.leave()
+        else:
+            # A node that the tuner has started ends with it.
+            self._warn_of(tuner, procedure.leave)
 
     @staticmethod
     def _warn_of(tuner: TunerNode, act: Callable[[], list[str]]) -> None:

@@ -106,11 +106,6 @@ class Procedure:
         if problems:
             raise LostError("; ".join(problems))
 
-    @property
-    def unended(self) -> list[str]:
-        """Tell, each in a line, of goals that have not come to their end."""
-        return [goal.unended for goal in self._started if goal.is_open]
-
     def forget(self) -> None:
         """Let `recording` have nothing, as of a run that does not come about."""
         self.recording = NOTHING_RECORDED
@@ -189,7 +184,7 @@ class Procedure:
         If one is not possible, `leave` the machine as after a run. While a goal has not ended
         nothing is performed.
         """
-        if unended := self.unended:
+        if unended := [goal.unended for goal in self._started if goal.is_open]:
             return [f"not recovered: {problem}" for problem in unended]
         missed, self._due = self._due, self._all_after
         try:
