@@ -1,5 +1,6 @@
 """A result set on real nodes, read back, refused, and taken back."""
 
+import contextlib
 import os
 import sys
 from dataclasses import replace
@@ -9,12 +10,16 @@ import yaml
 from commands import Fork, environment
 from in_process import call
 from made_runs import INITIAL, make_run, write_certificate
+from node_threads import at_work
 from rclpy.node import Node
+from servo import System
 from terminals import converse, gone
-from waiting import DEADLINE
+from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli import apply as command
+from bo_tuner.deploy.apply import ApplyError, set_values
+from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.ros
@@ -230,6 +235,20 @@ def test_two_controllers(record, now, start_node, peer, capsys, rollback):
     twin.end()
     peer.spin_until(lambda: peer.node.count_services(service) == 1, "one")
     assert now() == before
+
+
+def test_a_second_node_that_comes_before_anything_is_set_has_changed_nothing():
+    """Nothing was sent, so nothing is to be restored."""
+    with at_work(System) as servo, contextlib.ExitStack() as stack:
+        live = LiveParameters(["servo"], [], lambda: None)
+        stack.callback(live.close)
+        stack.enter_context(at_work(lambda context: Node("servo", context=context)))
+        wait_until(lambda: live._clients["servo"].servers() == 2, "both")
+        with pytest.raises(ApplyError) as caught:
+            set_values(live, {"servo": {"gain": 0.5}}, {"servo": {"gain": 0.75}})
+        assert str(caught.value).endswith("; end all but one; nothing was changed")
+        assert caught.value.restored
+        assert servo.get_parameter("gain").value == 0.5
 
 
 def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):

@@ -28,7 +28,7 @@ class NodeError(BoTunerError, RuntimeError):
 
 
 class RefusedError(NodeError):
-    """A node refused its parameters and keeps its previous ones."""
+    """A node refused its parameters, or was not told them, and keeps its previous ones."""
 
 
 class Nodes(Protocol):
@@ -49,7 +49,7 @@ class Nodes(Protocol):
         Raises
         ------
         RefusedError
-            If the node refuses them.
+            If the node refuses them, or is not told.
         NodeError
             If the node does not answer; it may have set them.
         """

@@ -90,9 +90,12 @@ class LiveParameters:
             raise RefusedError(f"{node} refuses: {reason}")
 
     def _refuse_twins(self, node: str) -> None:
-        """Refuse a node that runs more than once: who answers would not tell of the other."""
+        """Refuse a node that runs more than once, ahead of asking it for anything.
+
+        Who answers would not tell of the other.
+        """
         if self._clients[node].servers() > 1:
-            raise NodeError(f"{self._tuner.repeated(node)}; end all but one")
+            raise RefusedError(f"{self._tuner.repeated(node)}; end all but one")
 
     def _wait_for_nodes(self) -> None:
         def missing() -> list[str]:
