@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from servo import LATCHED, failure, run
 from std_msgs.msg import Float64
 from waiting import DEADLINE, wait_until
@@ -140,6 +141,35 @@ def test_a_machine_that_listens_again_is_told_to_stop_in_the_end(
     wait_until(lambda: publisher.get_subscription_count() == 1, "the clamp is back")
     made.close()
     wait_until(lambda: back.opened_at, "the clamp is open")
+
+
+class Gate(Node):
+    """Is told its state by messages that are kept for those who join later."""
+
+    def __init__(self, context):
+        super().__init__("gate", context=context)
+        self.states = []
+        qos = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(
+            Float64, "gate", lambda message: self.states.append(message.data), qos
+        )
+
+
+def test_a_node_that_is_started_anew_hears_the_last_message_alone(backend, join, leave):
+    """The commands of earlier runs would move it once more."""
+
+    def state(value):
+        return {"publish": {"topic": "gate", "message": {"data": value}}}
+
+    gate = join(Gate)
+    steps = {"before": [state(1.0)], "start": [state(2.0), {"wait": 0.1}], "after": [state(3.0)]}
+    made = backend(run=steps, signals={"setpoint": LIMIT})
+    assert run(made).state is EvaluationState.COMPLETE
+    wait_until(lambda: gate.states[-1:] == [3.0], "the messages of the run")
+    leave(gate)
+    anew = join(Gate)
+    wait_until(lambda: anew.states[-1:] == [3.0], "the last message")
+    assert anew.states == [3.0]
 
 
 def test_what_a_node_that_hangs_has_not_done_is_asked_of_it_again(backend, system):

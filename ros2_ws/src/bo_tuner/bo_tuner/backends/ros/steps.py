@@ -146,12 +146,13 @@ class Publication:
         with under("publish", "message"):
             make_message(kind, publish.message)
         if topic not in publishers:
-            durability = QoSDurabilityPolicy.VOLATILE
+            durability, depth = QoSDurabilityPolicy.VOLATILE, 10
             if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
-                durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
+                # Who joins later is to hear the last message only, not what came before.
+                durability, depth = QoSDurabilityPolicy.TRANSIENT_LOCAL, 1
             # In full, as the graph tells those of subscribers: by default they do not compare.
             qos = QoSProfile(
-                depth=10,
+                depth=depth,
                 durability=durability,
                 deadline=Infinite,
                 liveliness=QoSLivelinessPolicy.AUTOMATIC,
