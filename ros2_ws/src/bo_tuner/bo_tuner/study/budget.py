@@ -26,7 +26,8 @@ class CertificateRequirement:
         Fresh draws of context and noise, at most, and runs in a context that may be the worst; a
         clear verdict takes fewer. More where a chance constraint takes more to be shown.
     confidence : float
-        Confidence of each bound, between 0 and 1.
+        Confidence over all certificates of a run together, between 0 and 1; each bound has a
+        higher one.
     """
 
     draws: int = 1000

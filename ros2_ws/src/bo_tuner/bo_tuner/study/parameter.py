@@ -17,7 +17,10 @@ LARGEST_BOUND = 2**53
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A ROS parameter of the study; has `bounds`, `tied_to` or `fixed`.
+    """A ROS parameter of the study.
+
+    A tuned one has `bounds` (a number), `choices` (a string) or only a default (a boolean); any
+    other has `tied_to` or `fixed`.
 
     Attributes
     ----------
@@ -49,8 +52,8 @@ class Parameter:
     minimum_correlation : float, optional
         Lower bound of the surrogates' correlation between neighbouring integers.
     parameter : str
-        Name of the parameter in the node; `name` unless given. ``covariance[7]`` is an item of the
-        array `covariance`, counted from 0.
+        Name of the parameter in the node; the name of this entry unless given. ``covariance[7]`` is
+        an item of the array `covariance`, counted from 0.
     """
 
     name: str

@@ -37,7 +37,7 @@ class ContextVariable:
     unit : str
         Unit, for display only.
     parameter : str
-        Name of the parameter in the node; `name` unless given.
+        Name of the parameter in the node; the name of this entry unless given.
     """
 
     name: str
