@@ -24,7 +24,7 @@ paper and beside other optimizers, is in `docs/results.md`.
 SECTIONS = (
     ("certificates.json", "Certificates", answers.certificates),
     ("ablations.json", "Choices of the algorithm `boundary`", answers.ablations),
-    ("suggestion_time.json", "Time of a suggestion", cost.suggestion),
+    ("suggestion_time.json", "Time of a proposal", cost.suggestion),
     ("closed_loop.json", "Cost of a cut, as ratios", cost.closed_loop),
     ("recording.json", "Cost of recording", cost.recording),
     ("live_overhead.json", "Cost of live monitoring", cost.live),

@@ -1,4 +1,4 @@
-"""Time of a whole suggestion, side by side with BoTorch and Optuna, and its growth with the trials.
+"""Time of a whole proposal, side by side with BoTorch and Optuna, and its growth with the trials.
 
 The data are trials of the four-parameter study: half of them a Latin hypercube, half around a good
 point, as a run leaves them; each with five replicates of objective and return time and one worst
@@ -14,7 +14,7 @@ boundary, IV
     evaluation as their data; it makes about three a trial, so it has two of the replicates and the
     worst overshoot of each. Both start from the hyperparameters of the trial before, as in a
     run. Beyond a hundred trials these are fitted again only now and then: the time is the mean over
-    the trials between two fits, and that of a suggestion with a fit is listed, too. `boundary` also
+    the trials between two fits, and that of a proposal with a fit is listed, too. `boundary` also
     without a warm start.
 BoTorch
     Two `SingleTaskGP` (objective, worst case) on the means of the replicates, fitted by
@@ -237,7 +237,7 @@ class Problem:
 
 
 def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict[str, list[float]]:
-    """Processor seconds of each contender's suggestion, `repeats` times in turn."""
+    """Processor seconds of each contender's proposal, `repeats` times in turn."""
     contenders = OURS + (OTHERS if count <= RIVALS_UP_TO else ())
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     rng = np.random.default_rng((SEED, count))

@@ -1,4 +1,4 @@
-"""Sections on what the tuner costs: its suggestions, nodes, records, pages, and time left."""
+"""Sections on what the tuner costs: its proposals, nodes, records, pages, and time left."""
 
 import statistics
 
@@ -23,7 +23,7 @@ COMPARED_AT = "300"
 
 
 def suggestion(result: Result) -> list[str]:
-    """Time of a suggestion against other optimizers, and its growth."""
+    """Time of a proposal against other optimizers, and its growth."""
     rows = [
         [count, contender, *(_ratio(s, base) for base in ("boundary", "IV"))]
         for count, entry in result["counts"].items()

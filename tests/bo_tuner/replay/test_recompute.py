@@ -86,7 +86,7 @@ def test_another_study_measures_the_same_signals(folder):
 def test_the_command(folder, tmp_path):
     code, out, err = run("recompute", folder, "--csv", "out.csv", folder=tmp_path)
     assert (code, err) == (0, "")
-    assert f"{RUNS} runs; 0 differ from the record" in out
+    assert f"{RUNS} evaluations; 0 differ from the record" in out
     with (tmp_path / "out.csv").open() as file:
         rows = list(csv.DictReader(file))
     metrics = [e.outcome.metrics for e in read_run(folder).trials[0].evaluations]

@@ -281,10 +281,10 @@ def most_runs(study: Study) -> tuple[int, int]:
 
 def _estimate(study: Study, seconds: float) -> None:
     tuning, certificate = most_runs(study)
-    say(f"a run took {seconds:.3g} s")
-    say(f"study: at most {tuning} runs, {_duration(tuning * seconds)}")
+    say(f"an evaluation took {seconds:.3g} s")
+    say(f"study: at most {tuning} evaluations, {_duration(tuning * seconds)}")
     say(
-        f"certificate: at most {certificate} runs, {_duration(certificate * seconds)}; "
+        f"certificate: at most {certificate} evaluations, {_duration(certificate * seconds)}; "
         "fewer once the verdict is clear"
     )
 

@@ -15,12 +15,13 @@ from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import load_study
+from bo_tuner.text import counted
 
 DESCRIPTION = """\
-Compute the metrics of every recorded run again from the signals in its bag, and
-compare those of the run's own study with the record: they are equal in all
-digits. With --study, compute the metrics that another study defines of the same
-signals. Nothing is run, and no node is needed.
+Compute the metrics of every recorded evaluation again from the signals in its
+bag, and compare those of the run's own study with the record: they are equal in
+all digits. With --study, compute the metrics that another study defines of the
+same signals. Nothing is run, and no node is needed.
 """
 
 EPILOG = """\
@@ -70,7 +71,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     else:
         study = load_study(arguments.study)
     table = Table()
-    header = ("bag", "trial", "run", "stage", *study.metrics, "")
+    header = ("bag", "trial", "evaluation", "stage", *study.metrics, "")
     for column in header:
         table.add_column(column, overflow="fold")
     rows: list[tuple[object, ...]] = []
@@ -85,7 +86,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if arguments.csv is not None:
         text = csv_text([(*header[:-1], "note"), *rows])
         say(f"table: {write_atomically(arguments.csv, text)}")
-    say(f"{len(rows)} runs; {wrong} differ from the record")
+    say(f"{counted(len(rows), 'evaluation')}; {wrong} differ from the record")
     return EXIT_INFEASIBLE if wrong else EXIT_OK
 
 

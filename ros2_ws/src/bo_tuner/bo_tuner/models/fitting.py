@@ -55,7 +55,7 @@ FITTED_EACH = 100
 GROWTH = 0.1
 """Part by which the number of trials grows between fits of the hyperparameters after that.
 
-A fit is most of the time of a suggestion then, and one of many trials changes it little. So the
+A fit is most of the time of a proposal then, and one of many trials changes it little. So the
 number of fits grows with the logarithm of the trials.
 """
 
