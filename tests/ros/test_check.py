@@ -96,7 +96,7 @@ def test_a_study_that_is_right(servo, tmp_path):
     """
     code, out, err = study(tmp_path, park={"parameters": {"gain": 0.5}, "between_runs": True})
     assert (code, err) == (0, "")
-    assert "as the study says: 3 parameters and 2 signals" in out
+    assert "the nodes match the study: 3 parameters and 2 signals" in out
     assert "metrics of the default" in out
     assert "█" in out
     assert "…" not in out, "no number is cut off in a terminal of 80 columns"
@@ -148,7 +148,7 @@ def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_pat
     )
     assert code == 2
     *errors, count = err.splitlines()
-    assert count == "3 found; nothing was set"
+    assert count == "3 problems found; nothing was set"
     for path, name, near in (
         ("nodes.servo.parameters", "fliter", "did you mean 'filter'?"),
         ("contexts.gian", "gian", "did you mean 'gain'?"),
@@ -238,7 +238,7 @@ def test_every_mistake_is_named_at_once(servo, tmp_path):
             "error: parameters.model: 'model' is read-only in the node",
             "error: parameters.filter: 'filter' is of type boolean in the node, not integer",
             *[line for line in err.splitlines() if "signals." in line],
-            "6 found; nothing was set",
+            "6 problems found; nothing was set",
         ]
     )
     assert "error: signals.angle.field: std_msgs/msg/Float64 has no field 'dat'" in err
@@ -272,7 +272,7 @@ def test_mistakes_in_the_run_are_named_with_the_others(servo, tmp_path, monkeypa
     code, _, err = call(tune, capsys, "--check", tmp_path / "servo.yaml")
     assert code == 2
     *lines, count = err.splitlines()
-    assert count == "8 found; nothing was set"
+    assert count == "8 problems found; nothing was set"
     for text in (
         "signals.torque.topic: nothing publishes /torque",
         "run.clock: nothing publishes /clock",

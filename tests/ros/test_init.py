@@ -105,7 +105,7 @@ def test_with_options_it_writes_a_study_that_passes_the_check(servo, tmp_path):
     )
     code, out, err = run("tune", "--check", "servo.yaml", folder=tmp_path)
     assert (code, err) == (0, "")
-    assert "as the study says: 1 parameter and 2 signals" in out
+    assert "the nodes match the study: 1 parameter and 2 signals" in out
 
 
 def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch):

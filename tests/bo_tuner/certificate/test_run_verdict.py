@@ -104,7 +104,7 @@ def test_a_default_whose_worst_context_was_searched_counts_as_such(tuned, worst,
         trial = default_trial(run).number
         assert verdict.default_reasons == (f"peak: worst case 1.1 N in trial {trial}, limit 1",)
     if worst is None:
-        assert "(its worst context was not searched)" in verdict.default_reasons[0]
+        assert "(no search was made for its worst context)" in verdict.default_reasons[0]
 
 
 def test_a_result_that_is_the_default_is_judged_as_the_default(tuned):

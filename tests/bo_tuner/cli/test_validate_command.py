@@ -91,7 +91,7 @@ class TestVerdict:
         most, *phases = err.splitlines()
         told = re.fullmatch(
             r"at most (\d+) evaluations \((\d+) draws, (\d+) to search for the worst contexts, "
-            r"(\d+) in these\), fewer once the verdict is clear",
+            r"(\d+) in the worst contexts found\), fewer once the verdict is clear",
             most,
         )
         assert told, most

@@ -212,7 +212,7 @@ def _evidence(
     validation = f"the {by_validation.observed[0].draws} draws of the validation"
     if not is_result:
         return f"{fresh}, and the default in {validation}"
-    return f"{fresh} and {validation}, which alone have the default"
+    return f"{fresh} (tuned only) and {validation} (both)"
 
 
 def _beside_validation(

@@ -145,7 +145,7 @@ class Certifier:
         if most.searched:
             parts.append(f"{most.searched} to search for the worst contexts")
         if most.repeated:
-            parts.append(f"{most.repeated} in these")
+            parts.append(f"{most.repeated} in the worst contexts found")
         self.console.print(
             f"at most {most.total} evaluations ({', '.join(parts)}), fewer once the verdict is "
             "clear",

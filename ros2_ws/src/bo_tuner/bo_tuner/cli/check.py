@@ -75,10 +75,10 @@ def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interr
     for text in problems:
         say_error(f"error: {text}")
     if problems:
-        say_error(f"{len(problems)} found; nothing was set")
+        say_error(f"{counted(len(problems), 'problem')} found; nothing was set")
         return EXIT_USAGE
     say(
-        f"as the study says: {counted(len(study.parameters), 'parameter')} and "
+        f"the nodes match the study: {counted(len(study.parameters), 'parameter')} and "
         f"{counted(len(study.signals), 'signal')}"
     )
     return _try(study, ros_arguments, interruption)

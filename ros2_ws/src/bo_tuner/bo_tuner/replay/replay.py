@@ -85,7 +85,10 @@ class Replay:
             return "NOT confirmed"
         complete = self.replayed.outcome.complete
         if complete and not any(row.judged for row in self.metrics):
-            return "the end is confirmed; no metric of this study is the same in two runs"
+            return (
+                "how it ended is confirmed; no metric of this study is reproducible, so none was "
+                "judged"
+            )
         return "confirmed"
 
 

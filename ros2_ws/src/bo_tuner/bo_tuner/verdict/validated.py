@@ -139,8 +139,8 @@ def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:
         return ""
     if ALGORITHMS[algorithm].models.pooled:
         return (
-            "The model of all runs is not sure enough that it keeps its limits: it gives a "
-            f"probability of {feasibility:.3g}"
+            "By the model of all evaluations it keeps its limits with a probability of only "
+            f"{feasibility:.3g}, which is too low"
         )
     return "It did not pass the check of the best candidates"
 
@@ -187,7 +187,7 @@ def _problems(study: Study, found: Validation, evaluations: Sequence[Evaluation]
         if not sample.holds:
             problems[name] = _broken(study, sample)
         elif not searched and sample.violations and constraint.kind == WORST_CASE:
-            problems[name] = f"{_broken(study, sample)} (its worst context was not searched)"
+            problems[name] = f"{_broken(study, sample)} (no search was made for its worst context)"
     if found.failures:
         problems[FAILURES] = f"{found.failures} of {found.draws} evaluations failed"
     return problems
