@@ -74,3 +74,14 @@ def test_the_other_commands_take_them(folder):
         rows = list(csv.DictReader(file))
     assert len(rows) == 15
     assert {row["parameters.mode"] for row in rows} <= set(MODES)
+
+
+def test_a_later_run_begins_with_the_parameter_file_of_this_one(folder):
+    best = read_run(folder / "runs" / "latest").result.parameters
+    code, _, err = run(
+        *("tune", "--study", "axis.yaml", "--backend", "inprocess", "--quiet"),
+        *("--start", "runs/latest/best.yaml", "--trials", "7", "--output", "later"),
+        folder=folder,
+    )
+    assert code in (0, 3), err
+    assert read_run(folder / "later" / "latest").trials[1].parameters == best

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from bo_tuner.errors import KeyPath, ParameterError, StudyError
+from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.storage.parameter_file import SECTION
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.study import Study
@@ -40,17 +40,7 @@ def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
             checks.reference(name, "parameter", study.parameters, name)
         if not values:
             raise StudyError("has none of the study's parameters")
-        space = study.search_space()
-        try:
-            complete = space.permitted(space.defaults | values)
-        except ParameterError as error:
-            raise StudyError(str(error)) from None
-        for name, value in values.items():
-            if complete[name] != value:
-                raise StudyError(
-                    f"expected {complete[name]}, as the study sets it, found {checks.show(value)}",
-                    (name,),
-                )
+        complete = study.complete_set(values)
     except StudyError as error:
         line = lines.get(error.path) if error.line is None else error.line
         raise error.located(source, line) from None
@@ -64,8 +54,11 @@ def _of_nodes(document: Mapping[str, object], study: Study) -> dict[str, Value]:
         for key, section in document.items():
             given = section.get(SECTION) if isinstance(section, dict) else None
             if isinstance(given, dict) and key.rpartition("/")[2] in (node, "**"):
-                found = _nested(given, item.parameter)
-                if isinstance(found, (int, float)):
+                found = _nested(given, item.array or item.parameter)
+                if item.array:
+                    items = found if isinstance(found, list) else []
+                    found = items[item.item] if item.item < len(items) else None
+                if isinstance(found, bool | int | float | str):
                     values[name] = found
     return values
 

@@ -187,6 +187,27 @@ class Study:
         contexts = self.context_space()
         return self.assignments(parameters, contexts.to_dict(contexts.nominal()), 0)
 
+    def complete_set(self, given: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the parameter set with some values given, and the default elsewhere.
+
+        Raises
+        ------
+        StudyError
+            If it is not a parameter set of the study.
+        """
+        space = self.search_space()
+        try:
+            found = space.permitted({**space.defaults, **given})
+        except ParameterError as error:
+            raise StudyError(str(error)) from None
+        for name, value in given.items():
+            if found[name] != value:
+                raise StudyError(
+                    f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
+                    (name,),
+                )
+        return found
+
     def starting_sets(self) -> list[dict[str, Value]]:
         """Return the different parameter sets of `start`, complete and in its order.
 
@@ -198,17 +219,10 @@ class Study:
         space = self.search_space()
         sets: dict[object, dict[str, Value]] = {}
         for index, given in enumerate(self.start):
-            chosen: Mapping[str, Value] = {} if isinstance(given, str) else given
             try:
-                found = space.permitted({**space.defaults, **chosen})
-            except ParameterError as error:
-                raise StudyError(str(error), ("start", index)) from None
-            for name, value in chosen.items():
-                if found[name] != value:
-                    raise StudyError(
-                        f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
-                        ("start", index, name),
-                    )
+                found = self.complete_set({} if isinstance(given, str) else given)
+            except StudyError as error:
+                raise error.under("start", index) from None
             sets.setdefault(space.key(found), found)
         if len(sets) > self.budget.trials:
             raise StudyError(
