@@ -11,8 +11,7 @@ from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import certified, run_verdict
 from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
-from bo_tuner.tuning.limits import WITHIN
-from bo_tuner.tuning.limits import verdict as verdict_of
+from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 from bo_tuner.verdict.differences import Change
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.validated import fresh_draws, is_default
@@ -272,7 +271,7 @@ def test_a_verdict_survives_evaluations_that_cannot_be_read(run, text):
 
 def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
     run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, False)
-    within = [t.number for t in run.trials if verdict_of(run.study, t) == WITHIN]
+    within = [t.number for t in run.trials if outcome_in_words(run.study, t) == WITHIN]
     ranked = [t.number for t in run.trials if t.number != within[0]]
     summary = dict(run.summary) | {"ranked_trials": ranked}
     found = run_verdict(dataclasses.replace(run, summary=summary))
@@ -286,7 +285,7 @@ def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
 def test_a_repetition_is_no_outlier(tuned):
     """Its evaluations count as those of the first trial of the parameter set, which is ranked."""
     run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 1.5)] * 8, True)
-    within = next(t for t in run.trials if verdict_of(run.study, t) == WITHIN)
+    within = next(t for t in run.trials if outcome_in_words(run.study, t) == WITHIN)
     again = dataclasses.replace(within, number=len(run.trials))
     run = dataclasses.replace(run, trials=(*run.trials, again))
     assert again.number not in run.summary["ranked_trials"]

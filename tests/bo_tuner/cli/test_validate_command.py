@@ -3,6 +3,8 @@
 The evaluations are those of a small object in this process.
 """
 
+import contextlib
+import dataclasses
 import hashlib
 import json
 import os
@@ -30,7 +32,7 @@ from bo_tuner.storage.provenance import session_provenance
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.trials import EvaluationState, Outcome, Stage
 from bo_tuner.tuning.summary import with_summary
 
 CHANCE = {
@@ -345,8 +347,9 @@ class TestFaults:
                 raise OutputError(f"{path}: cannot be written: No space left on device")
             return write(path, content)
 
-        monkeypatch.setattr(certificate_module, "write_atomically", crash)
-        assert here(folder)[0] == 1
+        with monkeypatch.context() as patch:
+            patch.setattr(certificate_module, "write_atomically", crash)
+            assert here(folder)[0] == 1
         names = {path.name for path in (folder / "certificates").iterdir()}
         assert names == {
             "0001.json",
@@ -356,6 +359,11 @@ class TestFaults:
         }
         record = read_run(folder)
         assert certificate_problem(record, record.trials[record.summary["trial"]]) == ""
+        # Nothing is run again, and the attempt keeps its share of the error probability.
+        code, _, err = here(folder)
+        assert code == 0
+        assert "going on after" in err
+        assert certificate(folder, 2)["attempt"] == 2
 
 
 class TestKey:
@@ -431,6 +439,16 @@ class TestBadInput:
         line = refusal(folder, warnings=1)
         assert "has no result: it has not ended, or every trial failed; continue with" in line
 
+    def test_a_run_that_ended_in_its_first_trial(self, refusal, tmp_path, runs):
+        study = load_study(runs / "axis.yaml")
+        with contextlib.closing(RunFolder.create(tmp_path / "begun", study)) as begun:
+            begun.write_study(study)
+            provenance = session_provenance(study, "inprocess", "boundary")
+            with Journal(begun.journal, provenance):
+                pass
+        for option in ([], ["--until-pass", "3"]):
+            assert "has no result: it has not ended" in refusal(begun.path, *option)
+
     def test_a_parameter_file_of_other_values(self, refusal, folder):
         """A certificate must not be of what the file does not hold."""
         text = (folder / "best.yaml").read_text()
@@ -457,3 +475,28 @@ class TestBadInput:
         finally:
             held.close()
         assert f"another process works in this run (process {os.getpid()})" in line
+
+
+def test_what_failed_when_it_was_run_again_is_not_tried_next(folder):
+    record = with_summary(read_run(folder), pytest.fail)
+    (_, following) = validate_command._candidates(record, record.result, 2)
+    (last, *_) = [e for e in record.evaluations if e.trial == following.number]
+    again = dataclasses.replace(
+        last,
+        index=1000,
+        stage=Stage.CHECK_DRAWN,
+        outcome=Outcome(EvaluationState.FAILED, reason="axis: stalled"),
+    )
+    record = dataclasses.replace(record, evaluations=(*record.evaluations, again))
+    others = list(validate_command._candidates(record, record.result, len(record.trials)))
+    assert following not in others
+    assert all(trial in record.trials for trial in others)
+
+
+def test_the_files_of_the_run_tell_the_confidence_of_all_certificates(here, folder):
+    """The lowest one that was asked for, of whichever trial."""
+    result = read_run(folder).summary["trial"]
+    other = 0 if result else 1
+    assert here(folder)[0] == 0
+    here(folder, "--trial", str(other), "--confidence", "0.5")
+    assert "have 50 % together" in (folder / "report.html").read_text()

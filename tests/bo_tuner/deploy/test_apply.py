@@ -231,7 +231,7 @@ class TestCertificate:
         old = write_certificate(record, record.trials[1])
         evaluations_path(old.with_name("0002.json")).write_text("newer")
         assert certificate_problem(record, record.trials[1]) == ""
-        assert next_path(record.path).name == "0003.json"
+        assert next_path(record.path).name == "0002.json"
 
     @pytest.mark.parametrize(
         ("in_order", "opens"),

@@ -22,7 +22,7 @@ from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 from bo_tuner.tuning.observer import Phase
 
 ESCAPE = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
@@ -103,7 +103,7 @@ class TestLines:
         assert f"  {word}: gone (context load 1.500; seed 0)" in describe(trial, study).replace(
             JOIN, " "
         )
-        assert verdict(study, trial) == outcome.ending == word.lower()
+        assert outcome_in_words(study, trial) == outcome.ending == word.lower()
         assert TrialOutcome(trial.ending) == word.lower()
 
     def test_one_evaluation(self, make_study, make_trial):

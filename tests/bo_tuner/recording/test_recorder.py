@@ -33,7 +33,7 @@ from bo_tuner.trials import (
     Stage,
     TrialState,
 )
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 
 
 class TestTime:
@@ -159,14 +159,15 @@ class TestBag:
 
 class TestVerdict:
     def test_follows_the_constraints(self):
-        assert verdict(STUDY, trial_of(0)) == "within limits"
-        assert verdict(STUDY, trial_of(0, worst=0.5)) == "violates overshoot"
+        assert outcome_in_words(STUDY, trial_of(0)) == "within limits"
+        assert outcome_in_words(STUDY, trial_of(0, worst=0.5)) == "violates overshoot"
         stalled = evaluation_of(0, outcome=Outcome(EvaluationState.FAILED, {}, "stalled"))
         failed = replace(trial_of(0, state=TrialState.FAILED), evaluations=(stalled,))
-        assert verdict(STUDY, failed) == "failed"
+        assert outcome_in_words(STUDY, failed) == "failed"
         metrics = {"tracking_error": 0.1, "overshoot": 0.01, "return_time": 1.0}
         slow = evaluation_of(0, outcome=Outcome(EvaluationState.COMPLETE, metrics))
-        assert verdict(STUDY, replace(trial_of(0), evaluations=(slow,))) == "violates real_time"
+        trial = replace(trial_of(0), evaluations=(slow,))
+        assert outcome_in_words(STUDY, trial) == "violates real_time"
 
 
 class TestRetention:

@@ -7,6 +7,8 @@ import pytest
 from bo_tuner.certificate.store import FORMAT, next_path, parameters_sha256
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import sections
+from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.sections.certificate import certificate
 from bo_tuner.report.sections.tolerance import tolerance
 
@@ -146,3 +148,26 @@ def test_a_broken_one_is_one_line(certified, text):
     with pytest.raises(RunRecordError, match=r"0001\.json: not a (readable )?certificate") as error:
         certificate(certified(text), None)
     assert "\n" not in str(error.value)
+
+
+def test_a_certificate_of_another_version_does_not_keep_the_report_from_being_made(certified):
+    analysis = Analysis(certified(json.dumps(content("PASS") | {"format": 3})))
+    assert analysis.certificate is None
+    first = sections(analysis)[0]
+    assert first.title == "Certificate: not readable"
+    assert "0001.json: not a certificate of this version of bo_tuner; run validate" in first.lead
+    (tile,) = [tile for tile in answer(analysis).tiles if tile.label == "certificate"]
+    assert (tile.value, tile.remarks) == ("not readable", ["run validate"])
+
+
+def test_the_worst_case_is_shown_beside_a_parameter_set_without_one(certified):
+    """There is no search for a default that the draws have refuted."""
+    refuted = findings(8, False)
+    refuted["constraints"][0]["worst"] = []
+    text = json.dumps(content("PASS") | {"default": refuted})
+    rows = {
+        row[0].strip(): row[1:] for row in certificate(certified(text), None).section.tables[0].rows
+    }
+    assert rows["worst-case peak, mean"] == ["–", "0.75 ± 0.01", "N"]
+    assert rows["at load"] == ["–", "2", ""]
+    assert rows["evaluations above 1"] == ["–", "1 of 30", ""]

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from judged_runs import certify, default_trial, made
 from rich.console import Console
 
+from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli import apply
 from bo_tuner.cli.deliverables import write_deliverables
@@ -31,6 +32,7 @@ from bo_tuner.report.page import answer_html, render, section_html
 from bo_tuner.report.sections.answer import answer
 from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.storage.record import read_run
+from bo_tuner.trials import CHECKS
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.next_steps import next_steps
 from bo_tuner.verdict.table import print_verdict
@@ -325,3 +327,14 @@ def test_a_certificate_is_of_a_parameter_set_whichever_trial_it_names(run):
     assert found.verdict.certificate == PASS
     (tile,) = [tile for tile in found.tiles if tile.label == "certificate"]
     assert (tile.value, tile.remarks) == (PASS, [Analysis(run).certificate.scope])
+
+
+def test_the_robustness_of_a_certificate_is_that_of_the_report(run):
+    """Both by the models that the ranking has, with the repetitions among their data."""
+    assert any(evaluation.stage in CHECKS for evaluation in run.evaluations)
+    certificate = certify(run, [(1.0, 0.5)] * 40, [(1.0, 0.5)] * 40)
+    analysis = Analysis(read_run(run.path))
+    found = parameter_sensitivity(run.study, certificate.tuned.parameters, analysis.models)
+    assert certificate.sensitivity == found
+    (candidate,) = [c for c in analysis.ranked if c.trial.number == certificate.trial]
+    assert certificate.gaps[0].predicted == candidate.objective

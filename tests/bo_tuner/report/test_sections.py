@@ -22,9 +22,10 @@ from bo_tuner.report.sections.slices import slices
 from bo_tuner.report.sections.surrogates import surrogates
 from bo_tuner.report.sections.timing import timing
 from bo_tuner.report.sections.tolerance import tolerance
+from bo_tuner.report.trial_page import trial_sections
 from bo_tuner.study.study_file import study_from_mapping
 from bo_tuner.trials import CHECKS, Stage
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 
 
 def named(panel, name, kind):
@@ -147,7 +148,7 @@ def test_the_report_calls_a_trial_what_the_console_calls_it(analysis):
     found = Analysis(replace(analysis.record, study=study, trials=tuple(noisy)))
     words = {"within limits": "within limits", "may violate peak": "may violate"}
     words |= {"violates peak": "violating", "failed": "failed"}
-    named = [(found.outcome(t), words[verdict(study, t)]) for t in noisy]
+    named = [(found.outcome(t), words[outcome_in_words(study, t)]) for t in noisy]
     assert all(outcome in (TrialOutcome.OUTLIER, word) for outcome, word in named)
     assert TrialOutcome.UNCERTAIN in {outcome for outcome, _ in named}
 
@@ -205,6 +206,23 @@ def test_a_grid_keeps_the_order_of_parameters():
     assert permitted(study, points).tolist() == expected
     for a, x in zip(first.values, first.cube, strict=True):
         assert space.to_cube({"first": int(a), "second": 9})[0] == x
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_grid_has_the_values_of_a_parameter_with_a_step(scale):
+    """Between them there is nothing to show: a line would have gaps, a contour be shaded."""
+    from report_runs import NODE, axis_study
+
+    stepped = NODE | {"type": "double", "bounds": [0.25, 1.3], "step": 0.25, "default": 0.5}
+    even = NODE | {"type": "integer", "bounds": [2, 10], "step": 2, "default": 4}
+    parameters = {"stepped": stepped | {"scale": scale}, "even": even}
+    study = study_from_mapping(axis_study(parameters=parameters))
+    at = {"stepped": 0.5, "even": 4}
+    grids = [parameter_grid(study, name, at, 41) for name in parameters]
+    assert grids[0].values.tolist() == [0.25, 0.5, 0.75, 1.0, 1.25]
+    assert grids[1].values.tolist() == [2, 4, 6, 8, 10]
+    points = np.array([[a, b] for a in grids[0].cube for b in grids[1].cube])
+    assert permitted(study, points).all()
 
 
 def test_contours_show_what_the_models_say(axis_run):
@@ -298,6 +316,16 @@ def test_headings_of_a_metric_without_a_unit(analysis):
     assert outlying.models.outliers
     tables = failures(outlying).tables
     assert tables[-1].header == ["trial", "parameters", "mean error"]
+
+
+def test_an_outlier_is_called_so_on_the_page_of_its_trial(analysis):
+    """Its own values may be within the limits."""
+    far = iter([1e6])
+    outlying = with_metric(analysis, lambda error: next(far, error))
+    (number,) = outlying.models.outliers
+    (trial,) = [trial for trial in outlying.trials if trial.number == number]
+    summary, *_ = trial_sections(outlying, trial)
+    assert summary.title == f"Trial {number}: outlying"
 
 
 @pytest.mark.parametrize(

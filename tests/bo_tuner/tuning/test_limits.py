@@ -15,10 +15,11 @@ from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning import recommendation
 from bo_tuner.tuning.limits import (
     judge_sample,
+    judge_samples,
     most_violations,
+    outcome_in_words,
     refuted,
     tightest,
-    verdict,
     violated,
     worst_case_holds,
 )
@@ -58,7 +59,7 @@ def test_a_worst_case_within_its_limit_is_not_called_a_violation(
     given = {} if probability is None else {"probability": probability}
     study = make_study(constraints={"peak": limit | given})
     trial = make_trial(0, {"gain": 0.5}, [1.0], worst=worst, noise=0.1)
-    assert verdict(study, trial) == found
+    assert outcome_in_words(study, trial) == found
     assert describe(trial, study).endswith(f"  {found}  [1{JOIN}evaluation]") is (
         found != "within limits"
     )
@@ -203,3 +204,26 @@ def test_a_check_that_broke_off_changes_no_worst_case(make_study, make_trial, co
     assert holds
     assert whole.worst_cases["peak"].value == pytest.approx(0.2)
     assert len(check) == recommendation.most_check_evaluations(study)
+
+
+def test_a_check_without_contexts_judges_its_draws_as_all_others(make_study, make_trial):
+    """Draws of the only context estimate the limit: with probability 0.9, one of ten may break it.
+
+    As draws of many contexts they would have to refute it, which takes four.
+    """
+    constraint = {"kind": "worst_case", "metric": "peak", "upper": 1.0, "probability": 0.9}
+    study = make_study(contexts={}, constraints={"peak": constraint})
+    trial = replace(make_trial(0, {"gain": 0.5}, [1.0]), worst_cases={})
+    trial = replace(trial, worst_cases={"peak": WorstCase(0.5, {}, 0.5)})
+    stages = [Stage.CHECK_DRAWN] * 10 + [Stage.CHECK_WORST] * 10
+    for beyond in (1, 2):
+        peaks = [1.001] * beyond + [0.5] * (20 - beyond)
+        check = [
+            replace(
+                planned({"gain": 0.5}, {}, stage=stage, seed=k),
+                outcome=Outcome(EvaluationState.COMPLETE, {"error": 1.0, "peak": peak}),
+            )
+            for k, (stage, peak) in enumerate(zip(stages, peaks, strict=True))
+        ]
+        _, holds = with_check(study, trial, check)
+        assert holds is judge_samples(study, check[:10])["peak"].holds is (beyond == 1)

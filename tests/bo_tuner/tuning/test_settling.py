@@ -27,6 +27,7 @@ from bo_tuner.tuning.settling import (
     before_repetitions,
     most_repetitions,
     settle,
+    with_checks,
     with_known_repetitions,
     with_repetitions,
 )
@@ -305,3 +306,19 @@ def test_the_number_of_repetitions(study, study_of):
 def test_trials_and_repetitions_fill_a_budget(study, whole):
     trials = before_repetitions(study, whole)
     assert whole - 1 <= trials + most_repetitions(study, trials) <= whole
+
+
+@pytest.mark.parametrize("name", [BOUNDARY, "IV"])
+def test_what_failed_when_it_was_run_again_is_no_candidate_of_a_pooled_run(study, trials, name):
+    options = ALGORITHMS[name].models
+    best = rank(study, trials, options)[0].trial.number
+    again = dataclasses.replace(
+        trials[best].evaluations[0],
+        index=len(trials[best].evaluations),
+        stage=Stage.CHECK_DRAWN,
+        outcome=Outcome(EvaluationState.FAILED, reason="axis: stalled"),
+    )
+    known = with_checks(study, trials, [*trials[best].evaluations, again], options)
+    assert known[best].evaluations == (*trials[best].evaluations, again)
+    numbers = [candidate.trial.number for candidate in rank(study, known, options)]
+    assert (best in numbers) is not options.pooled

@@ -25,7 +25,7 @@ from bo_tuner.certificate.store import (
 )
 from bo_tuner.certificate.winners_curse import Gap, training_gaps
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.optimizers.ranking import rank, ranking_models
+from bo_tuner.optimizers.ranking import ranked_by, ranking_models
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.json_numbers import without_nan
@@ -34,6 +34,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
+from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.verdict import FAIL, PASS
 
 
@@ -189,7 +190,8 @@ def make_certificate(
     tuned = evidence[TUNED]
     level = spent(confidence, attempt, len(evidence))
     findings = judge(study, tuned, level)
-    surrogates = ranking_models(study, record.trials, models)
+    trials = with_checks(study, record.trials, record.evaluations, models)
+    surrogates = ranking_models(study, trials, models)
     in_training = [e for e in record.evaluations if e.parameters == trial.parameters]
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [
@@ -205,7 +207,7 @@ def make_certificate(
         attempt=attempt,
         tuned=findings,
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
-        gaps=training_gaps(study, trial, rank(study, record.trials, models), findings),
+        gaps=training_gaps(study, trial, ranked_by(surrogates, study, trials, models), findings),
         tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
         provenance=provenance(study, backend, record.algorithm),

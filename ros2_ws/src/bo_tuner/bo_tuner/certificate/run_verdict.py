@@ -114,7 +114,7 @@ def _outliers(record: RunRecord, ranked: object) -> list[int]:
         trial.number
         for trial in record.trials
         if key(trial.parameters) not in known
-        and limits.verdict(record.study, trial) == limits.WITHIN
+        and limits.outcome_in_words(record.study, trial) == limits.WITHIN
     ]
 
 

@@ -27,12 +27,15 @@ CERTIFICATES = "certificates"
 FORMAT = 4
 """Version of the files' format."""
 
-_NAME = re.compile(r"(\d{4,9})(_evaluations\.csv|\.json)", re.ASCII)
+_NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
 
 
 def certificate_paths(folder: Path) -> list[Path]:
     """Return the certificates in a run folder, the latest first."""
-    found = [path for path in _numbered(folder) if path.suffix == ".json"]
+    directory = folder / CERTIFICATES
+    if not directory.is_dir():
+        return []
+    found = [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
     return sorted(found, key=_number, reverse=True)
 
 
@@ -58,9 +61,9 @@ def next_path(folder: Path) -> Path:
 def next_attempt(folder: Path) -> int:
     """Return the number of the next certificate, which is that of the attempt, from 1.
 
-    Evaluations alone, which a crash has left, take up a number, too.
+    Evaluations alone, which a crash has left, are no attempt: it goes on with the same draws.
     """
-    return 1 + max(map(_number, _numbered(folder)), default=0)
+    return 1 + max(map(_number, certificate_paths(folder)), default=0)
 
 
 def read_certificate(path: Path) -> Mapping[str, Any]:
@@ -175,12 +178,5 @@ def _is_of(content: Mapping[str, Any], trial: Trial) -> bool:
     return bool(content["parameters"] == dict(trial.parameters))
 
 
-def _numbered(folder: Path) -> list[Path]:
-    directory = folder / CERTIFICATES
-    if not directory.is_dir():
-        return []
-    return [path for path in directory.iterdir() if _NAME.fullmatch(path.name)]
-
-
 def _number(path: Path) -> int:
-    return int(path.name.split(".")[0].split("_")[0])
+    return int(path.stem)

@@ -1,7 +1,8 @@
 """The numbers of a certificate, row by row, and its table and lines in the terminal."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from rich.table import Table
@@ -14,6 +15,10 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED
 from bo_tuner.verdict.verdict import FAIL, PASS
+
+Worst = Sequence[Mapping[str, Any]]
+"""The contexts that a search has found for a constraint, the worst mean first."""
+NOT_SEARCHED = "–"
 
 
 @dataclass(frozen=True)
@@ -129,19 +134,23 @@ def _of_constraint(
     yield row(violation, "", (_beside(c["violation_bound"], allowed) for c in both))
     if constraint.kind == CHANCE:
         yield row("    allowed", "", (f"{c['allowed']:.4g}" for c in both))
-    if all(c["worst"] for c in both):
-        worst = [c["worst"][0] for c in both]
+    # There is no search for the worst context of a parameter set that the draws have refuted.
+    if any(c["worst"] for c in both):
+
+        def searched(show: Callable[[Worst], str]) -> Iterator[str]:
+            return (show(c["worst"]) if c["worst"] else NOT_SEARCHED for c in both)
+
         title = study.titled(constraint, f"worst-case {constraint.limited}, mean")
-        yield row(title, unit, (_mean(w["mean"], limit) for w in worst))
+        yield row(title, unit, searched(lambda worst: _mean(worst[0]["mean"], limit)))
         # Of all contexts that the search found: the worst one need not have the widest bound.
-        yield row(f"  {level}", unit, (_beside(_widest(constraint.side, c), limit) for c in both))
+        side = constraint.side
+        yield row(f"  {level}", unit, searched(lambda worst: _beside(_widest(side, worst), limit)))
         if constraint.statistic == SINGLE_RUN:
-            there = (max(to_number(w["violation_bound"]) for w in c["worst"]) for c in both)
-            yield row(violation, "", (_beside(bound, allowed) for bound in there))
-            yield row("    allowed", "", (f"{c['allowed']:.4g}" for c in both))
-        for name in worst[-1]["context"]:
-            yield row(f"  at {name}", "", (_number(w["context"][name]) for w in worst))
-        counts = (f"{w['beyond']} of {w['evaluations']}" for w in worst)
+            yield row(violation, "", searched(lambda worst: _beside(_likeliest(worst), allowed)))
+            yield row("    allowed", "", searched(lambda _: f"{tuned['allowed']:.4g}"))
+        for name in study.contexts:
+            yield row(f"  at {name}", "", searched(partial(_coordinate, name)))
+        counts = searched(lambda worst: f"{worst[0]['beyond']} of {worst[0]['evaluations']}")
         yield row(f"  evaluations {beyond}", "", counts)
     yield row(
         f"  {'kept in every context' if constraint.kind == WORST_CASE else 'kept'}",
@@ -150,10 +159,18 @@ def _of_constraint(
     )
 
 
-def _widest(side: str, constraint: Mapping[str, Any]) -> float | None:
+def _widest(side: str, worst: Worst) -> float | None:
     """Return the bound of the mean that decides; None for an infinite one, as JSON has it."""
-    bounds = [context["mean"][side] for context in constraint["worst"]]
+    bounds = [context["mean"][side] for context in worst]
     return None if None in bounds else widest(side, bounds)
+
+
+def _likeliest(worst: Worst) -> float:
+    return max(to_number(context["violation_bound"]) for context in worst)
+
+
+def _coordinate(name: str, worst: Worst) -> str:
+    return _number(worst[0]["context"][name])
 
 
 def _context(study: Study, tolerance: ContextTolerance) -> Iterator[str]:

@@ -49,6 +49,7 @@ from bo_tuner.storage.run_folder import BEST, RunFolder
 from bo_tuner.study import maxima
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial
+from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.table import print_next_steps, print_verdict
 from bo_tuner.verdict.verdict import Verdict
 
@@ -153,10 +154,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if not 1 <= most <= maxima.TRIALS:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
+    trial, is_result = _trial(record, arguments.trial)
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt, attempts = next_attempt(record.path), min(most, len(record.trials))
     _draws(arguments, parser, record, confidence, attempt + attempts - 1)
-    trial, is_result = _trial(record, arguments.trial)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
@@ -211,7 +212,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     missing = shortfall(record.study, draws, confidence)
     if missing and certificate.passed:
         console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
-    if is_result:
+    if record.result is not None:
+        # The verdict on it names the confidence of all certificates of the run.
 
         def tell(text: str) -> None:
             console.print(text, soft_wrap=True)
@@ -254,9 +256,12 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     known = {trial.number} | {
         other.number for other in record.trials if latest_certificate(record, other) is not None
     }
-    ranked = rank(record.study, record.trials, ALGORITHMS[record.algorithm].models)
-    others = [c.trial for c in ranked if c.believed_feasible and c.trial.number not in known]
-    yield from others[: count - 1]
+    options = ALGORITHMS[record.algorithm].models
+    # What failed its check, or when it was run again, is no candidate.
+    trials = with_checks(record.study, record.trials, record.evaluations, options)
+    ranked = rank(record.study, trials, options)
+    others = [c.trial.number for c in ranked if c.believed_feasible and c.trial.number not in known]
+    yield from (trial_of(record, number) for number in others[: count - 1])
 
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:

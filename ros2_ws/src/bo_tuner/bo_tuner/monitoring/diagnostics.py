@@ -13,7 +13,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.storage.run_files import BAGS, trial_bag
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-from bo_tuner.tuning.limits import WITHIN, tightest, verdict
+from bo_tuner.tuning.limits import WITHIN, outcome_in_words, tightest
 
 PROGRESS, SURROGATE, SAFETY = "tuner: progress", "tuner: surrogate", "tuner: safety"
 TRIAL_RESULT = "tuner: trial_result"
@@ -110,7 +110,7 @@ def safety(study: Study, now: Snapshot) -> Status:
     }
     if now.last is None:
         return Status(SAFETY, Level.OK, "no trial yet", _text(values))
-    message = f"trial {now.last.number}: {now.last.reason or verdict(study, now.last)}"
+    message = f"trial {now.last.number}: {now.last.reason or outcome_in_words(study, now.last)}"
     return Status(SAFETY, _level(study, now.last), message, _text(values))
 
 
@@ -132,7 +132,7 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
         "trial": trial.number,
         "state": str(trial.state),
         "origin": trial.origin,
-        "verdict": verdict(study, trial),
+        "verdict": outcome_in_words(study, trial),
         **{f"parameters.{name}": value for name, value in trial.parameters.items()},
     }
     if trial.state is TrialState.COMPLETE:
@@ -150,14 +150,14 @@ def trial_result(study: Study, trial: Trial, incumbent: Candidate | None, run: s
         "seed": study.seed,
         "bag": f"{run}/{BAGS}/{trial_bag(trial.number)}",
     }
-    message = trial.reason or verdict(study, trial)
+    message = trial.reason or outcome_in_words(study, trial)
     return Status(TRIAL_RESULT, _level(study, trial), message, _text(values))
 
 
 def _level(study: Study, trial: Trial) -> Level:
     if trial.state is TrialState.FAILED:
         return Level.ERROR
-    return Level.OK if verdict(study, trial) == WITHIN else Level.WARN
+    return Level.OK if outcome_in_words(study, trial) == WITHIN else Level.WARN
 
 
 def _of_incumbent(best: Candidate | None) -> dict[str, object]:

@@ -16,7 +16,7 @@ from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 
 SCHEMA = 1
 
@@ -142,7 +142,7 @@ class JsonLines(Display):
             "origin": trial.origin,
             "state": str(trial.state),
             "reason": trial.reason,
-            "verdict": verdict(self._study, trial),
+            "verdict": outcome_in_words(self._study, trial),
             "parameters": trial.parameters,
             "mean_metrics": metrics,
             "worst_cases": {name: asdict(worst) for name, worst in trial.worst_cases.items()},

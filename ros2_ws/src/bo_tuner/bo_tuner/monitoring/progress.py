@@ -16,7 +16,7 @@ from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
 from bo_tuner.text import JOIN, printable, shown
 from bo_tuner.trials import Evaluation, Trial, TrialState, Value
-from bo_tuner.tuning.limits import WITHIN, verdict
+from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 from bo_tuner.verdict.table import print_line
 
 NUMBER_WIDTH = 9
@@ -105,7 +105,8 @@ class RunProgress(Display):
     def pause(self, paused: bool) -> None:
         """Show the start or the end of a pause."""
         self._show()
-        self.tell("paused; call ~/pause with data: false to continue" if paused else "continuing")
+        how = "on the live page, or on ROS by ~/pause with data: false"
+        self.tell(f"paused; continue {how}" if paused else "continuing")
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""
@@ -222,7 +223,7 @@ def describe(trial: Trial, study: Study) -> str:
         name = f"worst {worst.limited}".replace(" ", JOIN)
         value = _pair(name, trial.worst_cases[worst.name].value)
         text += f"  {value}{JOIN}limit{JOIN}{worst.limit:g}"
-    if (found := verdict(study, trial)) != WITHIN:
+    if (found := outcome_in_words(study, trial)) != WITHIN:
         text += f"  {found}"
     count = len(trial.evaluations)
     return f"{text}  [{count}{JOIN}evaluation{'' if count == 1 else 's'}]"

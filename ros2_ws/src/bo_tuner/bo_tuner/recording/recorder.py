@@ -30,7 +30,7 @@ from bo_tuner.recording.signal_bag import RECORDING, recording_note, signal_mess
 from bo_tuner.storage.run_files import bag_name
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, Trial, TrialState
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 
 MEMORY = 64_000_000
 """Most bytes of messages that wait to be written."""
@@ -254,7 +254,7 @@ class Recorder:
             "origin": trial.origin,
             "state": str(trial.state),
             "reason": trial.reason,
-            "verdict": verdict(self._study, trial),
+            "verdict": outcome_in_words(self._study, trial),
         }
         self._keep(retention, bag, notes, reason, value)
 

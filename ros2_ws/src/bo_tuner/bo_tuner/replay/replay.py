@@ -15,6 +15,7 @@ from bo_tuner.study.parts import IN_PROCESS, Metric
 from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
+from bo_tuner.tuning.settling import with_checks
 
 BEST, WORST = "best", "worst"
 
@@ -141,7 +142,9 @@ def find_trial(record: RunRecord, which: str) -> int:
     if which == BEST:
         if record.summary is not None:
             return result_of(record).number
-        best = incumbent(record.study, record.trials, ALGORITHMS[record.algorithm].models)
+        options = ALGORITHMS[record.algorithm].models
+        checked = with_checks(record.study, record.trials, record.evaluations, options)
+        best = incumbent(record.study, checked, options)
         if best is None:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is best")
         return best.trial.number

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.deploy.bundle import result_of
+from bo_tuner.errors import RunRecordError
 from bo_tuner.models.fitting import ModelOptions
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.optimizers.algorithms import ALGORITHMS
@@ -18,8 +19,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.limits import uncertain, violated
-from bo_tuner.tuning.recommendation import with_check
-from bo_tuner.tuning.settling import estimated, repetitions_of, with_repetitions
+from bo_tuner.tuning.settling import estimated, with_checks
 from bo_tuner.verdict.verdict import Verdict
 
 T = TypeVar("T")
@@ -96,15 +96,8 @@ class Analysis:
     @cached_property
     def _checked(self) -> tuple[Trial, ...]:
         """As `trials`, but all worst cases as they were estimated when the trials were run."""
-        checks = repetitions_of(self.record.evaluations)
-        trials = []
-        for trial in self.record.trials:
-            check = checks.get(trial.number, [])
-            if self._options.pooled:
-                trials.append(with_repetitions(trial, check))
-            else:
-                trials.append(with_check(self.study, trial, check)[0])
-        return tuple(trials)
+        record = self.record
+        return tuple(with_checks(self.study, record.trials, record.evaluations, self._options))
 
     @cached_property
     def models(self) -> Surrogates:
@@ -126,10 +119,22 @@ class Analysis:
         """The trials of `ranked`, in the order of the run."""
         return comparable(self.models, self.trials, self._options)
 
-    @cached_property
+    @property
     def certificate(self) -> CertificateFile | None:
-        """The certificate, if `validate` has written one."""
-        return certificate(self.record, self.answer)
+        """The certificate, if `validate` has written one and it can be read."""
+        return self._certificate[0]
+
+    @property
+    def certificate_problem(self) -> str:
+        """Why the certificate cannot be read; empty if it can, or there is none."""
+        return self._certificate[1]
+
+    @cached_property
+    def _certificate(self) -> tuple[CertificateFile | None, str]:
+        try:
+            return certificate(self.record, self.answer), ""
+        except RunRecordError as error:
+            return None, str(error)
 
     @cached_property
     def answer(self) -> Trial | None:

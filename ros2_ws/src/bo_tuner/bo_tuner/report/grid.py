@@ -44,7 +44,10 @@ class ParameterGrid:
 
 
 def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) -> ParameterGrid:
-    """Return a grid of at most `most` values between the bounds; `at` is a parameter set."""
+    """Return a grid of at most `most` values between the bounds; `at` is a parameter set.
+
+    Those of an integer or of a parameter with a step are values that it can have.
+    """
     space = study.search_space()
     item = study.parameters[name]
     column = space.names.index(name)
@@ -52,7 +55,8 @@ def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) 
     log = item.scale == LOG
     values = np.geomspace(lower, upper, most) if log else np.linspace(lower, upper, most)
     if item.is_integer:
-        values = np.unique(np.round(values))
+        values = np.round(values)
+    values = np.unique([item.on_grid(value) for value in values])
     # Rounding must not leave the bounds.
     values = np.clip(values, lower, upper)
     kind = int if item.is_integer else float
@@ -67,7 +71,7 @@ def parameter_grid(study: Study, name: str, at: Mapping[str, Value], most: int) 
 
 
 def permitted(study: Study, points: Array) -> np.ndarray:
-    """Return which points (n, d) of the cube satisfy the study's order, shape (n,)."""
+    """Return which points (n, d) of the cube are parameter sets of the study, shape (n,)."""
     moved = np.abs(study.search_space().repair(points) - points)
     kept: np.ndarray = moved.max(axis=1) < 1e-9
     return kept

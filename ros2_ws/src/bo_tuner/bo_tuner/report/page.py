@@ -45,6 +45,8 @@ FORMATS = ("png", "svg")
 
 def certificate(analysis: Analysis) -> Section | None:
     """Show the certificate; None without one."""
+    if problem := analysis.certificate_problem:
+        return Section(name="certificate", title="Certificate: not readable", lead=f"{problem}.")
     return None if analysis.certificate is None else analysis.certificate.section
 
 

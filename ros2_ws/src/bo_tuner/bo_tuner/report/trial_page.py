@@ -7,14 +7,14 @@ from functools import partial
 from bo_tuner.errors import BackendError, RunRecordError, StudyError
 from bo_tuner.figures.figure import Figure, Panel
 from bo_tuner.recording.retention import evaluation_badness
-from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.analysis import OF_VALUE, Analysis
 from bo_tuner.report.content import Section, Table, number, quantity
 from bo_tuner.report.recorded_signals import recorded, signal_panels
 from bo_tuner.report.sections.trajectories import LOOKS, NoTraceError, panels, side_looks, simulate
 from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.text import counted, values, with_unit
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Trial
-from bo_tuner.tuning.limits import verdict
+from bo_tuner.tuning.limits import outcome_in_words
 
 
 def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
@@ -32,7 +32,7 @@ def trial_sections(analysis: Analysis, trial: Trial) -> list[Section]:
 
 def _summary(analysis: Analysis, trial: Trial) -> Section:
     study, of_run = analysis.study, analysis.verdict
-    own, title = verdict(study, trial), f"Trial {trial.number}"
+    own, title = _in_words(analysis, trial), f"Trial {trial.number}"
     count = counted(len(trial.evaluations), "evaluation")
     sentences = [f"{count}; proposed as: {trial.origin or 'unknown'}."]
     if trial.number == of_run.trial:
@@ -73,6 +73,12 @@ def _summary(analysis: Analysis, trial: Trial) -> Section:
         ],
         notes=[f"While it was proposed: {warning}." for warning in trial.warnings],
     )
+
+
+def _in_words(analysis: Analysis, trial: Trial) -> str:
+    """Return the outcome of a trial; of limits that it may not keep the names, too."""
+    outcome = analysis.outcome(trial)
+    return outcome_in_words(analysis.study, trial) if outcome in OF_VALUE else str(outcome)
 
 
 def _evaluations(analysis: Analysis, trial: Trial) -> Section:

@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
-from bo_tuner.tuning.limits import WITHIN, verdict
+from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 CONFIDENCE = 0.95
 """Of the interval of a mean."""
@@ -75,7 +75,7 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     ranked
         As from `rank`, with the evaluations of checks.
     """
-    kept = [c for c in ranked if c.believed_feasible and verdict(study, c.trial) == WITHIN]
+    kept = [c for c in ranked if c.believed_feasible and outcome_in_words(study, c.trial) == WITHIN]
     points = [
         Point(
             candidate.trial.number,

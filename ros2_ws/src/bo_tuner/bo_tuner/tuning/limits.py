@@ -191,7 +191,7 @@ def tightest(study: Study, trial: Trial) -> tuple[Constraint, WorstCase] | None:
     return max(found, key=lambda pair: excess(*pair), default=None)
 
 
-def verdict(study: Study, trial: Trial) -> str:
+def outcome_in_words(study: Study, trial: Trial) -> str:
     """Return what a trial is called: `WITHIN`, or the limits that it violates, or may violate.
 
     One without values is called by its `Trial.ending`, such as ``failed`` or ``lost``.

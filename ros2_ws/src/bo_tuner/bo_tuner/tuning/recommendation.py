@@ -18,7 +18,7 @@ from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Trial, WorstCase
 from bo_tuner.tuning.evaluation import evaluate
-from bo_tuner.tuning.limits import judge_sample, refuted
+from bo_tuner.tuning.limits import judge_sample, judge_samples, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 DRAWN_EVALUATIONS = 10
@@ -147,7 +147,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         judge_sample(chance, extended.observations(chance.metric)).holds
         for chance in study.chance_constraints
     )
-    drawn = [e for e in check if e.stage is Stage.CHECK_DRAWN]
+    samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
     repeated = [e for e in check if e.stage is Stage.CHECK_WORST]
     found: dict[str, WorstCase] = {}
     for constraint in study.worst_case_constraints:
@@ -155,11 +155,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         if worst is None:
             continue
         there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
-        holds = (
-            holds
-            and not refuted(constraint, there)
-            and judge_sample(constraint, _values(drawn, constraint.metric)).holds
-        )
+        holds = holds and not refuted(constraint, there) and samples[constraint.name].holds
         found[constraint.name] = replace(
             worst,
             value=float(np.mean(there)),

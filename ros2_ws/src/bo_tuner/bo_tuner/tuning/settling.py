@@ -29,7 +29,7 @@ from bo_tuner.trials import (
 )
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
-from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations
+from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations, with_check
 
 SHARE = 1.0 / 6.0
 """Repetitions, at most, for each evaluation of the trials."""
@@ -158,6 +158,34 @@ def with_known_repetitions(
     last = max((k for k, e in enumerate(evaluations) if e.stage in TUNING), default=0)
     known = repetitions_of(evaluations if more else evaluations[:last])
     return [with_repetitions(trial, known.get(trial.number, ())) for trial in trials]
+
+
+def with_checks(
+    study: Study,
+    trials: Sequence[Trial],
+    evaluations: Iterable[Evaluation],
+    options: ModelOptions,
+) -> list[Trial]:
+    """Give trials what is on record of their checks or repetitions, as the ranking has to know it.
+
+    A trial that failed when it was run again is no candidate. Worst cases are as they were
+    estimated when the trials were run, or, without pooled models, when they were checked.
+
+    Parameters
+    ----------
+    study
+        The study.
+    trials
+        Without these evaluations.
+    evaluations
+        All evaluations of the run, in the order of the record.
+    options
+        As in `rank`.
+    """
+    known = repetitions_of(evaluations)
+    if options.pooled:
+        return [with_repetitions(trial, known.get(trial.number, ())) for trial in trials]
+    return [with_check(study, trial, known.get(trial.number, ()))[0] for trial in trials]
 
 
 def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:

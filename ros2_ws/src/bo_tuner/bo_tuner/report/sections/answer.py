@@ -11,7 +11,7 @@ from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
-from bo_tuner.verdict.verdict import Quantity, Status, Verdict
+from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict
 
 FILES = (
     (BEST, "the tuned parameters"),
@@ -103,10 +103,11 @@ def _tiles(analysis: Analysis) -> list[Tile]:
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
     elif found is not None:
         scope = f"of trial {found.trial}, which is not the result"
-        value = "PASS" if found.passed else "FAIL"
+        value = PASS if found.passed else FAIL
         tiles.insert(0, Tile("certificate", value, "", [scope], Status.WARNING))
     else:
-        tiles.insert(0, Tile("certificate", "none yet", "", ["run validate"], Status.OPEN))
+        value = "not readable" if analysis.certificate_problem else "none yet"
+        tiles.insert(0, Tile("certificate", value, "", ["run validate"], Status.OPEN))
     return tiles
 
 

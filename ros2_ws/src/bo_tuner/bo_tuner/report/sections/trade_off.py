@@ -24,7 +24,7 @@ from bo_tuner.report.sections.convergence import mean_axis, trial_points
 from bo_tuner.study.constraint import UPPER, Constraint
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Trial
-from bo_tuner.tuning.limits import WITHIN, verdict
+from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 LIMITS = (0.8, 0.9, 1.0, 1.1, 1.25)
 """Other limits to look at, as factors on the study's."""
@@ -148,7 +148,7 @@ def _other_limits(
         upper = constraint.side == UPPER
         moved = replace(constraint, upper=limit) if upper else replace(constraint, lower=limit)
         other = replace(study, constraints={**study.constraints, constraint.name: moved})
-        within = np.flatnonzero([verdict(other, trial) == WITHIN for trial in trials])
+        within = np.flatnonzero([outcome_in_words(other, trial) == WITHIN for trial in trials])
         if len(within):
             best[limit] = int(within[np.argmin(cost[within])])
     own = best.get(constraint.limit)
