@@ -1,8 +1,10 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
+import errno
 import os
 import re
 import sys
+from pathlib import Path
 
 import pytest
 from commands import environment, run
@@ -132,6 +134,17 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
     assert len(looks) >= 3
     assert "nodes found: servo\n" in out
     assert list(load_study(tmp_path / "study.yaml").parameters) == ["late"]
+
+
+def test_a_file_that_cannot_be_written(servo, quick, tmp_path, capsys, monkeypatch):
+    def refuse(path, *_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    path = tmp_path / "study.yaml"
+    code, _, err = call(tune, capsys, "--init", path)
+    assert code == 2
+    assert err.splitlines()[-1] == f"error: {path}: cannot be written: Permission denied"
 
 
 def test_an_action_is_offered(servo, quick, tmp_path, capsys):

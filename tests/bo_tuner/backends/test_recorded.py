@@ -12,7 +12,7 @@ def test_each_is_given_once_and_only_for_the_same_assignments(make_study, functi
     study = make_study()
     outcomes = [Outcome(EvaluationState.COMPLETE, {"error": e, "peak": 0.1}) for e in (1.0, 2.0)]
     recorded = [
-        Evaluation(0, k, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome)
+        Evaluation(0, k, Stage.DRAWN, {"gain": 0.5}, {"load": 1.5}, 7, outcome, seconds=k + 2.0)
         for k, outcome in enumerate(outcomes)
     ]
     ran = []
@@ -27,6 +27,7 @@ def test_each_is_given_once_and_only_for_the_same_assignments(make_study, functi
     given = list(backend.run([same, same]))
     assert [evaluation.outcome for evaluation in given] == outcomes
     assert all(evaluation.recorded for evaluation in given)
+    assert [evaluation.seconds for evaluation in given] == [2.0, 3.0]
     assert ran == []
     (new,) = backend.run([same])
     assert new.outcome.metrics["error"] == 3.0

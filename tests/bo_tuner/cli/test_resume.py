@@ -323,6 +323,24 @@ class TestLost:
         tuned = summary_from_record(read_run(folder))["tuned"]
         assert (tuned["failures"], tuned["feasible"]) == (1, False)
 
+    def test_a_reader_does_not_take_the_draw_of_an_earlier_result_for_it(self, runs, whole):
+        """As a run has it that was continued: another parameter set was validated before."""
+        folder = self.lose(
+            runs,
+            whole,
+            "earlier",
+            lambda e: (e.stage, e.trial, e.index) == (Stage.VALIDATION, 1, 2),
+        )
+        record = read_run(folder)
+        (lost,) = [e for e in record.evaluations if e.outcome.state is EvaluationState.LOST]
+        (other,) = [
+            e for e in record.evaluations if (e.stage, e.trial, e.index) == (Stage.VALIDATION, 0, 2)
+        ]
+        assert other.outcome.complete
+        earlier = replace(other, trial=lost.trial, seed=lost.seed)
+        record = replace(record, evaluations=(earlier, *record.evaluations))
+        assert summary_from_record(record)["tuned"]["failures"] == 1
+
 
 class TestDamage:
     def goes_on(self, runs, whole, name):

@@ -49,11 +49,12 @@ class Machine:
         self.left.trial(trial)
         return trial
 
-    def evaluations(self, count, evaluation=1.0):
-        """Evaluations of another phase than the tuning."""
+    def evaluations(self, count, evaluation=1.0, *, recorded=False):
+        """Evaluations of another phase than the tuning; those on record take no time."""
         for item in self._make_trial(0, {"gain": 0.5}, [1.0] * count).evaluations:
-            self.pass_time(evaluation)
-            self.left.evaluation(dataclasses.replace(item, seconds=self.slowdown * evaluation))
+            self.pass_time(0.0 if recorded else evaluation)
+            seconds = self.slowdown * evaluation
+            self.left.evaluation(dataclasses.replace(item, seconds=seconds, recorded=recorded))
 
 
 @pytest.fixture
@@ -258,3 +259,15 @@ def test_it_follows_a_change_of_the_load(machine, slowdown, seed):
     for done, at, left in told:
         if done >= 27:
             assert left == pytest.approx(end - at, rel=0.2), done
+
+
+def test_evaluations_on_record_do_not_shorten_those_to_come(machine):
+    """Of 10 draws of the validation 8 were made before the run was interrupted."""
+    run = machine("IV")
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    run.left.begin(Phase.VALIDATION)
+    run.evaluations(8, recorded=True)
+    assert run.left.estimate() == 2.0
+    run.evaluations(1)
+    assert run.left.estimate() == 1.0

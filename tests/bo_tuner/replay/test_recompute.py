@@ -1,6 +1,7 @@
 """Metrics from the bags of a run are those of the run, and others can be had of its signals."""
 
 import csv
+import dataclasses
 import json
 
 import numpy as np
@@ -13,6 +14,7 @@ from bo_tuner.recording.signal_bag import recorded_runs
 from bo_tuner.replay.recompute import differing, recompute
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping, study_to_yaml
+from bo_tuner.trials import EvaluationState, Outcome
 
 RUNS = 3
 STUDY = signal_study()
@@ -100,6 +102,16 @@ def test_a_number_that_is_not_the_recorded_one(folder, tmp_path):
     code, out, err = run("recompute", folder, folder=tmp_path)
     assert (code, err) == (3, "")
     assert "1 differ from the record" in out
+
+
+def test_metrics_that_cannot_be_computed_any_more_are_not_as_recorded(folder):
+    """Those of another study that cannot be computed tell nothing of the record."""
+    record = read_run(folder)
+    failed = Outcome(EvaluationState.FAILED, reason="metric error: division by zero")
+    for item in recompute(record, record.study):
+        lost = dataclasses.replace(item, outcome=failed)
+        assert set(differing(record, record.study, lost)) == set(record.study.metrics)
+        assert differing(record, make_study(objective={"metric": "peak"}), lost) == []
 
 
 @pytest.mark.parametrize(

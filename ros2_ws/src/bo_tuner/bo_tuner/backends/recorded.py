@@ -49,9 +49,10 @@ class RecordedEvaluations:
         for planned in evaluations:
             found = self._evaluations.get(self._key(planned))
             if found:
+                earlier = found.pop(0)
                 # Those of another run may have been judged by another study.
-                outcome = judged(self._study, found.pop(0).outcome)
-                yield replace(planned, outcome=outcome, recorded=True)
+                outcome = judged(self._study, earlier.outcome)
+                yield replace(planned, outcome=outcome, seconds=earlier.seconds, recorded=True)
             else:
                 yield from self._backend.run([planned])
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shlex
 import sys
 from collections.abc import Sequence
 
@@ -192,7 +193,8 @@ def _set(
     unfinished.unlink()
     say(f"set and read back on {', '.join(new)}")
     if trial is not None:
-        say(f"previous values: {rollback}; restore them with: apply {folder} --rollback")
+        command = shlex.join(["apply", str(folder), "--rollback"])
+        say(f"previous values: {rollback}; restore them with: {command}")
         if (result := result_of(record)).number != trial.number:
             say(
                 f"{folder / DEPLOY / PARAMETERS} holds trial {result.number}, the result; for the "

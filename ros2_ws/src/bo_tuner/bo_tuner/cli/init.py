@@ -1,6 +1,7 @@
 """``tune --init``: write a first study for the nodes that are running."""
 
 import re
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from bo_tuner.cli.streams import ask, say_error
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.storage.atomic import writing
 from bo_tuner.study import checks
 from bo_tuner.study.first_study import first_study
 from bo_tuner.study.offers import (
@@ -191,15 +193,16 @@ def write_first_study(
     text = first_study(str(path), seen, tuned, chosen, recorded)
     # Nothing is written that `tune --study` would refuse.
     parse_study(text, str(path))
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        _check_path(path)
+    with writing(path):
+        try:
+            with path.open("x", encoding="utf-8") as file:
+                file.write(text)
+        except FileExistsError:
+            _check_path(path)
     found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
     say(f"{path}: {found}; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
-    say(f"  tune --check {path}")
+    say(f"  {shlex.join(['tune', '--check', str(path)])}")
     return EXIT_OK
 
 

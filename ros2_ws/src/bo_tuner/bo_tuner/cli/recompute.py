@@ -94,12 +94,10 @@ def _row(
     record: RunRecord, study: Study, found: Recomputed, differs: Sequence[str]
 ) -> tuple[object, ...]:
     run, outcome = found.run, found.outcome
-    note = ""
-    if not outcome.complete:
-        note = outcome.reason
-    elif differs:
+    notes = [] if outcome.complete else [outcome.reason]
+    if differs:
         recorded = (f"{name} {run.evaluation['metrics'][name]!r}" for name in differs)
-        note = f"recorded: {', '.join(recorded)}"
+        notes.append(f"recorded: {', '.join(recorded)}")
     metrics = (outcome.metrics.get(name, "") for name in study.metrics)
     evaluation = run.evaluation
-    return run.bag, run.trial, evaluation["index"], evaluation["stage"], *metrics, note
+    return run.bag, run.trial, evaluation["index"], evaluation["stage"], *metrics, "; ".join(notes)

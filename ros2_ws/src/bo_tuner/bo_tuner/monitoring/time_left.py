@@ -90,7 +90,7 @@ class TimeLeft:
         """Note the beginning of a phase."""
         self._phase = phase
         self._began = self._trial_began = self._latest = self._clock()
-        self._in_phase = self._steps = 0
+        self._in_phase = self._measured_in_phase = self._steps = 0
 
     def recall(self, trials: Sequence[Trial]) -> None:
         """Take trials on record, which tell the times of their proposals and evaluations only."""
@@ -109,6 +109,8 @@ class TimeLeft:
         self._latest = now
         self._evaluations += 1
         self._in_phase += 1
+        # One on record takes no time.
+        self._measured_in_phase += not evaluation.recorded
 
     def step(self) -> None:
         """Note a step of the phase that is not a trial."""
@@ -232,7 +234,7 @@ class TimeLeft:
     def _measured(self, expected: float) -> float:
         """Return the time [s] of an evaluation of the phase, by what was expected and measured."""
         passed = self._latest - self._began
-        return (EXPECTED_WEIGHT * expected + passed) / (EXPECTED_WEIGHT + self._in_phase)
+        return (EXPECTED_WEIGHT * expected + passed) / (EXPECTED_WEIGHT + self._measured_in_phase)
 
 
 def _line(points: Sequence[tuple[float, float]]) -> tuple[float, float, float]:

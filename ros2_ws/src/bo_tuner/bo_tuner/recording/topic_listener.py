@@ -2,7 +2,7 @@
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from rclpy.context import Context
@@ -11,6 +11,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
+from bo_tuner.backends.ros.lost_messages import LostMessages
 from bo_tuner.backends.ros.messages import interface_class
 from bo_tuner.errors import StudyError
 from bo_tuner.recording.bag import Topic, make_topic
@@ -104,11 +105,11 @@ class TopicListener:
             waiting = [item for heard in self._subscriptions for item in heard.take()]
             for _, topic, data in sorted(waiting, key=lambda item: item[0]):
                 self._sink.take(topic, data)
-            lost = sum(heard.lost for heard in self._subscriptions)
+            lost = sum(heard.lost.count for heard in self._subscriptions)
             if lost:
                 self._sink.lose(lost)
                 for heard in self._subscriptions:
-                    heard.lost = 0
+                    heard.lost.count = 0
 
     def close(self) -> None:
         """Hand over what waits, and stop listening."""
@@ -143,7 +144,7 @@ class TopicListener:
             message_class, name, lambda message: None, qos, raw=True
         )
         with self._taking:
-            self._subscriptions.append(_Heard(topic, subscription, len(publishers) == 1))
+            self._subscriptions.append(_Heard(topic, subscription))
 
     def _run(self) -> None:
         while not self._stop.wait(PERIOD):
@@ -152,28 +153,21 @@ class TopicListener:
 
 @dataclass
 class _Heard:
-    """A subscription, and how many of its messages the middleware has lost.
-
-    A publisher numbers its messages; where there are several, a gap tells nothing.
-    """
+    """A subscription, and how many of its messages the middleware has lost."""
 
     topic: Topic
     subscription: Subscription
-    one_publisher: bool
-    latest: int = 0
-    lost: int = 0
+    lost: LostMessages = field(default_factory=LostMessages)
 
     def take(self) -> list[tuple[int, Topic, bytes]]:
         """Take the messages that wait, with the time of their arrival [ns]."""
         found = []
         handle = self.subscription.handle
         with handle:
+            # Another may have joined, or left, since the subscription was made.
+            publishers = handle.get_publisher_count()
             while (item := handle.take_message(self.subscription.msg_type, True)) is not None:
                 data, info = item
                 found.append((info["received_timestamp"], self.topic, data))
-                number = info["publication_sequence_number"]
-                # A publisher that was started anew begins again; not every middleware numbers.
-                if self.one_publisher and number and 0 < self.latest < number:
-                    self.lost += number - self.latest - 1
-                self.latest = number or 0
+                self.lost.note(info["publication_sequence_number"], publishers)
         return found

@@ -82,14 +82,19 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
 
 
 def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:
-    """Return the metrics whose recomputed value is not the recorded one, of equal definitions."""
-    recorded = found.run.evaluation.get("metrics", {})
+    """Return the metrics whose recomputed value is not the recorded one, of equal definitions.
+
+    Where the metrics of the run's own study cannot be computed any more, that is all of them.
+    """
+    if not found.outcome.complete and study != record.study:
+        # A metric of the other study may be what failed.
+        return []
     return [
         name
-        for name, value in found.outcome.metrics.items()
-        if name in recorded
+        for name, value in found.run.evaluation.get("metrics", {}).items()
+        if name in study.metrics
         and study.metrics[name] == record.study.metrics.get(name)
-        and recorded[name] != value
+        and found.outcome.metrics.get(name) != value
     ]
 
 

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import json
 import os
+import shlex
 import shutil
 from collections.abc import Mapping
 from datetime import datetime
@@ -36,7 +37,7 @@ REPORT = "report.html"
 
 def how_to_resume(path: Path) -> str:
     """Tell in a few words how the run in a folder goes on."""
-    return f"resume it with: tune --resume {path}"
+    return f"resume it with: {shlex.join(['tune', '--resume', str(path)])}"
 
 
 class RunFolder:

@@ -5,7 +5,7 @@ validate, summarize. The reader's evaluations all come from the journal.
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from bo_tuner.backends.protocol import Backend
@@ -264,8 +264,13 @@ def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     )
 
 
-def _place(evaluation: Evaluation) -> tuple[str, int, int, int]:
-    return (evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed)
+def _place(evaluation: Evaluation) -> Hashable:
+    """Return what an evaluation has in common with one that repeats it.
+
+    In a run that was continued, another parameter set may be validated in the same places.
+    """
+    parameters = tuple(sorted(evaluation.parameters.items()))
+    return (evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed, parameters)
 
 
 def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:

@@ -16,6 +16,7 @@ from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.lost_messages import LostMessages
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
     has_header,
@@ -232,7 +233,7 @@ class SignalRecorder:
             signals[name] = RecordedSignal(
                 (stamps * 1e-9).astype(np.float64),
                 np.array(track.values[first:last]),
-                heard.lost,
+                heard.lost.count,
                 track.late,
             )
         return Recording(signals, end)
@@ -398,13 +399,12 @@ class _Topic:
     subscription: Subscription
     is_latched: bool
     tracks: dict[str, _Track] = field(default_factory=dict)
-    latest: int = 0
-    lost: int = 0
+    lost: LostMessages = field(default_factory=LostMessages)
     problem: str = ""
     message: Any = None
 
     def begin(self, now: int, in_run: bool) -> None:
-        self.lost = 0
+        self.lost.count = 0
         self.problem = ""
         for track in self.tracks.values():
             track.begin(now, in_run)
@@ -422,7 +422,7 @@ class _Topic:
 
     def poll(self) -> None:
         """Take what waits."""
-        handle = self.subscription.handle
+        handle, publishers = self.subscription.handle, self.publishers
         with handle:
             # No more than can wait: a topic that is faster than this loop always has another.
             for _ in range(DEPTH):
@@ -430,16 +430,10 @@ class _Topic:
                 if item is None:
                     break
                 data, info = item
-                self._count_lost(info["publication_sequence_number"] or 0)
+                self.lost.note(info["publication_sequence_number"], publishers)
                 try:
                     message = self.message = decode(data, self.subscription.msg_type)
                     for track in self.tracks.values():
                         track.add(message, info["received_timestamp"])
                 except (UnreadableError, ItemMissingError) as error:
                     self.problem = f"a message on {self.name} {error}"
-
-    def _count_lost(self, number: int) -> None:
-        # A publisher that was started anew begins again; not every middleware numbers.
-        if 0 < self.latest < number:
-            self.lost += number - self.latest - 1
-        self.latest = number
