@@ -22,6 +22,7 @@ from recorded_trials import (
     trial_of,
 )
 
+from bo_tuner.recording import recorder as recorder_module
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, make_topic, stamp, timed
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import MADE, Policy, RecordOptions, custom_data
@@ -235,6 +236,34 @@ class TestRetention:
             recording.trial(trial_of(0), None)
         assert recording.summary == {"policy": "none"}
         assert list(tmp_path.iterdir()) == []
+
+    def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, tmp_path, monkeypatch):
+        """It would fill the memory, so that the messages of the next evaluation were dropped."""
+        monkeypatch.setattr(recorder_module, "QUIET", 0.0)
+        size = len(joints(START)[1])
+        monkeypatch.setattr(recorder_module.Recorder.__init__, "__defaults__", (20 * size,))
+        waiting = []
+
+        def listen(recorder):
+            def take():
+                while waiting:
+                    recorder.take(*waiting.pop(0))
+
+            return SimpleNamespace(take=take, refresh=lambda: False, close=take)
+
+        options = RecordOptions(Policy.ALL)
+        with RunRecording(tmp_path, STUDY, options, listen, pytest.fail) as recording:
+            waiting += [joints(START + k) for k in range(10)]
+            recording.evaluation(evaluation_of(0, 0))
+            recording.pause(True)
+            waiting += [joints(START + 1000 + k) for k in range(100)]
+            recording.pause(False)
+            waiting += [joints(START + 2000 + k) for k in range(10)]
+            recording.evaluation(evaluation_of(0, 1))
+            recording.trial(trial_of(0), None)
+        times = [time - START for _, time, _ in with_rosbags(tmp_path / "bags" / "trial_0000")]
+        assert times == [*range(10), *range(2000, 2010)]
+        assert recording.summary["dropped_messages"] == 0
 
 
 class TestTrouble:

@@ -43,7 +43,6 @@ from bo_tuner.certificate.sequential import (
 )
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
-from bo_tuner.study.parts import MAXIMIZE
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -78,7 +77,7 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
     """
     metric = study.objective.metric
     values = _values(evidence.drawn, metric)
-    sign = -1.0 if study.objective.direction == MAXIMIZE else 1.0
+    sign = study.objective.sign
     failed = _failed(evidence.evaluations)
     return Findings(
         parameters=dict(evidence.parameters),

@@ -50,7 +50,7 @@ class Difference:
 
     @property
     def equal(self) -> bool:
-        """Whether the values are equal, see `same`."""
+        """Whether the values are equal, see `checks.same_value`."""
         return checks.same_value(self.now, self.new)
 
 

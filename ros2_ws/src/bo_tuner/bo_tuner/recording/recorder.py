@@ -113,6 +113,12 @@ class Recorder:
         """Tell that what came since the last call belongs to `evaluation`, and its signals."""
         self._submit(self._write, self._take_batch(), evaluation, recording)
 
+    def forget(self) -> None:
+        """Let go of what came since the last call of `evaluation`: it belongs to none."""
+        batch = self._take_batch()
+        with self._lock:
+            self._waiting -= batch.size
+
     def trial(self, trial: Trial, best: bool) -> None:
         """Tell that a trial is complete, and whether no other is better so far."""
         self._wait_for_quiet()

@@ -109,6 +109,12 @@ class RunRecording(RunObserver):
             self._listener.refresh()
             self._pass_news_on()
 
+    def pause(self, paused: bool) -> None:
+        """Let go of what came in a pause: it would take the memory of the next evaluation."""
+        if not paused and self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            self._recorder.forget()
+
     def end(self, phase: str) -> None:
         """Finish the bag of the checks or of the validation."""
         if phase == Phase.TUNING:

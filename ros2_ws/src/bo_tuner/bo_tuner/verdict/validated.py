@@ -7,9 +7,10 @@ from bo_tuner.study.constraint import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import (
+    DEFAULT,
     SEEKING_WORST,
+    TUNED,
     Evaluation,
-    Stage,
     Trial,
     TrialState,
     Value,
@@ -21,9 +22,6 @@ from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.verdict import State, Verdict
-
-DEFAULT, TUNED = 0, 1
-"""Number of a parameter set in the validation, in place of that of a trial."""
 
 FAILURES = "failed evaluations"
 """Stands for them where problems have the names of constraints, which have no space."""
@@ -146,7 +144,7 @@ def doubt(algorithm: str, feasibility: float, *, passed: bool) -> str:
 
 
 def observed(
-    evaluations: Sequence[Evaluation], side: int, parameters: Mapping[str, Value], draws: int
+    evaluations: Sequence[Evaluation], side: str, parameters: Mapping[str, Value], draws: int
 ) -> Observed:
     """Return what a run has on record of a parameter set.
 
@@ -166,7 +164,7 @@ def observed(
     for evaluation in evaluations:
         if dict(evaluation.parameters) != dict(parameters) or not evaluation.outcome.complete:
             continue
-        if evaluation.stage is Stage.VALIDATION and evaluation.trial == side:
+        if evaluation.whose == side:
             drawn[evaluation.index] = evaluation.outcome.metrics
         else:
             others.append(evaluation.outcome.metrics)
@@ -246,9 +244,7 @@ def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) ->
     drawn = {
         evaluation.index: evaluation.outcome.spoilt
         for evaluation in evaluations
-        if evaluation.stage is Stage.VALIDATION
-        and evaluation.trial == TUNED
-        and dict(evaluation.parameters) == dict(parameters)
+        if evaluation.whose == TUNED and dict(evaluation.parameters) == dict(parameters)
     }
     lost = sum(drawn.values())
     if not lost:
