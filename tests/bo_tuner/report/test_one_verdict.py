@@ -242,8 +242,8 @@ def test_each_number_tells_its_draws_where_they_differ(run, with_default):
     assert verdict.evidence == (
         "the same 40 fresh draws of context and noise"
         if with_default
-        else "40 fresh draws of context and noise and the 5 draws of the validation, which alone "
-        "have the default"
+        else "40 fresh draws of context and noise (tuned only) and the 5 draws of the validation "
+        "(both)"
     )
     # The two parameter sets of an attempt share its error probability.
     each = "98.75" if with_default else "97.5"

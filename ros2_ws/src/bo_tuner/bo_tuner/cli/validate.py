@@ -154,10 +154,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if not 1 <= most <= maxima.TRIALS:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
-    trial, is_result = _trial(record, arguments.trial)
     # Each attempt takes more draws than the one before, so the last one needs the most.
-    attempt, attempts = next_attempt(record.path), min(most, len(record.trials))
+    attempt, attempts = next_attempt(record.path), max(1, min(most, len(record.trials)))
     _draws(arguments, parser, record, confidence, attempt + attempts - 1)
+    trial, is_result = _trial(record, arguments.trial)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
     folder = RunFolder(record.path.resolve())
