@@ -10,6 +10,7 @@ from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
+from bo_tuner.storage.carrying import carried_over
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.observer import Phase
 
@@ -84,6 +85,20 @@ class TestTimes:
         assert one.now == other.now
 
 
+def test_a_budget_of_evaluations_suffices_for_fewer_trials(make_study, make_trial):
+    """12 evaluations for trials of 3 each, as many as there are of the latest ones."""
+    study = make_study().replace(evaluations=12)
+    status = RunStatus(study, ALGORITHMS["IV"])
+    status.begin(Phase.TUNING, study.budget.trials)
+    trials = [make_trial(k, {"gain": 0.5}, [1.0] * 3) for k in range(2)]
+    status.recall(trials[:1], None)
+    assert (status.now.done, status.now.total) == (1, 4)
+    tell(status, trials[1])
+    assert (status.now.done, status.now.total) == (2, 4)
+    status.begin(Phase.VALIDATION, 5)
+    assert status.now.total == 5
+
+
 def test_counts_of_what_went_wrong(status, make_trial, failed):
     status.begin(Phase.TUNING, 5)
     tell(status, make_trial(0, {"gain": 0.5}, [1.0]))
@@ -97,6 +112,13 @@ def test_counts_of_what_went_wrong(status, make_trial, failed):
     assert (now.failed, now.violating, now.lost, now.fallbacks) == (0, 1, 1, 1)
     tell(status, make_trial(3, {"gain": 0.5}))
     assert (status.now.failed, status.now.lost) == (1, 1)
+
+
+def test_a_space_filling_trial_that_was_carried_over_counts_as_one(status, make_trial):
+    trial = dataclasses.replace(make_trial(0, {"gain": 0.5}, [1.0]), origin="space-filling")
+    status.begin(Phase.TUNING, 5)
+    status.recall(carried_over([trial], "runs/earlier").trials, None)
+    assert status.now.fallbacks == 1
 
 
 class TestDiagnostics:

@@ -8,6 +8,7 @@ import pytest
 
 from bo_tuner.monitoring.time_left import TimeLeft
 from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.storage.carrying import carried_over
 from bo_tuner.trials import Stage
 from bo_tuner.tuning.observer import Phase
 
@@ -204,6 +205,22 @@ def test_a_pause_is_no_time_of_the_run(machine):
     assert runs[0].left.estimate() == runs[1].left.estimate()
 
 
+@pytest.mark.parametrize("phase", [Phase.CHECKING, Phase.VALIDATION])
+def test_the_time_left_is_the_same_during_a_pause(machine, phase):
+    """Also where most of what is known of an evaluation was measured in the phase."""
+    run = machine("IV", validation_draws=20)
+    run.left.begin(Phase.TUNING)
+    run.trial()
+    run.left.begin(phase)
+    run.evaluations(15, evaluation=7.0)
+    before = run.left.estimate()
+    run.left.pause()
+    assert run.left.estimate() == before
+    run.now += 1000.0
+    run.left.pause()
+    assert run.left.estimate() == before
+
+
 @pytest.mark.parametrize(("algorithm", "part"), [("IV", 0.0), ("boundary", 0.25)])
 def test_trials_on_record_count_as_if_just_run(machine, algorithm, part):
     """Of pooled models, a proposal takes four rankings."""
@@ -271,3 +288,13 @@ def test_evaluations_on_record_do_not_shorten_those_to_come(machine):
     assert run.left.estimate() == 2.0
     run.evaluations(1)
     assert run.left.estimate() == 1.0
+
+
+def test_a_design_that_was_carried_over_counts_as_one(machine):
+    """As the same trials do that the run has made itself."""
+    one, other = machine("IV"), machine("IV")
+    for run in (one, other):
+        run.left.begin(Phase.TUNING)
+    trials = [one.trial(count, proposal=p) for count, p in ((8, 0.0), (2, 4.0))]
+    other.left.recall(carried_over(trials, "runs/earlier").trials)
+    assert other.left.estimate() == pytest.approx(one.left.estimate())

@@ -268,5 +268,7 @@ class TestBudget:
     def test_another_budget_replaces_it(self):
         evaluations = load_study("benchmark").replace(evaluations=300)
         assert (evaluations.budget.trials, evaluations.budget.evaluations) == (300, 300)
+        most = load_study("benchmark").replace(evaluations=60_000).budget
+        assert (most.trials, most.evaluations) == (10_000, 60_000)
         trials = evaluations.replace(trials=30).budget
         assert (trials.trials, trials.evaluations) == (30, None)

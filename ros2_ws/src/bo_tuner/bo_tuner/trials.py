@@ -210,6 +210,11 @@ class Trial:
         return sum(values) / len(values) if values else None
 
     @property
+    def proposed_as(self) -> str:
+        """How it was proposed, without the run that it was carried over from."""
+        return self.origin.partition(" (")[0]
+
+    @property
     def spoilt(self) -> bool:
         """Whether it failed for reasons alone that tell nothing of its parameters."""
         return self.state is TrialState.FAILED and all(

@@ -114,15 +114,17 @@ class RunProgress(Display):
 
     def _show(self, steps: int = 0) -> None:
         parts = []
+        total = None
         if self._status is not None:
             now = self._status.now
+            total = now.total
             if now.time_left is not None:
                 parts.append(f"{duration(now.time_left)} left")
             if now.overhead is not None:
                 parts.append(f"optimizer {now.overhead:.0%}")
             if now.paused:
                 parts.append("PAUSED")
-        self._progress.update(self._task, advance=steps, note="  ".join(parts))
+        self._progress.update(self._task, total=total, advance=steps, note="  ".join(parts))
 
 
 class _TwoLines(Progress):

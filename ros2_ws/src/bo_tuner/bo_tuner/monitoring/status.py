@@ -10,7 +10,7 @@ from bo_tuner.optimizers.base import SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState
+from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, count_evaluations
 from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.verdict.verdict import Verdict
@@ -91,6 +91,7 @@ class RunStatus(RunObserver):
     ) -> None:
         self._study = study
         self._times = TimeLeft(study, algorithm, clock)
+        self._evaluations = 0
         self._evaluation_seconds = 0.0
         self._optimizer_seconds = 0.0
         self.now = Snapshot()
@@ -149,13 +150,17 @@ class RunStatus(RunObserver):
         failed = trial.ending == TrialState.FAILED
         complete = trial.state is TrialState.COMPLETE
         violating = complete and bool(violated(self._study, trial))
+        trials = self.now.trials + 1
+        self._evaluations += count_evaluations([trial])
         self._update(
             done=self.now.done + 1,
-            trials=self.now.trials + 1,
+            # Fewer trials than planned where evaluations limit them.
+            total=trials + self._study.budget.remaining(trials, self._evaluations),
+            trials=trials,
             last=trial,
             failed=self.now.failed + failed,
             violating=self.now.violating + violating,
-            fallbacks=self.now.fallbacks + (trial.origin == SPACE_FILLING),
+            fallbacks=self.now.fallbacks + (trial.proposed_as == SPACE_FILLING),
         )
 
     def _update(self, **changes: object) -> None:

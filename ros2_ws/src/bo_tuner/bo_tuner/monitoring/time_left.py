@@ -145,7 +145,7 @@ class TimeLeft:
 
     def _take(self, trial: Trial, other: float, ranking: float) -> None:
         evaluating = sum(evaluation.seconds for evaluation in trial.evaluations)
-        proposed = trial.origin not in (DEFAULT, START, INITIAL)
+        proposed = trial.proposed_as not in (DEFAULT, START, INITIAL)
         count = len(trial.evaluations)
         known = count + (self._trials[-1].known if self._trials else 0)
         self._trials.append(_Times(count, known, evaluating, other, ranking, proposed))
@@ -233,7 +233,8 @@ class TimeLeft:
 
     def _measured(self, expected: float) -> float:
         """Return the time [s] of an evaluation of the phase, by what was expected and measured."""
-        passed = self._latest - self._began
+        # In a pause the marks count from there backwards.
+        passed = abs(self._latest - self._began)
         return (EXPECTED_WEIGHT * expected + passed) / (EXPECTED_WEIGHT + self._measured_in_phase)
 
 

@@ -340,7 +340,8 @@ class Study:
         if trials is not None and evaluations is None:
             changes["evaluations"] = None
         if evaluations is not None and trials is None:
-            changes["trials"] = max(evaluations, self.budget.initial_trials)
+            most = max(evaluations, self.budget.initial_trials)
+            changes["trials"] = min(most, maxima.TRIALS)
         with under("budget"):
             budget = dataclasses.replace(self.budget, **changes)
         return dataclasses.replace(
