@@ -210,6 +210,30 @@ class TestRetention:
         assert "limit" in line
         assert "trial_0000" in line
 
+    @pytest.mark.parametrize("policy", [Policy.ALL, Policy.NOTABLE])
+    def test_a_bag_that_has_no_room_beside_the_best_takes_no_other_with_it(
+        self, recorder, tmp_path, policy
+    ):
+        """Not even the one of the worst trial so far, which it would have replaced."""
+        it = recorder(policy, limit=1_000_000)
+        record(it, trial_of(0, 0.03), best=True)
+        record(it, trial_of(1, 0.05))
+        record(it, trial_of(2, 0.06), samples=20_000)
+        record(it, trial_of(3, 0.05) if policy is Policy.ALL else trial_of(3, 0.055))
+        summary = it.close()
+        left = [0, 1, 3] if policy is Policy.ALL else [0, 3]
+        assert summary["bags"] == [f"trial_{number:04d}" for number in left]
+        assert sorted(path.name for path in tmp_path.glob("*/")) == summary["bags"]
+        (line,) = summary["warnings"]
+        assert "trial_0002" in line
+        assert "oldest" not in line
+
+    def test_a_large_bag_of_the_best_takes_the_place_of_others(self, recorder):
+        it = recorder(Policy.ALL, limit=1_000_000)
+        record(it, trial_of(0), best=True)
+        record(it, trial_of(1), best=True, samples=20_000)
+        assert it.close()["bags"] == ["trial_0001"]
+
     def test_bags_of_others_stay(self, recorder, tmp_path):
         """Those that the run has not made, and what a forged list leads to."""
         record(probe := recorder(Policy.ALL), trial_of(0))

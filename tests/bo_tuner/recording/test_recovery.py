@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+import tracemalloc
 from pathlib import Path
 
 import bag_readers
@@ -17,6 +18,7 @@ from recorded_trials import (
     record,
     trial_of,
 )
+from rosbags.rosbag2 import Reader
 
 from bo_tuner.recording.bag import NANOSECONDS, TrialBag, timed
 from bo_tuner.recording.recovery import partial_bags, recover
@@ -124,3 +126,23 @@ class TestCutOff:
         data = custom_data(tmp_path / "trial_0004")
         assert data["state"] == "interrupted"
         assert len(with_rosbags(tmp_path / "trial_0004")) == 1
+
+    def test_a_large_bag_does_not_have_to_fit_into_memory(self, tmp_path):
+        bag = TrialBag(tmp_path / "trial_0002")
+        data = bytes(1000)
+        for k in range(10):
+            start = START + k * NANOSECONDS
+            bag.write([(start + i, (joints(start)[0], data)) for i in range(2000)], {})
+        bag.abandon()
+        (partial,) = partial_bags(tmp_path)
+        (file,) = partial.rglob("*.mcap")
+        size = file.stat().st_size
+        tracemalloc.start()
+        try:
+            found = recover(partial)
+            _, most = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        with Reader(found) as reader:
+            assert reader.message_count == 20_000
+        assert most < size / 2

@@ -54,6 +54,19 @@ def test_a_side_without_a_bag_is_told(folder):
     assert "default: no bag has a run" in section.lead
 
 
+def test_a_bag_that_is_being_written_is_no_damage(folder):
+    """That of a trial which goes on in a second bag."""
+    writing = folder / "bags" / "trial_0001_part2.partial"
+    (writing / "trial_0001_part2").mkdir(parents=True)
+    (folder / "bags" / "trial_0000").rename(folder / "bags" / "trial_0000_part2")
+    # Without a bag of the default, each of its evaluations is looked for in all that there are.
+    (folder / "bags" / "trial_0000_part3.partial").mkdir()
+    shutil.move(folder / "bags" / "trial_0001", writing / "trial_0001_part2")
+    section = trajectories(Analysis(read_run(folder)))
+    assert [line.name for line in section.figures[0].panels[0].elements] == ["default"]
+    assert "best so far: no bag has a run" in section.lead
+
+
 def test_without_bags_there_is_advice(folder):
     shutil.rmtree(folder / "bags")
     section = trajectories(Analysis(read_run(folder)))

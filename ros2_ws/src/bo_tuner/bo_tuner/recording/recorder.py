@@ -291,11 +291,15 @@ class Recorder:
         )
         self._bag = None
         displaced = retention.keep(bag.path, reason, value)
+        limit = f"limit of {self._options.limit / MEGABYTE:g} MB"
+        if bag.path.name in displaced:
+            displaced.remove(bag.path.name)
+            self.warn(f"{bag.path.name}: not kept, it is too large for the bags' {limit}")
         if displaced and not self._displaced:
             self._displaced = True
             self.warn(
-                f"the bags have reached their limit of {self._options.limit / MEGABYTE:g} MB: from "
-                f"now on the oldest go, first {displaced[0]}"
+                f"the bags have reached their {limit}: from now on the oldest go, first "
+                f"{displaced[0]}"
             )
 
     def _count(self, batch: _Batch) -> None:

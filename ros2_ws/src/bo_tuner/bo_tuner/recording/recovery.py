@@ -4,13 +4,18 @@ Only as much of MCAP is read as `TrialBag` writes: uncompressed chunks with sche
 messages, see https://mcap.dev/spec. Whatever is cut off or damaged ends the reading.
 """
 
+import contextlib
 import json
+import os
 import shutil
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from struct import Struct
+from typing import BinaryIO
 from zlib import crc32
 
 from bo_tuner.recording.bag import NOTES, PARTIAL, Message, Topic, TrialBag, make_topic
@@ -63,15 +68,16 @@ def recover(partial: Path) -> Path | None:
         notes = {str(key): str(value) for key, value in notes.items()}
     except (FileNotFoundError, ValueError, AttributeError):
         notes = {}
-    messages = list(read_messages(partial / path.name / f"{path.name}.mcap"))
-    if not messages:
+    messages = read_messages(partial / path.name / f"{path.name}.mcap")
+    first = next(messages, None)
+    if first is None:
         shutil.rmtree(partial)
         return None
     # Apart from what is being read, until it is whole.
     repaired = partial.with_name(f".{path.name}")
     bag = TrialBag(repaired / path.name)
     try:
-        bag.write(messages, notes)
+        bag.write(chain([first], messages), notes)
         bag.finish(notes | {"complete": "false"})
         # A whole bag of the same trial is the better record.
         if not path.exists():
@@ -94,32 +100,36 @@ def read_messages(file: Path) -> Iterator[tuple[int, Message]]:
 
     Nothing is read from a file that does not exist, or that is no MCAP file.
     """
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        return
-    if not data.startswith(MAGIC):
-        return
-    tables = _Tables()
-    for kind, content in _records(data[len(MAGIC) :]):
-        if kind != CHUNK:
-            continue
+    with contextlib.ExitStack() as stack:
         try:
-            messages = list(_read_chunk(content, tables))
-        except (struct.error, UnicodeDecodeError, KeyError):
+            data = stack.enter_context(file.open("rb"))
+        except FileNotFoundError:
             return
-        yield from messages
+        size = data.seek(0, os.SEEK_END)
+        data.seek(0)
+        if data.read(len(MAGIC)) != MAGIC:
+            return
+        tables = _Tables()
+        # A chunk at a time: a bag can be larger than the memory.
+        for kind, content in _records(data, size):
+            if kind != CHUNK:
+                continue
+            try:
+                messages = list(_read_chunk(content, tables))
+            except (struct.error, UnicodeDecodeError, KeyError):
+                return
+            yield from messages
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    position = 0
-    while position + _RECORD.size <= len(data):
-        kind, length = _RECORD.unpack_from(data, position)
-        position += _RECORD.size
-        if position + length > len(data):
+def _records(data: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+    """Read whole records from data of so many bytes."""
+    left = size - data.tell()
+    while left >= _RECORD.size:
+        kind, length = _RECORD.unpack(data.read(_RECORD.size))
+        left -= _RECORD.size + length
+        if left < 0:
             return
-        yield kind, data[position : position + length]
-        position += length
+        yield kind, data.read(length)
 
 
 def _read_chunk(chunk: bytes, tables: _Tables) -> Iterator[tuple[int, Message]]:
@@ -129,7 +139,7 @@ def _read_chunk(chunk: bytes, tables: _Tables) -> Iterator[tuple[int, Message]]:
     records = chunk[position + _SIZE.size :]
     if compression or size != len(records) or (checksum and checksum != crc32(records)):
         raise KeyError(f"chunk with compression {compression!r}, {len(records)} of {size} bytes")
-    for kind, content in _records(records):
+    for kind, content in _records(BytesIO(records), len(records)):
         if kind == SCHEMA:
             (number,) = _ID.unpack_from(content)
             tables.schemas[number], _ = _read_text(content, _ID.size)

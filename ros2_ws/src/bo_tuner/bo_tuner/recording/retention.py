@@ -23,6 +23,7 @@ BADNESS = "badness"
 """Keys of the custom data: why a bag is kept, and what the worst trial has most of."""
 
 
+METADATA = "metadata.yaml"
 MADE = "made.txt"
 """Names of the bags that the run has made, a line each: only these are ever deleted."""
 
@@ -101,7 +102,7 @@ class Retention:
         self._sizes: dict[str, int] = {}
         self._reasons: dict[str, str] = {}
         self._worst = float("-inf")
-        bags = [bag for bag in made_bags(folder) if (bag / "metadata.yaml").is_file()]
+        bags = [bag for bag in made_bags(folder) if is_bag(bag)]
         for path in sorted(bags, key=lambda path: (path.stat().st_mtime_ns, path.name)):
             data = custom_data(path)
             self._sizes[path.name] = _size(path)
@@ -151,24 +152,41 @@ class Retention:
         Returns
         -------
         list of str
-            Names of the bags that went for want of room.
+            Names of the bags that went for want of room. A bag for which there is none even
+            beside that of the best alone is the first of them.
         """
-        if value is not None and value > self._worst:
-            self._worst = value
-            if self._options.policy is Policy.NOTABLE:
-                for name in [n for n, r in self._reasons.items() if r == Reason.WORST]:
-                    self._delete(name)
-        self._sizes[path.name] = _size(path)
-        self._reasons[path.name] = reason or ""
-        best = [name for name in self.kept if self._reasons[name] == Reason.BEST][-1:]
         displaced = []
+        size, limit = _size(path), self._options.limit
+        beside = sum(self._sizes[name] for name in self._best())
+        if reason != Reason.BEST and size + beside > limit:
+            # All others would go for it, and then it would, too.
+            shutil.rmtree(path, ignore_errors=True)
+            displaced.append(path.name)
+        else:
+            self._displace_worst(value)
+            self._sizes[path.name] = size
+            self._reasons[path.name] = reason or ""
+        best = self._best()
         for name in self.kept:
-            if sum(self._sizes.values()) <= self._options.limit:
+            if sum(self._sizes.values()) <= limit:
                 break
             if name not in best:
                 self._delete(name)
                 displaced.append(name)
         return displaced
+
+    def _best(self) -> list[str]:
+        """Return the name of the bag of the present best, if there is one."""
+        return [name for name in self.kept if self._reasons[name] == Reason.BEST][-1:]
+
+    def _displace_worst(self, value: float | None) -> None:
+        """Note how bad a new trial is, and if none is as bad let the bag of the worst go."""
+        if value is None or value <= self._worst:
+            return
+        self._worst = value
+        if self._options.policy is Policy.NOTABLE:
+            for name in [n for n, r in self._reasons.items() if r == Reason.WORST]:
+                self._delete(name)
 
     def _delete(self, name: str) -> None:
         shutil.rmtree(self._folder / name, ignore_errors=True)
@@ -207,10 +225,15 @@ def made_bags(folder: Path) -> list[Path]:
     return [bag for bag in bags if not bag.is_symlink()]
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a bag, and not of one that is still being written."""
+    return (path / METADATA).is_file()
+
+
 def custom_data(bag: Path) -> Mapping[str, str]:
     """Read the custom data of a bag; empty if its metadata cannot be read."""
     try:
-        metadata = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+        metadata = yaml.safe_load((bag / METADATA).read_text(encoding="utf-8"))
         data = metadata["rosbag2_bagfile_information"]["custom_data"]
         return {str(key): str(value) for key, value in data.items()}
     except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, UnicodeDecodeError):

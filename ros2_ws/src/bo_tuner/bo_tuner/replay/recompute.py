@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import FailedRunError, signal_sources
+from bo_tuner.recording.retention import is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import BAGS
@@ -71,7 +71,7 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
     """
     check_recorded(record, study)
     found = False
-    for bag in sorted(path for path in (record.path / BAGS).glob("*") if _is_bag(path)):
+    for bag in sorted(filter(is_bag, (record.path / BAGS).glob("*"))):
         for run in recorded_runs(bag):
             found = True
             yield Recomputed(run, _outcome(study, run))
@@ -104,7 +104,3 @@ def _outcome(study: Study, run: RecordedRun) -> Outcome:
     except FailedRunError as error:
         return Outcome(EvaluationState.FAILED, {}, str(error))
     return Collector(study, signal_sources(study, lambda: run.recording)).outcome({})
-
-
-def _is_bag(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file()

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from functools import partial
 
 from bo_tuner.figures.figure import Axis, Color, Dash, Line, Panel
-from bo_tuner.recording.retention import evaluation_badness
+from bo_tuner.recording.retention import evaluation_badness, is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.storage.run_files import BAGS, bag_name
@@ -24,7 +24,7 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
     """
     folder = analysis.record.path / BAGS
     name = bag_name(wanted)
-    for bag in sorted((*folder.glob(name), *folder.glob(f"{name}_part*"))):
+    for bag in sorted(filter(is_bag, (*folder.glob(name), *folder.glob(f"{name}_part*")))):
         for run in recorded_runs(bag):
             found = run.evaluation
             # A run that was extended may have validated another parameter set before.
