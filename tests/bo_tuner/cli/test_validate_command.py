@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 from functools import partial
@@ -25,6 +26,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.certificate import certificate as certificate_module
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.certificate.store import certificate_problem, parameters_sha256
+from bo_tuner.certificate.unfinished import Unfinished
 from bo_tuner.cli import validate as validate_command
 from bo_tuner.errors import OutputError, RunError
 from bo_tuner.storage.journal import Journal
@@ -306,6 +308,41 @@ class TestInterruption:
         assert not unfinished.exists()
         verdict = run_verdict(with_summary(read_run(folder), pytest.fail))
         assert not any("begun" in remark for remark in verdict.remarks)
+
+    def test_a_full_disk_at_the_beginning_loses_none_of_its_evaluations(self, here, folder):
+        def begin():
+            return Unfinished(folder, study, trial.parameters, "inprocess", 1)
+
+        record = read_run(folder)
+        study, trial = record.study, record.trials[0]
+        begun = begin()
+        for evaluation in trial.evaluations:
+            begun.evaluation(evaluation)
+        begun.close()
+        path = folder / "certificates" / "unfinished.jsonl"
+        known = path.read_text()
+        # What a crash has cut off makes the next session write the file anew.
+        path.write_text(f'{known}{{"trial": 0')
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(known) // 2, limits[1]))
+        try:
+            with pytest.raises(OutputError, match=r"unfinished\.jsonl: cannot be written"):
+                begin()
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        again = begin()
+        assert len(again.evaluations) == len(trial.evaluations) > 0
+        again.close()
+        assert path.read_text() == known
+
+    def test_a_link_in_its_place_is_not_followed(self, here, folder, tmp_path):
+        record = read_run(folder)
+        (folder / "certificates").mkdir()
+        (tmp_path / "elsewhere").write_text("mine")
+        (folder / "certificates" / "unfinished.jsonl").symlink_to(tmp_path / "elsewhere")
+        with pytest.raises(OutputError, match="symbolic link"):
+            Unfinished(folder, record.study, record.trials[0].parameters, "inprocess", 1)
+        assert (tmp_path / "elsewhere").read_text() == "mine"
 
     def test_evaluations_of_something_else_are_discarded(self, here, folder):
         (folder / "certificates").mkdir()

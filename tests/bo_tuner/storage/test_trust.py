@@ -84,6 +84,15 @@ class TestPrograms:
         assert call(replay, moved) == 0
         assert is_trusted(read_run(moved).study)
 
+    def test_a_study_that_follows_an_earlier_run_is_trusted_as_any_other(self, run, tmp_path):
+        study = tmp_path / "mine.yaml"
+        shutil.copy(run / "study.yaml", study)
+        arguments = ["--from", run, "--study", study, "--trials", "4", "--quiet"]
+        assert call(tune, *arguments, "--output", tmp_path / "runs") in (0, 3)
+        (made,) = (tmp_path / "runs").glob("function-*")
+        assert is_trusted(read_run(made).study)
+        assert call(replay, made) == 0
+
     def test_another_study_with_the_same_program_is_another_matter(self, run):
         study = read_run(run).study
         trust(study)

@@ -5,15 +5,17 @@ the columns of the journal. It goes when the certificate is written.
 """
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
 from bo_tuner.certificate.store import CERTIFICATES, next_attempt, parameters_sha256
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.atomic import writing
+from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.journal import COLUMNS, evaluation_row
 from bo_tuner.storage.provenance import sources, study_sha256
 from bo_tuner.storage.rows import evaluation_of
+from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, Value
 from bo_tuner.tuning.observer import RunObserver
@@ -74,10 +76,10 @@ class Unfinished(RunObserver):
         with writing(self._path):
             self._path.parent.mkdir(exist_ok=True)
             # Written anew, without a line that a crash has cut off.
-            self._file = self._path.open("w", encoding="utf-8")
-            self._write(head)
-            for _, line in lines:
-                self._write(line)
+            known = "".join(f"{line}\n" for line in (head, *(line for _, line in lines)))
+            write_atomically(self._path, known)
+            descriptor = open_file(self._path, os.O_WRONLY | os.O_APPEND)
+            self._file = os.fdopen(descriptor, "w", encoding="utf-8")
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""

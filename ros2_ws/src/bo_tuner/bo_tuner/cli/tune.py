@@ -161,7 +161,7 @@ def _after_earlier(arguments: argparse.Namespace, parser: Parser, look: Describe
     backend = recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     if arguments.study is not None:
-        study = _changed(_load(arguments.study, attach, look), arguments)
+        study = _given(arguments.study, attach, arguments, look)
     else:
         study = _changed(record.study, arguments)
         allow_programs(record, trusted=arguments.trust, attach=attach)
@@ -174,14 +174,20 @@ def _new(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
     named = STUDY if arguments.study is None else arguments.study
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
-    study = _changed(_load(named, attach, look), arguments)
-    # Where that cannot be noted down, the commands on this run will ask for --trust.
-    with contextlib.suppress(OutputError):
-        trust(study)
+    study = _given(named, attach, arguments, look)
     algorithm = arguments.algorithm or default_algorithm(study)
     if problem := several_objectives_problem(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
+
+
+def _given(named: str, attach: bool, arguments: argparse.Namespace, look: Describe) -> Study:
+    """Read the study that the user has given to be run, and trust it."""
+    study = _changed(_load(named, attach, look), arguments)
+    # Where that cannot be noted down, the commands on this run will ask for --trust.
+    with contextlib.suppress(OutputError):
+        trust(study)
+    return study
 
 
 def _load(named: str, attach: bool, look: Describe) -> Study:
