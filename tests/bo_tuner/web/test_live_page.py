@@ -3,16 +3,21 @@
 tests/browser has the same page as a reader sees it.
 """
 
+import http.client
 import os
 import re
 import signal
+from types import SimpleNamespace
 
 import pytest
 from live_run import page_processes
-from waiting import wait_until
+from waiting import DEADLINE, wait_until
 
+from bo_tuner.interruption import Pause
+from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
 from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.observer import Phase
 from bo_tuner.web.address import listen
 from bo_tuner.web.live_page import LivePage
@@ -105,3 +110,71 @@ def test_a_page_that_hangs_does_not_hold_the_run(tmp_path, make_study):
             page.advance()
         os.kill(pid, signal.SIGCONT)
     assert warnings == []
+
+
+def test_before_there_is_a_record_the_page_loads_itself_again(tmp_path, make_study):
+    """The address is told before the nodes are up; a run that does not start leaves no log."""
+    study = make_study()
+    status = RunStatus(study, ALGORITHMS["IV"])
+    address = listen(0)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "study.yaml").write_text(study_to_yaml(study))
+    with LivePage(study, tmp_path / "run", status, address, pytest.fail):
+        answers = {}
+        for path in ("/", "/trials/0"):
+            connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=DEADLINE)
+            cookie = {"Cookie": f"bo_tuner_{address.port}={address.token}"}
+            connection.request("GET", path, headers=cookie)
+            answer = connection.getresponse()
+            answers[path] = answer.status, answer.headers["Refresh"], answer.read().decode()
+            connection.close()
+    code, refresh, text = answers["/"]
+    assert (code, refresh) == (503, "1")
+    assert len(text.splitlines()) == 1
+    assert "journal" in text
+    code, refresh, text = answers["/trials/0"]
+    assert (code, refresh) == (409, None)
+    assert len(text.splitlines()) == 1
+    assert (tmp_path / "run" / "log" / "web.log").read_text() == ""
+
+
+class TestWhatWasAsked:
+    @pytest.fixture
+    def told(self, tmp_path, make_study, make_trial):
+        """Function for what the page tells was asked, after some requests and an evaluation."""
+        study = make_study()
+        control = RunControl(Pause(), SimpleNamespace(request=lambda _: None), tmp_path)
+        trial = make_trial(0, {"gain": 0.5}, [1.0])
+        steps = {
+            "evaluation": lambda page: page.evaluation(trial.evaluations[0]),
+            "trial": lambda page: page.trial(trial, None),
+        }
+
+        def told(step, *requests):
+            status = RunStatus(study, ALGORITHMS["IV"])
+            address = listen(0)
+            # No process serves it.
+            address.socket.close()
+            page = LivePage(study, tmp_path, status, address, pytest.fail, control)
+            messages = []
+            page._send = messages.append
+            reads, writes = os.pipe()
+            os.write(writes, "".join(f"{request}\n" for request in requests).encode())
+            os.close(writes)
+            page._take(reads, control)
+            assert messages[-1]["texts"]["asked"]
+            steps[step](page)
+            page.advance()
+            return messages[-1]["texts"].get("asked", "")
+
+        return told
+
+    @pytest.mark.parametrize("step", ["evaluation", "trial"])
+    def test_it_is_told_until_it_has_come(self, told, step):
+        assert told(step, "pause", "continue") == ""
+        assert told(step, "pause") == "the run pauses after the present evaluation"
+        assert told(step, "continue") == ""
+
+    @pytest.mark.parametrize("step", ["evaluation", "trial"])
+    def test_the_end_is_told_until_it_has_come(self, told, step):
+        assert told(step, "abort").startswith("the run ends; ")

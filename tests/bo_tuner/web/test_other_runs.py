@@ -1,5 +1,6 @@
 """The other runs in the folder of a run in progress, listed and compared."""
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -101,3 +102,41 @@ def test_a_run_that_is_deleted_meanwhile_is_not_listed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "is_file", deleted_afterwards)
     assert Runs(tmp_path, "kept").names() == ["kept"]
+
+
+@pytest.fixture
+def in_progress(tmp_path, make_study):
+    """Function for the open journal of a run without a trial in a folder of that name."""
+    journals = []
+
+    def begin(name):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "study.yaml").write_text(study_to_yaml(make_study()))
+        provenance = session_provenance(make_study(), "inprocess", "boundary")
+        journals.append(Journal(tmp_path / name / "journal.sqlite", provenance))
+        return journals[-1]
+
+    yield begin
+    for journal in journals:
+        journal.close()
+
+
+def test_each_trial_of_a_run_in_progress_shows(tmp_path, in_progress, make_trial):
+    """SQLite keeps them beside the journal until that is closed."""
+    journal = in_progress("run")
+    runs = Runs(tmp_path, "run")
+    assert "No result yet: 0 of 5 trials" in runs.listing()
+    for number in range(2):
+        trial = make_trial(number, {"gain": 0.5}, [1.0])
+        for evaluation in trial.evaluations:
+            journal.record_evaluation(evaluation)
+        journal.record_trial(trial)
+        assert f"No result yet: {number + 1} of 5 trials" in runs.listing()
+
+
+def test_a_run_in_progress_is_as_late_as_its_latest_trial(tmp_path, in_progress):
+    for name, journal, log in (("first", 1000, 3000), ("second", 2000, 2000)):
+        in_progress(name)
+        os.utime(tmp_path / name / "journal.sqlite", (journal, journal))
+        os.utime(tmp_path / name / "journal.sqlite-wal", (log, log))
+    assert Runs(tmp_path, "first").names() == ["first", "second"]

@@ -78,6 +78,7 @@ class LivePage(RunObserver):
         self._warn = warn
         self._control = control
         self._asked = ""
+        self._ending = False
         # The thread that takes requests tells of them, too.
         self._lock = threading.Lock()
         self._pipe = -1
@@ -151,12 +152,14 @@ class LivePage(RunObserver):
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Tell of an evaluation, unless the page was told of something just now."""
+        self._forget_what_has_come()
         self._running += 1
         if time.monotonic() - self._told >= PERIOD:
             self._tell()
 
     def trial(self, trial: Trial, incumbent: Candidate | None) -> None:
         """Tell of a trial."""
+        self._forget_what_has_come()
         self._trial = describe(trial, self._study)
         self._running = 0
         self._tell()
@@ -171,12 +174,18 @@ class LivePage(RunObserver):
 
     def pause(self, paused: bool) -> None:
         """Tell of a pause."""
-        self._asked = ""
+        self._forget_what_has_come()
         self._tell()
 
     @property
     def _log(self) -> Path:
         return self._folder / LOGS / "web.log"
+
+    def _forget_what_has_come(self) -> None:
+        """Take back what was asked, unless it is still to come."""
+        to_come = self._control is not None and self._control.pause_requested
+        if not self._ending and (self._status.now.paused or not to_come):
+            self._asked = ""
 
     def _take(self, requests: int, control: RunControl) -> None:
         """Take the requests of the page until its process ends."""
@@ -184,6 +193,7 @@ class LivePage(RunObserver):
             for line in lines:
                 request = Request(line.strip())
                 if request is Request.ABORT:
+                    self._ending = True
                     self._asked = control.abort("the live page")
                 else:
                     self._asked = control.pause(request is Request.PAUSE)

@@ -1,6 +1,5 @@
 """The runs beside a run: those in the same folder, listed, shown and compared."""
 
-import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,9 +53,14 @@ class Runs:
             for entry in entries:
                 journal = Path(entry.path) / JOURNAL
                 if entry.is_dir(follow_symlinks=False) and journal.is_file():
+                    times = [
+                        known[0]
+                        for path in _of_journal(journal.parent)
+                        if (known := _signature(path)) is not None
+                    ]
                     # A run may be deleted meanwhile.
-                    with contextlib.suppress(OSError):
-                        found.append((journal.stat().st_mtime, entry.name))
+                    if times:
+                        found.append((max(times), entry.name))
         return [name for _, name in sorted(found, reverse=True)]
 
     def listing(self) -> str:
@@ -112,7 +116,7 @@ class Runs:
     def _read(self, name: str) -> _Known:
         """Read a run, unless nothing of it has changed since the last time."""
         folder = self._folder / name
-        of_run = [folder / file for file in (JOURNAL, STUDY, SUMMARY)]
+        of_run = [*_of_journal(folder), folder / STUDY, folder / SUMMARY]
         files = tuple(_signature(path) for path in (*of_run, *certificate_paths(folder)))
         if name not in self._known or self._known[name].files != files:
             try:
@@ -121,6 +125,11 @@ class Runs:
             except BoTunerError as error:
                 self._known[name] = _Known(files, problem=str(error))
         return self._known[name]
+
+
+def _of_journal(folder: Path) -> list[Path]:
+    """Return the journal, and the file beside it with what SQLite adds while a run goes on."""
+    return [folder / JOURNAL, folder / f"{JOURNAL}-wal"]
 
 
 def _signature(path: Path) -> tuple[int, int] | None:

@@ -18,6 +18,7 @@ import os
 import socket
 import threading
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -37,6 +38,7 @@ LEFT = 2.0
 """Time [s] without a request for news after which all readers have left."""
 LARGEST_REQUEST = 16_384
 """Size of a request's head [byte]."""
+NO_RUN = "there is no such run here"
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -79,14 +81,14 @@ class Page(RequestHandler):
         if not isinstance(error[1], HTTPError):
             logging.getLogger(__name__).error("%s", self.request.path, exc_info=error)
 
-    async def finish_about_runs(self, make: Any, *arguments: Any) -> None:
-        """Answer with a page about other runs."""
+    async def finish_with(self, missing: str, thread: Executor, make: Any, *arguments: Any) -> None:
+        """Answer with a page that is made in one of the threads, or that it is `missing`."""
         try:
-            page = await self.state.call(self.state.others, make, *arguments)
+            page = await self.state.call(thread, make, *arguments)
         except BoTunerError as error:
             raise HTTPError(409, str(error)) from None
         if page is None:
-            raise HTTPError(404, "there is no such run here")
+            raise HTTPError(404, missing)
         self.finish(page)
 
     def write_error(self, status_code: int, **kwargs: Any) -> None:
@@ -110,7 +112,15 @@ class Home(Page):
             return
         self.state.watch()
         state = self.state
-        self.finish(await state.call(state.tables, state.sections.shell, state.control))
+        try:
+            page = await state.call(state.tables, state.sections.shell, state.control)
+        except BoTunerError as error:
+            # There is a record once the nodes are up.
+            self.set_status(503)
+            self.set_header("Refresh", "1")
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            page = f"The page comes as soon as it can be made: {error}\n"
+        self.finish(page)
 
 
 class State(Page):
@@ -159,10 +169,8 @@ class TrialPage(Page):
 
     async def get(self, number: str) -> None:
         """Answer with the page, if there is such a trial."""
-        page = await self.state.call(self.state.models, self.state.sections.trial, int(number))
-        if page is None:
-            raise HTTPError(404, f"there is no trial {number} yet")
-        self.finish(page)
+        state, missing = self.state, f"there is no trial {number} yet"
+        await self.finish_with(missing, state.models, state.sections.trial, int(number))
 
 
 class RunsPage(Page):
@@ -178,7 +186,8 @@ class RunPage(Page):
 
     async def get(self, name: str) -> None:
         """Answer with the report, if there is such a run."""
-        await self.finish_about_runs(self.state.runs.report, name)
+        state = self.state
+        await self.finish_with(NO_RUN, state.others, state.runs.report, name)
 
 
 class ComparisonPage(Page):
@@ -191,7 +200,8 @@ class ComparisonPage(Page):
             raise HTTPError(
                 400, f"choose 2 to {MOST_COMPARED} runs to compare, found {len(names)}; go back"
             )
-        await self.finish_about_runs(self.state.runs.compared, names)
+        state = self.state
+        await self.finish_with(NO_RUN, state.others, state.runs.compared, names)
 
 
 class RequestToRun(Page):
