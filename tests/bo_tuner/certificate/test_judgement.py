@@ -323,3 +323,45 @@ class TestWinnersCurse:
         assert math.isnan(worst.observed)
         assert (worst.predicted, worst.validated) == (0.6, pytest.approx(0.7))
         assert worst.value == pytest.approx(0.1)
+
+
+LIMITS = {
+    "peak": {"kind": "worst_case", "metric": "peak", "upper": LIMIT},
+    "error": {"kind": "worst_case", "metric": "error", "upper": LIMIT},
+}
+
+
+class TestUnvisitedContexts:
+    """One limit is refuted in the first context, so that the others are not run any more."""
+
+    def test_no_limit_is_shown_without_a_run_in_each_context(self, make_study):
+        study = make_study(constraints=LIMITS)
+        runs = [
+            evaluation(2.0 + 0.01 * (k % 5), Stage.CHECK_WORST, error=0.1 + 0.01 * (k % 5))
+            for k in range(40)
+        ]
+        drawn = (evaluation(0.5, error=0.1),)
+        found = Evidence({"gain": 0.5}, drawn, repeated=(tuple(runs),), unvisited=3)
+        by_name = {c.name: c for c in judge(study, found, 0.95).constraints}
+        assert not by_name["peak"].passed
+        assert "it is not kept" in by_name["peak"].reason or "may be" in by_name["peak"].reason
+        assert not by_name["error"].passed
+        assert by_name["error"].reason == (
+            "3 contexts that may be the worst had no run, as another one had decided"
+        )
+        visited = dataclasses.replace(found, unvisited=0)
+        assert {c.name: c for c in judge(study, visited, 0.95).constraints}["error"].passed
+
+    def test_they_are_counted(self, make_study, function_backend):
+        """The peak is beyond its limit for large loads, the error for small ones alone."""
+
+        def axis(gain, load, seed):
+            noise = np.random.default_rng(seed).normal(0.0, 0.3)
+            return {"error": 0.6 + (load < 1.02), "peak": 0.35 * load + noise}
+
+        study = make_study(constraints=LIMITS)
+        (found,) = collect(study, function_backend(study, axis), 400, tuned=0.5)
+        assert found.repeated
+        assert not judge(study, found, 0.95).passed
+        assert found.unvisited > 0
+        assert not any(c.passed for c in judge(study, found, 0.95).constraints)

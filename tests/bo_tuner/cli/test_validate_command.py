@@ -353,6 +353,33 @@ class TestInterruption:
         assert code == 0
         assert "going on" not in err
 
+    def test_one_that_is_given_up_counts_as_an_attempt(self, here, folder, monkeypatch):
+        """Whoever gives up what looks undecided, and tries another, would pass too often."""
+        result = read_run(folder).summary["trial"]
+        outcome = InProcessBackend.outcome
+
+        def begin(*arguments):
+            count = []
+
+            def stop(self, planned):
+                count.append(planned)
+                if len(count) == 5:
+                    raise RunError("the plug was pulled")
+                return outcome(self, planned)
+
+            with monkeypatch.context() as patch:
+                patch.setattr(InProcessBackend, "outcome", stop)
+                assert here(folder, *arguments)[0] == 1
+
+        begin("--trial", str(0 if result else 1))
+        # The same parameter set, twice in a row, is one attempt.
+        begin()
+        begin()
+        assert here(folder)[0] == 0
+        found = certificate(folder, 2)
+        assert (found["attempt"], found["trial"]) == (2, result)
+        assert not (folder / "certificates" / "0001.json").exists()
+
 
 class TestFaults:
     def test_nodes_lost_for_good(self, here, folder, monkeypatch):
@@ -514,8 +541,10 @@ class TestBadInput:
         assert f"another process works in this run (process {os.getpid()})" in line
 
 
-def test_what_failed_when_it_was_run_again_is_not_tried_next(folder):
+@pytest.mark.parametrize("algorithm", ["boundary", "IV"])
+def test_what_failed_when_it_was_run_again_is_not_tried_next(folder, algorithm):
     record = with_summary(read_run(folder), pytest.fail)
+    record = dataclasses.replace(record, algorithm=algorithm)
     (_, following) = validate_command._candidates(record, record.result, 2)
     (last, *_) = [e for e in record.evaluations if e.trial == following.number]
     again = dataclasses.replace(
@@ -537,3 +566,23 @@ def test_the_files_of_the_run_tell_the_confidence_of_all_certificates(here, fold
     assert here(folder)[0] == 0
     here(folder, "--trial", str(other), "--confidence", "0.5")
     assert "have 50 % together" in (folder / "report.html").read_text()
+
+
+def test_a_certificate_is_in_the_files_of_the_run_though_the_next_one_breaks_off(
+    here, folder, monkeypatch
+):
+    monkeypatch.setenv("PEAK", "2")
+    outcome, made = InProcessBackend.outcome, []
+
+    def stop(self, planned):
+        if (folder / "certificates" / "0001.json").exists():
+            made.append(planned)
+            raise RunError("the plug was pulled")
+        return outcome(self, planned)
+
+    monkeypatch.setattr(InProcessBackend, "outcome", stop)
+    code, _, err = here(folder, "--until-pass", "3")
+    assert code == 1
+    assert made
+    assert "go on with: validate" in err
+    assert json.loads((folder / "summary.json").read_text())["feasible"] is False

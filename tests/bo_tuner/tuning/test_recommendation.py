@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from functions import Watcher
 
+from bo_tuner.errors import RunError
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.trials import EvaluationState, Stage
+from bo_tuner.trials import EvaluationState, Outcome, Stage
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS, recommend
 
 NODE = {"node": "axis"}
@@ -146,3 +147,42 @@ def test_what_held_but_is_no_longer_believed_is_not_called_feasible(
     answer = recommend(study, backend, [trial])
     assert answer.checked == (0,)
     assert not answer.feasible
+
+
+def test_a_lost_evaluation_of_a_check_is_run_again(study, make_trial, function_backend):
+    """It tells nothing of the parameters, which had counted as refuted."""
+    trials = worst_at_two(flattering(make_trial))[:4]
+    calls = []
+
+    def axis_with_losses(**values):
+        calls.append(values)
+        if len(calls) in (1, 2, 7, 15):
+            return Outcome(EvaluationState.LOST, reason="axis gone")
+        return axis(**values)
+
+    whole = recommend(study, function_backend(study, axis), trials)
+    found = recommend(study, function_backend(study, axis_with_losses), trials)
+    assert found.feasible
+    assert found == whole
+
+
+def test_evaluations_of_a_check_that_are_lost_again_and_again(study, make_trial, function_backend):
+    lost = Outcome(EvaluationState.LOST, reason="axis gone")
+    backend = function_backend(study, lambda **_: lost)
+    with pytest.raises(RunError, match="3 evaluations of the check in a row were lost"):
+        recommend(study, backend, flattering(make_trial))
+
+
+def test_what_crashed_in_its_check_is_not_the_answer_where_others_did_not(
+    study, make_trial, function_backend, failed
+):
+    trials = flattering(make_trial)[:4]
+    best = trials[-1].parameters["x"]
+
+    def axis_that_crashes(x, load, seed):
+        return failed("axis: stalled") if x == best else {"error": 1.0, "peak": 3.0}
+
+    answer = recommend(study, function_backend(study, axis_that_crashes), trials)
+    assert not answer.feasible
+    assert answer.checked[0] == trials[-1].number
+    assert not answer.candidate.trial.failed_again

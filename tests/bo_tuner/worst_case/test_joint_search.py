@@ -5,6 +5,8 @@ import pytest
 
 from bo_tuner.models.constraints import JointConstraint
 from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.base import Proposal
 from bo_tuner.study.context_space import CANDIDATES, MOST_CORNER_DIMENSIONS, ContextSpace
 from bo_tuner.study.distributions import Discrete, Uniform
 from bo_tuner.worst_case.joint_search import JointSearch
@@ -106,3 +108,21 @@ class TestJointSearch:
     def test_no_evaluations_left(self, plane):
         _, asked = self.search(plane, 2.0, evaluations=0)
         assert asked == []
+
+
+def test_an_outlier_is_no_data_of_the_search(make_study, make_trial):
+    """It is none of the models, whose hyperparameters it would be taken with."""
+    constraint = {"kind": "worst_case", "metric": "peak", "upper": 1.0}
+    study = make_study(constraints={"peak": constraint})
+    trials = [make_trial(k, {"gain": 0.1 * k}, [1.0, 1.1], worst=0.5 + 0.01 * k) for k in range(8)]
+    wild = make_trial(8, {"gain": 0.9}, [9.0, 9.0], worst=50.0)
+    proposal = Proposal({"gain": 0.45}, "acquisition", outliers=frozenset({8}))
+    found = []
+    for known in (trials, [*trials, wild]):
+        search = ALGORITHMS["V"].worst_case_search(
+            study, study.constraints["peak"], proposal, known
+        )
+        search.tell({"load": 1.5}, 0.53)
+        found.append(search.worst_case(np.random.default_rng(0)))
+    assert found[0] == found[1]
+    assert found[0].noise < 0.1

@@ -238,6 +238,12 @@ class Trial:
         return DISTURBED if self.disturbed else str(EvaluationState.LOST)
 
     @property
+    def failed_again(self) -> bool:
+        """Whether it failed for its parameters when it was checked or run again."""
+        outcomes = [e.outcome for e in self.evaluations if e.stage in CHECKS]
+        return any(not outcome.complete and not outcome.spoilt for outcome in outcomes)
+
+    @property
     def unchecked(self) -> "Trial":
         """The trial without the evaluations that checked it as a candidate."""
         return replace(self, evaluations=tuple(e for e in self.evaluations if e.stage in TUNING))

@@ -236,7 +236,7 @@ def write_certificate(
     OutputError
         If a file cannot be written.
     """
-    path = next_path(folder)
+    path = next_path(folder, certificate.attempt)
     table = _table(certificate.study, evidence)
     write_atomically(evaluations_path(path), table)
     digest = hashlib.sha256(table.encode()).hexdigest()

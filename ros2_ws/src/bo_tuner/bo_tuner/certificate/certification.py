@@ -221,7 +221,8 @@ class Certification:
                 found,
                 repeated=(*found.repeated[:place], (*here, new), *found.repeated[place + 1 :]),
             )
-        return replace(found, repeated=tuple(here for here in found.repeated if here))
+        visited = tuple(here for here in found.repeated if here)
+        return replace(found, repeated=visited, unvisited=len(candidates) - len(visited))
 
     def _open_context(self, found: Evidence, most: int) -> int | None:
         """Return the first context that takes more evaluations; None if the verdict is clear.

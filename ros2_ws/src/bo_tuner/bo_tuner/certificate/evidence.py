@@ -38,12 +38,15 @@ class Evidence:
         Evaluations of the search for the worst context.
     repeated
         For each context that the search found, evaluations there with fresh noise.
+    unvisited
+        How many more contexts the search found, in which nothing was run as another had decided.
     """
 
     parameters: Mapping[str, Value]
     drawn: tuple[Evaluation, ...]
     search: tuple[Evaluation, ...] = ()
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
+    unvisited: int = 0
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:

@@ -204,6 +204,7 @@ def _judge(
             unit,
             refuted_by_draws=_refuted(constraint, events, values, confidence),
             refuting=refuting,
+            unvisited=evidence.unvisited,
         )
     else:
         passed, reason = _chance(constraint, events, confidence)
@@ -248,6 +249,7 @@ def _worst_case(
     *,
     refuted_by_draws: bool,
     refuting: Sequence[WorstContext],
+    unvisited: int,
 ) -> tuple[bool, str]:
     if refuted_by_draws:
         return False, (
@@ -260,6 +262,10 @@ def _worst_case(
         failed = text.counted(failures, "evaluation")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
     passed = all(w.shown for w in worst)
+    if passed and unvisited:
+        # Which limit those are the worst contexts of is not told apart: one context may be of all.
+        contexts = text.counted(unvisited, "context")
+        return False, f"{contexts} that may be the worst had no run, as another one had decided"
     if constraint.statistic == EXPECTATION:
         return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
     top = max(worst, key=lambda w: w.violation_bound)

@@ -44,8 +44,10 @@ def evaluations_path(certificate: Path) -> Path:
     return certificate.with_name(f"{certificate.stem}_evaluations.csv")
 
 
-def next_path(folder: Path) -> Path:
-    """Return the path for a new certificate, and make its folder.
+def next_path(folder: Path, attempt: int = 1) -> Path:
+    """Return the path for a new certificate, with the number of its attempt, and make its folder.
+
+    An attempt that was given up has a number, and no certificate.
 
     Raises
     ------
@@ -55,11 +57,11 @@ def next_path(folder: Path) -> Path:
     directory = folder / CERTIFICATES
     with writing(directory):
         directory.mkdir(exist_ok=True)
-    return directory / f"{next_attempt(folder):04d}.json"
+    return directory / f"{max(attempt, next_attempt(folder)):04d}.json"
 
 
 def next_attempt(folder: Path) -> int:
-    """Return the number of the next certificate, which is that of the attempt, from 1.
+    """Return the number after that of the latest certificate, from 1.
 
     Evaluations alone, which a crash has left, are no attempt: it goes on with the same draws.
     """

@@ -7,6 +7,7 @@ the columns of the journal. It goes when the certificate is written.
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.certificate.store import CERTIFICATES, next_attempt, parameters_sha256
@@ -28,13 +29,48 @@ def evaluations_begun(folder: Path, study: Study, trial: Trial) -> int:
 
     Those of anything else, or of other code, it makes anew.
     """
+    begun = _begun(folder)
+    if begun is None or begun.attempt < next_attempt(folder):
+        return 0
+    return begun.evaluations if begun.is_of(study, trial.parameters, begun.backend) else 0
+
+
+def attempt_for(folder: Path, study: Study, parameters: Mapping[str, Value], backend: str) -> int:
+    """Return the number of the attempt to certify a parameter set, from 1.
+
+    An unfinished one of the same goes on. One of anything else was given up, and counts if it has
+    an evaluation: whoever gives up what looks undecided, and tries another, would pass too often.
+    """
+    begun, following = _begun(folder), next_attempt(folder)
+    if begun is None:
+        return following
+    goes_on = not begun.evaluations or begun.is_of(study, parameters, backend)
+    return max(following, begun.attempt if goes_on else begun.attempt + 1)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """The first line of the file, what it says, and how many evaluations follow."""
+
+    head: str
+    backend: str
+    attempt: int
+    evaluations: int
+
+    def is_of(self, study: Study, parameters: Mapping[str, Value], backend: str) -> bool:
+        try:
+            return self.head == _head(study, parameters, backend, self.attempt)
+        except StudyError:
+            return False
+
+
+def _begun(folder: Path) -> _Begun | None:
     try:
         head, *lines = (folder / CERTIFICATES / UNFINISHED).read_text("utf-8").splitlines()
-        backend = str(json.loads(head)["backend"])
-        same = head == _head(study, trial.parameters, backend, next_attempt(folder))
-    except (OSError, ValueError, LookupError, TypeError, RecursionError, StudyError):
-        return 0
-    return len(lines) if same else 0
+        told = json.loads(head)
+        return _Begun(head, str(told["backend"]), int(told["attempt"]), len(lines))
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return None
 
 
 class Unfinished(RunObserver):

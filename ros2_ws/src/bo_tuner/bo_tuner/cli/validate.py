@@ -16,12 +16,12 @@ from bo_tuner.certificate.run_verdict import certified
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     latest_certificate,
-    next_attempt,
     read_certificate,
     required_draws,
     shortfall,
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
+from bo_tuner.certificate.unfinished import attempt_for
 from bo_tuner.cli.certifier import Certifier
 from bo_tuner.cli.common import (
     Parser,
@@ -154,12 +154,17 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     if not 1 <= most <= maxima.TRIALS:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
-    # Each attempt takes more draws than the one before, so the last one needs the most.
-    attempt, attempts = next_attempt(record.path), max(1, min(most, len(record.trials)))
-    _draws(arguments, parser, record, confidence, attempt + attempts - 1)
     trial, is_result = _trial(record, arguments.trial)
+    # Each attempt takes more draws than the one before, so the last one needs the most.
+    attempt = attempt_for(record.path, record.study, trial.parameters, backend)
+    last = attempt + min(most, len(record.trials)) - 1
+    _draws(arguments, parser, record, confidence, last)
     allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
+
+    def tell(text: str) -> None:
+        console.print(text, soft_wrap=True)
+
     folder = RunFolder(record.path.resolve())
     # `latest` may be another run by then.
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
@@ -185,40 +190,34 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             with_default=arguments.with_default,
             more=most > 1,
         )
-        for candidate in _candidates(record, trial, most):
-            attempt = next_attempt(folder.path)
-            draws = _draws(arguments, parser, record, confidence, attempt)
-            try:
+        path = None
+        try:
+            for candidate in _candidates(record, trial, most):
+                attempt = attempt_for(folder.path, record.study, candidate.parameters, backend)
+                draws = _draws(arguments, parser, record, confidence, attempt)
                 certificate, path, left = certifier.certify(
                     candidate, draws, attempt, digest if candidate is trial else None
                 )
-            except (RunError, OutputError) as error:
-                console.print(f"error: {error}; {again}", soft_wrap=True)
-                return EXIT_FAULT
-            except Interrupted as interrupt:
-                console.print(f"interrupted by {interrupt}; {again}", soft_wrap=True)
-                return EXIT_SIGNAL + interrupt.signum
-            verdict = certified(record, candidate, path)
-            _report(verdict, record.study, path)
-            if certificate.passed or left:
-                break
-        interruption.ignore()
-    if certificate.passed and not verdict.is_result and most > 1:
-        console.print(
-            f"trial {verdict.trial} passed, not the result of the run: report, summary and bundle "
-            "remain those of the result",
-            soft_wrap=True,
-        )
-    missing = shortfall(record.study, draws, confidence)
-    if missing and certificate.passed:
-        console.print(f"warning: not sufficient for apply: {missing}", soft_wrap=True)
-    if record.result is not None:
-        # The verdict on it names the confidence of all certificates of the run.
-
-        def tell(text: str) -> None:
-            console.print(text, soft_wrap=True)
-
-        write_deliverables(folder.path, tell, tell)
+                verdict = certified(record, candidate, path)
+                _report(verdict, record.study, path)
+                if certificate.passed or left:
+                    break
+            interruption.ignore()
+            if certificate.passed and not verdict.is_result and most > 1:
+                tell(_not_the_result(verdict))
+            missing = shortfall(record.study, draws, confidence)
+            if missing and certificate.passed:
+                tell(f"warning: not sufficient for apply: {missing}")
+        except (RunError, OutputError) as error:
+            tell(f"error: {error}; {again}")
+            return EXIT_FAULT
+        except Interrupted as interrupt:
+            tell(f"interrupted by {interrupt}; {again}")
+            return EXIT_SIGNAL + interrupt.signum
+        finally:
+            if path is not None and record.result is not None:
+                # The verdict on it names the confidence of all certificates of the run.
+                write_deliverables(folder.path, tell, tell)
     return ended(left, exit_code(verdict))
 
 
@@ -260,7 +259,11 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     # What failed its check, or when it was run again, is no candidate.
     trials = with_checks(record.study, record.trials, record.evaluations, options)
     ranked = rank(record.study, trials, options)
-    others = [c.trial.number for c in ranked if c.believed_feasible and c.trial.number not in known]
+    others = [
+        c.trial.number
+        for c in ranked
+        if c.believed_feasible and not c.trial.failed_again and c.trial.number not in known
+    ]
     yield from (trial_of(record, number) for number in others[: count - 1])
 
 
@@ -293,6 +296,13 @@ def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console
             f"{path}: does not hold the values of trial {trial.number}, the result of the run"
         )
     return hashlib.sha256(content.encode()).hexdigest()
+
+
+def _not_the_result(verdict: Verdict) -> str:
+    return (
+        f"trial {verdict.trial} passed, not the result of the run: report, summary and bundle "
+        "remain those of the result"
+    )
 
 
 def _report(verdict: Verdict, study: Study, path: Path) -> None:

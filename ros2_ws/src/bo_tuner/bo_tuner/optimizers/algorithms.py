@@ -142,7 +142,11 @@ class Algorithm:
                 until_clear=proposal.protocol is None,
             )
         if self.models.joint:
-            kept = [t for t in trials if t.state is TrialState.COMPLETE]
+            kept = [
+                t
+                for t in trials
+                if t.state is TrialState.COMPLETE and t.number not in proposal.outliers
+            ]
             points = space.cube_of(t.parameters for t in kept)
             x, c, y = joint_observations(points, contexts, kept, constraint.metric)
             return JointSearch(

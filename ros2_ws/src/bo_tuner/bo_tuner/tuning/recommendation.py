@@ -17,7 +17,7 @@ from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, rank
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Trial, WorstCase
-from bo_tuner.tuning.evaluation import evaluate
+from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.limits import judge_sample, judge_samples, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
@@ -82,6 +82,11 @@ def recommend(
     -------
     Recommendation or None
         None if no trial is complete.
+
+    Raises
+    ------
+    RunError
+        If three evaluations in a row were lost with their nodes or disturbed.
     """
     latest = {trial.number: trial for trial in trials}
     held: set[int] = set()
@@ -114,7 +119,8 @@ def recommend(
         return Recommendation(kept, kept.believed_feasible, tuple(checked), tuple(ranked))
     # Among several within the limits the first in rank, not the one with the largest margin: a
     # machine that hardly moves keeps every limit.
-    least = open_ones[0] if open_ones else min(ranked, key=lambda c: max(c.violation, 0.0))
+    others = [c for c in ranked if not c.trial.failed_again] or ranked
+    least = open_ones[0] if open_ones else min(others, key=lambda c: max(c.violation, 0.0))
     return Recommendation(least, False, tuple(checked), tuple(ranked))
 
 
@@ -167,7 +173,11 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
 def _check(
     study: Study, backend: Backend, trial: Trial, observer: RunObserver
 ) -> tuple[Trial, bool]:
-    """Run the check of a trial until an evaluation fails; return as `with_check`."""
+    """Run the check of a trial until an evaluation fails; return as `with_check`.
+
+    One that tells nothing of the parameters, since its nodes were lost or others disturbed it, is
+    run again.
+    """
     contexts = study.context_space()
     drawn = contexts.draw_stratified(
         DRAWN_EVALUATIONS, generator(study.seed, Stream.CHECK_CONTEXTS, trial.number)
@@ -176,11 +186,16 @@ def _check(
     for worst_context in _worst_contexts(trial):
         plan += [(Stage.CHECK_WORST, worst_context)] * WORST_EVALUATIONS
     check: list[Evaluation] = []
+    losses = Losses("evaluations of the check")
     for index, (stage, context) in enumerate(plan, start=len(trial.evaluations)):
         seed = noise_seed(study.seed, Stream.CHECK_NOISE, trial.number, index)
         planned = Evaluation(trial.number, index, stage, trial.parameters, context, seed)
-        check.append(evaluate(backend, planned, observer))
-        if not check[-1].outcome.complete:
+        while (evaluation := evaluate(backend, planned, observer)).outcome.spoilt:
+            losses.note(evaluation)
+            losses.check()
+        losses.note(evaluation)
+        check.append(evaluation)
+        if not evaluation.outcome.complete:
             break
     return with_check(study, trial, check)
 
