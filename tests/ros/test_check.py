@@ -18,6 +18,7 @@ from bo_tuner.backends.ros import others, preparation, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
+from bo_tuner.cli.check import _spread
 from bo_tuner.errors import BackendError
 
 pytestmark = pytest.mark.ros
@@ -305,3 +306,9 @@ def test_a_node_that_is_not_there(servo, tmp_path):
     code, _, err = study(tmp_path, parameters={"kp": {"node": "pid"}})
     assert code == 2
     assert "there is no node 'pid'" in err
+
+
+def test_one_value_of_a_metric_without_a_limit_does_not_differ():
+    """As where the other run failed."""
+    assert _spread("error", [0.5], []) == ""
+    assert _spread("error", [0.5, 0.7], []).startswith("error: differs by 0.2 ")

@@ -1,6 +1,7 @@
 """The page of a trial: all its evaluations, and the signals of the worst one."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -76,6 +77,7 @@ def test_recorded_signals_come_first(traced, monkeypatch):
     own = dataclasses.replace(other, evaluation={"index": worst.index})
     bag = traced.record.path / "bags" / f"trial_{trial.number:04d}"
     bag.mkdir(parents=True)
+    (bag / "metadata.yaml").touch()
     monkeypatch.setattr(recorded_signals, "recorded_runs", lambda _: iter([other, own]))
     try:
         _, parts = page_of(traced, TrialState.COMPLETE)
@@ -90,8 +92,7 @@ def test_recorded_signals_come_first(traced, monkeypatch):
         _, parts = page_of(traced, TrialState.COMPLETE)
         assert parts["signals"].lead == "No signals: bags/x: cannot be read."
     finally:
-        bag.rmdir()
-        bag.parent.rmdir()
+        shutil.rmtree(bag.parent)
 
 
 def test_a_failed_trial_tells_its_reason(traced):

@@ -243,7 +243,7 @@ def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
     Such noise is possible, but more often one run did not begin as the other. What is small beside
     its limits may differ.
     """
-    largest = max(*map(abs, values), *(SMALL * limit for limit in limits))
+    largest = max([*map(abs, values), *(SMALL * limit for limit in limits)])
     spread = max(values) - min(values)
     if spread <= LARGE_SPREAD * largest:
         return ""
