@@ -20,6 +20,15 @@ from bo_tuner.trials import Evaluation, EvaluationState, Stage
 BEST_EFFORT = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
+SAFE, UNSTABLE = 0.25, 2.5
+"""Gains: with the second the angle grows without bounds, |1 - 2.5| > 1."""
+ROOM = {
+    "abort_when": "abs(angle) > 3",
+    "end": {"when": "abs(angle - 1) < 0.05"},
+    "timeout": 60.0,
+}
+"""A run ends where a stable step response comes to, and has the time that a busy machine takes."""
+
 
 class Sensor(Node):
     """Publishes `value` on /sensed at 100 Hz; it has no parameters that anybody sets."""
@@ -130,6 +139,10 @@ def study(signals=None, run=None, metrics=None, **others):
 
 def run(backend, gain=0.5):
     return backend.outcome(Evaluation(0, 0, Stage.DRAWN, {"gain": gain}, {}, 1))
+
+
+def gain(system):
+    return system.get_parameter("gain").value
 
 
 def failure(outcome):

@@ -45,7 +45,7 @@ def attached(shared_pair, tmp_path_factory):
         lines = []
         patch.setattr(command, "say", lines.append)
         # They may still be starting, on a busy machine.
-        patch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", DEADLINE)
+        patch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)
         code = command.run(
             [str(folder), "--trial", "1", "--backend", "ros", "--attach"], Uninterrupted()
         )
@@ -153,7 +153,7 @@ def test_a_failed_evaluation_on_nodes_of_its_own(ros_environment, tmp_path):
 
 
 def test_a_node_that_is_not_there(ros_environment, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", 1.0)
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", 1.0)
     study = study_of()
     nodes = {key: replace(spec, node=f"no_{spec.node}") for key, spec in study.nodes.items()}
     study = replace(study, nodes=nodes)

@@ -79,7 +79,7 @@ def patience(monkeypatch):
 def backend(system, tmp_path, monkeypatch, patience):
     """Function that opens a backend for a study."""
     patience(DEADLINE)
-    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.LOOK_AROUND", 0.1)
     opened = []
 
     def make(**changes):
@@ -98,7 +98,7 @@ def backend(system, tmp_path, monkeypatch, patience):
 @pytest.fixture
 def interruptible(system, tmp_path, monkeypatch):
     """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
-    monkeypatch.setattr("bo_tuner.backends.ros.backend.LOOK_AROUND", 0.1)
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.LOOK_AROUND", 0.1)
     opened = []
 
     def make(when, **changes):

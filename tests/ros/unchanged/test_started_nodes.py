@@ -109,7 +109,7 @@ def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
 @pytest.fixture
 def running(ros_environment, tmp_path, monkeypatch):
     """Function that starts a node of the example, which a backend may wait for."""
-    monkeypatch.setattr("bo_tuner.backends.ros.backend.ATTACH_TIMEOUT", DEADLINE)
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)
     started = []
 
     def start(node):

@@ -11,22 +11,17 @@ from typing import NamedTuple
 from rclpy.context import Context
 
 from bo_tuner.backends.protocol import SequentialBackend
+from bo_tuner.backends.ros.bringup import Bringup
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
-from bo_tuner.backends.ros.held_parameters import (
-    compare_with_earlier,
-    divide,
-    safe_parameters,
-)
-from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.isolation import (
-    LEASE,
     DomainClaim,
     domain_of_environment,
     isolated_environment,
     namespace_of,
 )
+from bo_tuner.backends.ros.node_parameters import Values
 from bo_tuner.backends.ros.others import START
 from bo_tuner.backends.ros.previous_parameters import PreviousParameters
 from bo_tuner.backends.ros.procedure import Procedure
@@ -34,6 +29,7 @@ from bo_tuner.backends.ros.safe_state import SafeState
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
+from bo_tuner.backends.ros.take_over import take_over
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
@@ -51,12 +47,8 @@ from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
 
-DISCOVERY_TIMEOUT = 20.0
-ATTACH_TIMEOUT = 5.0
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
-LOOK_AROUND = 1.0
-"""Time [s] to discover nodes, or another tuner, that run already."""
 
 
 class _Opened(NamedTuple):
@@ -64,6 +56,7 @@ class _Opened(NamedTuple):
 
     tuner: TunerNode
     client: StudyClient
+    bringup: Bringup
     safe_state: SafeState
 
 
@@ -121,7 +114,8 @@ class RosBackend(SequentialBackend):
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
-        self._held: dict[str, dict[str, object]] = {}
+        self._bringup: Bringup | None = None
+        self._held: Values = {}
         self._suspension = Suspension()
         self._safe_state: SafeState | None = None
         self._previous: PreviousParameters | None = None
@@ -147,15 +141,23 @@ class RosBackend(SequentialBackend):
         self._collector = Collector(self._study, {**signals, **self._sources})
         given = domain_of_environment()
         tuner, client = self._enter(given)
+        self._bringup = Bringup(
+            self._study, tuner, client, self._started, self._suspension, attach=self._attach
+        )
         try:
-            if not self._attach:
-                if given is not None:
-                    self._refuse_running_nodes(tuner, client)
-                self._started.start()
-            self._discover(tuner, client)
-            safe = self._take_over(tuner, client)
+            self._bringup.open(look_around=given is not None)
+            if self._attach:
+                self._previous = PreviousParameters(self._restored, tuner, client.parameters)
+            safe, self._held = take_over(
+                self._study,
+                tuner,
+                client.parameters,
+                self._previous,
+                self._run_log or self._log_directory,
+                is_repeat=self._run_log is not None,
+            )
             if self._study.run is not None:
-                restart = None if self._attach else self._restart
+                restart = None if self._attach else self._bringup.restart
                 self._procedure = Procedure(self._study, self._study.run, tuner, restart)
             self._safe_state = SafeState(
                 tuner, client, safe, self._held, self._procedure, self._suspension, self._look
@@ -175,62 +177,6 @@ class RosBackend(SequentialBackend):
         self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
         self._client = StudyClient(self._study, self._tuner)
         return self._tuner, self._client
-
-    def _discover(self, tuner: TunerNode, client: StudyClient) -> None:
-        """Wait for the nodes, and refuse to share them.
-
-        Raises
-        ------
-        BackendError
-            If another tuner is at work on them, or one runs more than once.
-        LostError
-            If one does not appear in time.
-        """
-        client.presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
-        if self._attach:
-            # That the nodes are discovered does not mean that another tuner is, too.
-            tuner.spin_for(LOOK_AROUND)
-        tuner.refuse_other_tuner()
-        if twins := client.presence.twins(LEASE):
-            raise BackendError(f"{twins}; end all but one")
-
-    def _take_over(self, tuner: TunerNode, client: StudyClient) -> dict[str, dict[str, object]]:
-        """Note what the nodes have, then set constant and safe parameters; returns the safe ones.
-
-        Raises
-        ------
-        BackendError
-            If, attached, a parameter that the study does not set is not what it was.
-        LostError
-            If a node does not answer.
-        StudyError
-            If a node does not take its parameters.
-        """
-        found = {key: client.parameters.read_anew(key) for key in self._study.nodes}
-        if self._attach:
-            self._previous = PreviousParameters(self._restored, tuner, client.parameters)
-            self._previous.undo_killed(found)
-        own, others = divide(self._study, found)
-        safe = safe_parameters(self._study)
-        if self._previous is not None:
-            self._previous.begin(own, safe)
-        initial = InitialParameters(self._study, tuner, client.parameters)
-        initial.set_constants()
-        constants = {key: spec.parameters for key, spec in self._study.nodes.items()}
-        self._held = {key: found[key] | dict(constants[key]) for key in found}
-        is_first = compare_with_earlier(
-            self._run_log or self._log_directory,
-            others,
-            refuse=self._attach,
-            note=self._run_log is None,
-        )
-        if is_first:
-            initial.refuse_ranges()
-        initial.set_undeclared(found)
-        if self._study.run is not None:
-            # The nodes run by themselves, and from now on as they will between two runs.
-            initial.set_safe(safe)
-        return safe
 
     @property
     def context(self) -> Context:
@@ -298,7 +244,7 @@ class RosBackend(SequentialBackend):
         """Run an evaluation; whatever becomes of it is an outcome."""
         client = self._opened.client
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
-        wanted = {key: held | assignments.get(key, {}) for key, held in self._held.items()}
+        wanted = {key: {**held, **assignments.get(key, {})} for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
             if self._previous is not None:
@@ -368,7 +314,7 @@ class RosBackend(SequentialBackend):
         LostError
             If a node is not there.
         """
-        _, client, safe_state = self._opened
+        client, safe_state = self._opened.client, self._opened.safe_state
         # Parking overlooks what others have changed.
         disturbance = client.parameters.disturbance()
         # First the machine, then the reason: a node that does not answer is waited for.
@@ -395,15 +341,20 @@ class RosBackend(SequentialBackend):
         if state is EvaluationState.LOST:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
             safe_state.stop()
-            if problem := self._get_back():
-                return [problem]
+            try:
+                self._opened.bringup.get_back()
+            except (LostError, BackendError, StudyError) as error:
+                # The next evaluation will be lost in turn; three lost trials end the run.
+                return [f"not recovered: {error}"]
         return safe_state.recover()
 
     @property
     def _opened(self) -> _Opened:
-        if self._tuner is None or self._client is None or self._safe_state is None:
+        tuner, client = self._tuner, self._client
+        bringup, safe_state = self._bringup, self._safe_state
+        if tuner is None or client is None or bringup is None or safe_state is None:
             raise BackendError("the backend is not open")
-        return _Opened(self._tuner, self._client, self._safe_state)
+        return _Opened(tuner, client, bringup, safe_state)
 
     @property
     def recording(self) -> Recording:
@@ -478,7 +429,7 @@ class RosBackend(SequentialBackend):
 
     def _let_go(self) -> None:
         self._claim = self._tuner = self._client = self._procedure = self._previous = None
-        self._safe_state = None
+        self._bringup = self._safe_state = None
 
     @property
     def _restore_timeout(self) -> float:
@@ -494,60 +445,3 @@ class RosBackend(SequentialBackend):
         """Watch without a look at the nodes."""
         self._suspension.look()
         self._interrupted()
-
-    def _restart(self, key: str) -> None:
-        """Start a node anew, and tell it what it must have.
-
-        Raises
-        ------
-        LostError
-            If it does not come back.
-        """
-        tuner, client, _ = self._opened
-        self._suspension.look()
-        self._started.stop_one(key)
-        self._suspension.skip()
-        tuner.wait_until(lambda: key in client.presence.absent(), LEASE)
-        try:
-            self._started.start_one(key)
-        except (BackendError, StudyError) as error:
-            raise LostError(f"{key} is not started anew: {error}") from error
-        # Others may run in the same process.
-        for anew in dict.fromkeys((key, *client.presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
-            client.tell_again(anew)
-
-    def _refuse_running_nodes(self, tuner: TunerNode, client: StudyClient) -> None:
-        tuner.spin_for(LOOK_AROUND)
-        absent = client.presence.absent()
-        running = [spec.node for key, spec in self._study.nodes.items() if key not in absent]
-        if running:
-            raise BackendError(
-                f"{running[0]}: runs already in ROS domain {os.environ['ROS_DOMAIN_ID']}; "
-                "use --attach, or leave ROS_DOMAIN_ID unset"
-            )
-
-    def _get_back(self) -> str:
-        """Get the nodes back after a loss; returns in a line why that failed."""
-        tuner, client, _ = self._opened
-        client.parameters.forget_all()
-        self._suspension.look()
-        self._started.stop()
-        self._suspension.skip()
-        if self._attach:
-            names = " and ".join(self.nodes)
-            tuner.warn(f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}")
-        try:
-            if not self._attach:
-                client.presence.wait_until_gone(LEASE)
-                self._started.start()
-            anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
-            if self._attach:
-                # Of a node that was killed and is back, the graph tells bit by bit.
-                tuner.spin_for(LOOK_AROUND)
-                anew += client.restarted()
-            client.renew(anew)
-            InitialParameters(self._study, tuner, client.parameters).set_constants()
-        except (LostError, BackendError, StudyError) as error:
-            # The next evaluation will be lost in turn; three lost trials end the run.
-            return f"not recovered: {error}"
-        return ""

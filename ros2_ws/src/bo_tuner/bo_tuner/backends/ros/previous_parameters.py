@@ -117,6 +117,9 @@ class PreviousParameters:
             What went wrong, each in a line; the note keeps what these nodes had.
         """
         previous, study = self._previous, self._study
+        if not previous:
+            # They were not taken over.
+            return []
         safe = named_safe(study, previous)
         final = {key: values | safe.get(key, {}) for key, values in previous.items()}
         failed = self._parameters.assign_side_by_side(final, timeout)

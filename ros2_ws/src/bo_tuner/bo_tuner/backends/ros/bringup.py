@@ -1,0 +1,146 @@
+"""The nodes of a study are there: started or attached to, discovered, and got back when lost."""
+
+import os
+
+from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.initial_parameters import InitialParameters
+from bo_tuner.backends.ros.isolation import LEASE
+from bo_tuner.backends.ros.started_nodes import StartedNodes
+from bo_tuner.backends.ros.study_client import StudyClient
+from bo_tuner.backends.ros.suspension import Suspension
+from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.study.study import Study
+
+DISCOVERY_TIMEOUT = 20.0
+ATTACH_TIMEOUT = 5.0
+LOOK_AROUND = 1.0
+"""Time [s] to discover nodes, or another tuner, that run already."""
+
+
+class Bringup:
+    """Brings the nodes of a study up.
+
+    Parameters
+    ----------
+    study
+        The study.
+    tuner
+        The tuner's node.
+    client
+        The connection to the nodes.
+    started
+        Starts them, unless attached.
+    suspension
+        Leaves out the time in which a node is ended.
+    attach
+        Whether to use nodes that run already, and to start none.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        tuner: TunerNode,
+        client: StudyClient,
+        started: StartedNodes,
+        suspension: Suspension,
+        *,
+        attach: bool,
+    ) -> None:
+        self._study = study
+        self._tuner = tuner
+        self._client = client
+        self._started = started
+        self._suspension = suspension
+        self._attach = attach
+
+    def open(self, *, look_around: bool) -> None:
+        """Start the nodes, unless attached, wait for them, and refuse to share them.
+
+        Parameters
+        ----------
+        look_around
+            Whether nodes that are to be started may run in the domain already.
+
+        Raises
+        ------
+        BackendError
+            If nodes to be started run already, one cannot be started, another tuner is at work on
+            them, or one runs more than once.
+        LostError
+            If one does not appear in time.
+        StudyError
+            If the study does not say how to start one.
+        """
+        tuner, presence = self._tuner, self._client.presence
+        if not self._attach:
+            if look_around:
+                self._refuse_running()
+            self._started.start()
+        presence.wait_for_nodes(ATTACH_TIMEOUT if self._attach else DISCOVERY_TIMEOUT)
+        if self._attach:
+            # That the nodes are discovered does not mean that another tuner is, too.
+            tuner.spin_for(LOOK_AROUND)
+        tuner.refuse_other_tuner()
+        if twins := presence.twins(LEASE):
+            raise BackendError(f"{twins}; end all but one")
+
+    def restart(self, key: str) -> None:
+        """Start a node anew that the tuner has started, and tell it what it must have.
+
+        Raises
+        ------
+        LostError
+            If it does not come back.
+        """
+        presence = self._client.presence
+        self._suspension.look()
+        self._started.stop_one(key)
+        self._suspension.skip()
+        self._tuner.wait_until(lambda: key in presence.absent(), LEASE)
+        try:
+            self._started.start_one(key)
+        except (BackendError, StudyError) as error:
+            raise LostError(f"{key} is not started anew: {error}") from error
+        # Others may run in the same process.
+        for anew in dict.fromkeys((key, *presence.wait_for_nodes(DISCOVERY_TIMEOUT))):
+            self._client.tell_again(anew)
+
+    def get_back(self) -> None:
+        """Start all nodes anew after a loss, or, attached, wait for them; set their constants.
+
+        Raises
+        ------
+        BackendError, StudyError
+            If one cannot be started, or does not take its constants.
+        LostError
+            If one does not come back.
+        """
+        tuner, client = self._tuner, self._client
+        client.parameters.forget_all()
+        if self._attach:
+            names = " and ".join(spec.node for spec in self._study.nodes.values())
+            tuner.warn(f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}")
+        else:
+            self._suspension.look()
+            self._started.stop()
+            self._suspension.skip()
+            client.presence.wait_until_gone(LEASE)
+            self._started.start()
+        anew = client.presence.wait_for_nodes(DISCOVERY_TIMEOUT)
+        if self._attach:
+            # Of a node that was killed and is back, the graph tells bit by bit.
+            tuner.spin_for(LOOK_AROUND)
+            anew += client.restarted()
+        client.renew(anew)
+        InitialParameters(self._study, tuner, client.parameters).set_constants()
+
+    def _refuse_running(self) -> None:
+        self._tuner.spin_for(LOOK_AROUND)
+        absent = self._client.presence.absent()
+        running = [spec.node for key, spec in self._study.nodes.items() if key not in absent]
+        if running:
+            raise BackendError(
+                f"{running[0]}: runs already in ROS domain {os.environ['ROS_DOMAIN_ID']}; "
+                "use --attach, or leave ROS_DOMAIN_ID unset"
+            )

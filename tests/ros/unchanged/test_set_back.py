@@ -1,0 +1,220 @@
+"""In the end an attached node has what it had, also after a tuner that was killed."""
+
+import json
+import os
+
+import pytest
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from servo import SAFE, gain, run
+
+from bo_tuner.errors import BackendError
+from bo_tuner.storage.state import state_folder
+from bo_tuner.trials import EvaluationState
+
+pytestmark = pytest.mark.ros
+
+
+def test_at_the_end_the_steps_after_a_run_are_done_and_the_node_has_what_it_had(backend, system):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    made.close()
+    assert gain(system) == 0.375
+
+
+def test_safe_values_that_the_study_names_stay(backend, system, capfd):
+    system.set_gain(0.375)
+    park = {"parameters": {"gain": SAFE}}
+    made = backend(run={"before": []}, park=park)
+    run(made, 0.75)
+    made.close()
+    assert gain(system) == SAFE
+    said = "servo is left with the park values: gain 0.25 (was 0.375)"
+    assert capfd.readouterr().err.count(said) == 1
+    # What the node has already is not worth a line.
+    backend(run={"before": []}, park=park).close()
+    assert "park values" not in capfd.readouterr().err
+
+
+class Filter(Node):
+    """Has an array, and two numbers of which one must not be above the other."""
+
+    def __init__(self, context):
+        super().__init__("filter", context=context)
+        self.declare_parameter("noise", [0.25, 0.5])
+        self.declare_parameter("control", 5)
+        self.declare_parameter("prediction", 8)
+        self.add_on_set_parameters_callback(self.judge)
+
+    def judge(self, parameters):
+        new = {parameter.name: parameter.value for parameter in parameters}
+        control, prediction = (
+            new.get(name, self.get_parameter(name).value) for name in ("control", "prediction")
+        )
+        return SetParametersResult(successful=control <= prediction, reason="too few steps")
+
+    @property
+    def values(self):
+        noise, *numbers = (
+            self.get_parameter(name).value for name in ("noise", "control", "prediction")
+        )
+        return [list(noise), *numbers]
+
+
+@pytest.fixture
+def filter_parked(backend, join):
+    """Function that opens a backend for a filter beside the servo, and closes it again."""
+
+    def make(**values):
+        node = join(Filter)
+        of_filter = {"node": "filter"}
+        integer = of_filter | {"type": "integer", "bounds": [1, 30]}
+        made = backend(
+            nodes={
+                "servo": {"node": "servo"},
+                "filter": of_filter | {"parameters": {"noise": [1.0, 2.0]}},
+            },
+            parameters={
+                "gain": {"node": "servo", "type": "double", "bounds": [0, 3], "default": 0.5},
+                "noise[0]": of_filter | {"type": "double", "bounds": [0, 3], "default": 1.0},
+                "control": integer | {"default": 5},
+                "prediction": integer | {"default": 20},
+            },
+            park={"parameters": values},
+        )
+        parked = node.values
+        made.close()
+        return parked, node.values
+
+    return make
+
+
+def test_of_an_array_only_the_items_that_the_study_names_stay(filter_parked, capfd):
+    parked, left = filter_parked(**{"noise[0]": 0.75})
+    assert (parked, left) == ([[0.75, 2.0], 5, 20], [[0.75, 0.5], 5, 8])
+    said = "filter is left with the park values: noise [0.75, 0.5] (was [0.25, 0.5])"
+    assert said in capfd.readouterr().err
+
+
+def test_a_node_that_refuses_the_safe_values_beside_its_own_has_its_own_again(filter_parked, capfd):
+    """Ten steps of control go with the default of 20 steps of prediction, but not with 8."""
+    parked, left = filter_parked(control=10)
+    assert (parked, left) == ([[1.0, 2.0], 10, 20], [[0.25, 0.5], 5, 8])
+    said = "filter is left with what it had, and not with the park values: filter refused its"
+    assert said in capfd.readouterr().err
+
+
+@pytest.fixture
+def killed():
+    """Function that lets a backend go as `kill -9` does: it says nothing to the nodes any more."""
+
+    def kill(backend):
+        backend._procedure.close()
+        backend._tuner.close()
+        backend._claim.release()
+        backend._procedure = backend._tuner = backend._claim = None
+
+    return kill
+
+
+@pytest.mark.parametrize("park", [{}, {"parameters": {"gain": SAFE}, "between_runs": True}])
+def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, killed, park):
+    system.set_gain(0.375)
+    made = backend(run={"before": []}, park=park)
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    killed(made)
+    assert gain(system) == (SAFE if park else 0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+    # That is forgotten then.
+    system.set_gain(0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.75
+
+
+def test_a_kill_before_the_node_has_the_next_parameters(backend, system, killed):
+    """It has those of the trial before then, which are not its own either."""
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    for value in (0.8, 0.9):
+        made._previous.tell({"servo": {"gain": value}})
+        # As of a node that does not answer.
+        made._client.parameters.forget("servo")
+    killed(made)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+
+
+def test_what_somebody_has_set_since_a_tuner_was_killed_stays(backend, system, killed):
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    system.set_gain(0.625)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.625
+
+
+def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(backend, system):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    with system.refusing("the key is out"):
+        complaint = "^servo is not set back: servo refused its parameters: the key is out; the next"
+        with pytest.raises(BackendError, match=complaint):
+            made.close()
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+
+
+@pytest.mark.parametrize("park", [{}, {"parameters": {"gain": SAFE}}])
+def test_what_a_killed_tuner_has_left_and_the_node_does_not_take_back(
+    backend, system, killed, park
+):
+    made = backend(run={"before": []}, park=park)
+    run(made, 0.75)
+    killed(made)
+    complaint = "^servo is not set back: servo refused its parameters: the key is out"
+    with system.refusing("the key is out"), pytest.raises(BackendError, match=complaint):
+        backend(run={"before": []}, park=park)
+
+
+def test_what_nodes_of_other_studies_had_stays_noted(backend, system):
+    """The command that works on them may come later."""
+    note = state_folder() / "attached" / f"domain{os.environ['ROS_DOMAIN_ID']}.json"
+    note.parent.mkdir(parents=True, exist_ok=True)
+    other = {"arm": {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}}}
+    note.write_text(json.dumps(other))
+    try:
+        made = backend(run={"before": []})
+        assert json.loads(note.read_text()).keys() == {"arm", "servo"}
+        made.close()
+        assert json.loads(note.read_text()) == other
+    finally:
+        note.unlink()
+
+
+def test_a_run_goes_on_where_nothing_can_be_noted(backend, system, tmp_path, monkeypatch, capfd):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    made = backend(run={"before": []})
+    assert run(made, 0.75).state is EvaluationState.COMPLETE
+    made.close()
+    assert gain(system) == 0.5
+    warning = "cannot be written: Not a directory; after a kill the nodes cannot be set back"
+    assert warning in capfd.readouterr().err
+
+
+def test_what_goes_wrong_in_the_end_keeps_nothing_from_being_tried(backend, system, monkeypatch):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+
+    def park():
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(made, "park", park)
+    with pytest.raises(RuntimeError, match="unexpected"):
+        made.close()
+    assert gain(system) == 0.375
