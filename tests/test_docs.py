@@ -378,7 +378,10 @@ def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
     # Too few trials to find something for sure.
     assert code in (0, 3), err
     assert again[0] == 0, again
-    assert "how it ended is confirmed; no metric of this study is reproducible" in again[1]
+    assert (
+        "the way the evaluation ended is confirmed; no metric of this study is reproducible"
+        in again[1]
+    )
     journal = read_journal(folder / "journal.sqlite")
     assert len(journal.trials) == 3
     complete = [e for e in journal.evaluations if e.outcome.state is EvaluationState.COMPLETE]

@@ -214,7 +214,7 @@ def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys):
     finally:
         tuner.destroy_node()
     assert (code, out) == (2, "")
-    assert err.startswith("error: another tuner is at work as /bo_tuner; wait for it, or use ")
+    assert err.startswith("error: another tuner is running as /bo_tuner; wait for it, or use ")
     assert now() == before
 
 

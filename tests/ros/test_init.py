@@ -205,7 +205,7 @@ def test_beside_a_tuner_values_are_those_of_a_trial(servo, tmp_path):
     finally:
         claim.release()
     assert (code, out) == (2, "")
-    assert err.startswith(f"error: another tuner works in ROS domain {domain}, namespace /; ")
+    assert err.startswith(f"error: another tuner is running in ROS domain {domain}, namespace /; ")
     assert not list(tmp_path.iterdir())
 
 

@@ -11,7 +11,7 @@ from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.cli import replay, tune, validate
 from bo_tuner.errors import BackendError
 
-COMPLAINT = "servo is not set back: servo does not answer"
+COMPLAINT = "servo could not be restored: servo does not answer"
 
 
 @pytest.fixture(scope="module")

@@ -107,7 +107,7 @@ class TestResume:
         try:
             code, _, err = runs.resume(whole)
             assert code == 2
-            assert f"another process works in this run (process {os.getpid()})" in err
+            assert f"another process is using this run folder (process {os.getpid()})" in err
             with pytest.raises(OutputError, match="another process works"):
                 RunFolder(folder.path)
         finally:

@@ -180,7 +180,7 @@ class TestCertificate:
             ({"verdict": ["PASS"]}, "expected PASS or FAIL, found a list of 1"),
             ({"parameters": {"gain": 0.123}}, "no certificate of trial 1; run validate"),
             ({"parameters": {"more": 1.0}}, "no certificate of trial 1; run validate"),
-            ({"parameters_sha256": "0" * 64}, "parameters do not have the digest in it"),
+            ({"parameters_sha256": "0" * 64}, "parameters do not match its digest"),
             ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
             ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not have the digest"),
             ({"draws": 999}, "made with 999 draws, the study requires 1000; run validate"),

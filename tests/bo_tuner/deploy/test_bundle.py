@@ -204,7 +204,7 @@ class TestRefusals:
         path = folder / "rollback.yaml"
         changed = path.read_text().replace(*change)
         path.write_text(changed)
-        with pytest.raises(RunRecordError, match="does not have the digest in its first line"):
+        with pytest.raises(RunRecordError, match="does not match the digest in its first line"):
             read_rollback(record)
         write_bundle(record)
         assert path.read_text() == changed

@@ -164,7 +164,7 @@ class TestVerdict:
         backend = Backend()
         found = replay(record, recorded, backend)
         assert found.confirmed
-        assert "how it ended is confirmed; no metric" in found.verdict
+        assert "the way the evaluation ended is confirmed; no metric" in found.verdict
         backend.ends = Outcome(EvaluationState.FAILED, reason="stalled")
         assert replay(record, recorded, backend).verdict == "NOT confirmed"
 

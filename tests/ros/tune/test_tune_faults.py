@@ -68,9 +68,9 @@ class TestSecondTuner:
         # Of another user or machine, which shares no lock with us.
         foreign = {"TMPDIR": str(elsewhere)}
         for arguments, environment, complaint in [
-            (["--attach"], {}, f"another tuner works in ROS domain {domain}, namespace /; "),
-            ([], {}, f"another tuner works in ROS domain {domain}, namespace /; "),
-            (["--attach"], foreign, "another tuner is at work as /bo_tuner; "),
+            (["--attach"], {}, f"another tuner is running in ROS domain {domain}, namespace /; "),
+            ([], {}, f"another tuner is running in ROS domain {domain}, namespace /; "),
+            (["--attach"], foreign, "another tuner is running as /bo_tuner; "),
             ([], foreign, f"axis: runs already in ROS domain {domain}; use --attach, or "),
         ]:
             second = tune(*arguments, folder=elsewhere, ROS_DOMAIN_ID=domain, **environment)

@@ -161,7 +161,9 @@ def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(ba
     made = backend(run={"before": []})
     run(made, 0.75)
     with system.refusing("the key is out"):
-        complaint = "^servo is not set back: servo refused its parameters: the key is out; the next"
+        complaint = (
+            "^servo could not be restored: servo refused its parameters: the key is out; the next"
+        )
         with pytest.raises(BackendError, match=complaint):
             made.close()
     backend(run={"before": []}).close()
@@ -175,7 +177,7 @@ def test_what_a_killed_tuner_has_left_and_the_node_does_not_take_back(
     made = backend(run={"before": []}, park=park)
     run(made, 0.75)
     killed(made)
-    complaint = "^servo is not set back: servo refused its parameters: the key is out"
+    complaint = "^servo could not be restored: servo refused its parameters: the key is out"
     with system.refusing("the key is out"), pytest.raises(BackendError, match=complaint):
         backend(run={"before": []}, park=park)
 
@@ -202,7 +204,7 @@ def test_a_run_goes_on_where_nothing_can_be_noted(backend, system, tmp_path, mon
     assert run(made, 0.75).state is EvaluationState.COMPLETE
     made.close()
     assert gain(system) == 0.5
-    warning = "cannot be written: Not a directory; after a kill the nodes cannot be set back"
+    warning = "cannot be written: Not a directory; after a kill the nodes cannot be restored"
     assert warning in capfd.readouterr().err
 
 

@@ -91,4 +91,4 @@ class TestBadInput:
             line = refusal(folder)
         finally:
             held.close()
-        assert f"another process works in this run (process {os.getpid()})" in line
+        assert f"another process is using this run folder (process {os.getpid()})" in line

@@ -34,7 +34,7 @@ class TestInterruption:
         assert found == code, err
         said = err.splitlines()[-1]
         assert said.startswith("interrupted by SIG")
-        assert said.endswith(f"; go on with: validate {folder}")
+        assert said.endswith(f"; continue with: validate {folder}")
         assert [path.name for path in (folder / "certificates").iterdir()] == ["unfinished.jsonl"]
 
     def test_the_next_call_goes_on(self, here, folder, monkeypatch):
@@ -64,7 +64,7 @@ class TestInterruption:
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)
         assert code == 0
-        assert "going on after 58 evaluations of an interrupted certificate" in err
+        assert "continuing an interrupted certificate after 58 evaluations" in err
         assert (folder / "certificates" / "0001_evaluations.csv").read_bytes() == whole
         found = certificate(folder)
         assert found["tuned"] == expected["tuned"]
@@ -115,7 +115,7 @@ class TestInterruption:
         assert not any("begun" in remark for remark in verdict.remarks)
         code, _, err = here(folder)
         assert code == 0
-        assert "going on" not in err
+        assert "continuing" not in err
 
     def test_one_that_is_given_up_counts_as_an_attempt(self, here, folder, monkeypatch):
         """Whoever gives up what looks undecided, and tries another, would pass too often."""
@@ -153,7 +153,7 @@ class TestFaults:
         assert code == 1
         assert err.splitlines()[-1] == (
             "error: 3 evaluations in a row were lost with their nodes: axis is gone; "
-            f"go on with: validate {folder}"
+            f"continue with: validate {folder}"
         )
         assert out == ""
         assert [path.name for path in (folder / "certificates").iterdir()] == ["unfinished.jsonl"]
@@ -190,7 +190,7 @@ class TestFaults:
         # Nothing is run again, and the attempt keeps its share of the error probability.
         code, _, err = here(folder)
         assert code == 0
-        assert "going on after" in err
+        assert "continuing an interrupted certificate" in err
         assert certificate(folder, 2)["attempt"] == 2
 
 
@@ -210,5 +210,5 @@ def test_a_certificate_is_in_the_files_of_the_run_though_the_next_one_breaks_off
     code, _, err = here(folder, "--until-pass", "3")
     assert code == 1
     assert made
-    assert "go on with: validate" in err
+    assert "continue with: validate" in err
     assert json.loads((folder / "summary.json").read_text())["feasible"] is False

@@ -88,7 +88,7 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
     if not isinstance(parameters, dict) or content.get("parameters_sha256") != parameters_sha256(
         parameters
     ):
-        raise RunRecordError(f"{path}: its parameters do not have the digest in it; run validate")
+        raise RunRecordError(f"{path}: its parameters do not match its digest; run validate")
     if verdict not in (PASS, FAIL):
         raise RunRecordError(
             f"{path}: expected {PASS} or {FAIL}, found {checks.show(verdict)}; run validate"
@@ -165,7 +165,7 @@ def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
     except OSError as error:
         return f"its evaluations cannot be read: {error.strerror}"
     if content.get("evaluations_sha256") != evaluations:
-        return f"{evaluations_path(path).name} does not have the digest in it"
+        return f"{evaluations_path(path).name} does not match its digest in the certificate"
     missing = shortfall(study, content.get("draws"), content.get("confidence"))
     if missing:
         return missing

@@ -1,4 +1,4 @@
-"""The evaluations of a certificate that is not finished, so that `validate` can go on with it.
+"""The evaluations of a certificate that is not finished, so that `validate` can continue it.
 
 ``RUN/certificates/unfinished.jsonl`` has a line for what they belong to, then one for each, with
 the columns of the journal. It goes when the certificate is written.

@@ -91,7 +91,7 @@ class Certifier:
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
-            self.console.print(f"going on after {done} of an interrupted certificate")
+            self.console.print(f"continuing an interrupted certificate after {done}")
         backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
         try:
             bar, observers = _Bar(self.console), Observers()

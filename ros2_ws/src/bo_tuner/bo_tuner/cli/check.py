@@ -217,7 +217,7 @@ def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> s
 
 def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
     table = Table(title="metrics of the default", title_justify="left")
-    for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "beyond it"):
+    for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "violations"):
         table.add_column(column)
     notes = []
     for name, metric in study.metrics.items():
@@ -249,7 +249,8 @@ def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
         return ""
     return (
         f"{name}: differs by {spread:.3g} between runs of the same parameters: "
-        "either it is that noisy, or the runs do not begin alike (see before and start of the run)"
+        "either it is that noisy, or the runs do not start from the same state (see the steps "
+        "before and start)"
     )
 
 

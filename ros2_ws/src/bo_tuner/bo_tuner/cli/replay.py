@@ -61,7 +61,7 @@ both in process.
 
 exit codes:
   0    the result is as recorded, in all that is judged
-  1    standard output cannot be written, or an attached node is not set back
+  1    standard output cannot be written, or an attached node was not restored
   2    bad input: run, trial, evaluation, option or nodes, or a folder that
        cannot be written
   3    the result differs; the table shows where

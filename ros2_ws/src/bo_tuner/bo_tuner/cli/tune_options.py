@@ -20,11 +20,11 @@ Bayesian optimization, and validate them on fresh draws.
 EPILOG = """\
 exit codes:
   0    a feasible parameter set was found, and kept all limits in the
-       validation; with --check, both runs were completed; with --init, the
+       validation; with --check, both test runs were completed; with --init, the
        study is written
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
        full), and its record is kept; or it is complete, but an attached node
-       is not set back, or a goal does not end
+       was not restored, or an action goal did not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL; with --check, a run of the default failed
@@ -164,10 +164,10 @@ def _add_running_nodes(parser: Parser) -> None:
     parser.add_argument(
         "--check",
         metavar="NAME|FILE",
-        help="check a study against the nodes that are running, name every mistake in parameters, "
-        "contexts, signals and steps of the run, try two runs of the default, and say how long the "
-        "study would take (also with --trials, --evaluations or --seed); nothing is recorded, and "
-        "all values of the nodes are restored",
+        help="check a study against the nodes that are running, report every mistake in "
+        "parameters, contexts, signals and steps of the run, make two test runs of the default, "
+        "and estimate how long the study would take (also with --trials, --evaluations or "
+        "--seed); nothing is recorded, and all values of the nodes are restored",
     )
     parser.add_argument(
         "--init",

@@ -81,7 +81,7 @@ exit codes:
   0    PASS
   1    no verdict (nodes lost or disturbed three times in a row, disk full); an
        existing certificate is kept, and the next call continues from here;
-       or an attached node is not set back
+       or an attached node was not restored
   2    bad input: run, option or nodes
   3    FAIL
   130  interrupted by Ctrl-C (143: by SIGTERM, 129: the terminal was closed,
@@ -129,8 +129,8 @@ def make_parser() -> Parser:
         type=whole_number,
         default=1,
         metavar="K",
-        help="if it fails, go on with the next in rank that is believed feasible and has no "
-        "certificate, up to K parameter sets in all",
+        help="after a FAIL, continue with the next-ranked parameter sets that are believed "
+        "feasible and have no certificate yet, up to K in all",
     )
     parser.add_argument(
         "--with-default", action="store_true", help="certify the default as well, to compare"
@@ -168,7 +168,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     folder = RunFolder(record.path.resolve())
     # `latest` may be another run by then.
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
-    again = f"go on with: {shlex.join(['validate', *same])}"
+    again = f"continue with: {shlex.join(['validate', *same])}"
     with contextlib.closing(folder):
         digest = _digest(record, trial, folder, console) if is_result else None
         folder.log.mkdir(exist_ok=True)

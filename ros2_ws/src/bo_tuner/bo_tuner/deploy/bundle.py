@@ -179,7 +179,7 @@ def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:
     try:
         first, _, text = read_text(path).partition("\n")
         if first != _DIGEST + hashlib.sha256(text.encode()).hexdigest():
-            raise ValueError("does not have the digest in its first line: it was changed")
+            raise ValueError("does not match the digest in its first line: it was changed")
         values = from_yaml(text)
         _check_like(values, expected)
     except OSError as error:

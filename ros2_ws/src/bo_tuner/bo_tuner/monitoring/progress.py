@@ -187,9 +187,9 @@ def advice_in_words(advice: StopAdvice, study: Study) -> str:
     metric = study.metrics[study.objective.metric]
     unit = f" {metric.unit}" if metric.unit else ""
     return (
-        f"advice: stop here; by the models the {advice.remaining} remaining trials are expected to "
-        f"gain {advice.expected_gain:.2g}{unit} in {metric.name}, less than the standard error of "
-        f"the incumbent, {advice.noise:.2g}{unit}"
+        f"advice: stop here; according to the models, the {advice.remaining} remaining trials are "
+        f"expected to gain {advice.expected_gain:.2g}{unit} in {metric.name}, less than the "
+        f"standard error of the incumbent, {advice.noise:.2g}{unit}"
     )
 
 

@@ -171,7 +171,8 @@ class BayesianOptimization(DesignedOptimizer):
                 if not self.has_tried(parameters):
                     return Proposal(parameters, origin, warnings, warm, protocol, outliers)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            warnings += (f"no acquisition: {type(error).__name__}: {error}",)
+            cause = f"{type(error).__name__}: {error}"
+            warnings += (f"the acquisition function could not be maximized: {cause}",)
         tried = self.space.cube_of(t.parameters for t in self.trials)
         parameters = self.space.to_parameters(space_filling(self.space, tried, rng))
         return Proposal(parameters, SPACE_FILLING, warnings, warm, protocol, outliers)

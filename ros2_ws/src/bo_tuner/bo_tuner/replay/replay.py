@@ -87,8 +87,8 @@ class Replay:
         complete = self.replayed.outcome.complete
         if complete and not any(row.judged for row in self.metrics):
             return (
-                "how it ended is confirmed; no metric of this study is reproducible, so none was "
-                "judged"
+                "the way the evaluation ended is confirmed; no metric of this study is "
+                "reproducible, so none was judged"
             )
         return "confirmed"
 

@@ -68,7 +68,7 @@ class RunFolder:
             holder = os.read(self._lock, 20).decode("ascii", "replace").strip()
             self.close()
             by = f" (process {holder})" if holder.isdigit() else ""
-            raise OutputError(f"{path}: another process works in this run{by}") from None
+            raise OutputError(f"{path}: another process is using this run folder{by}") from None
         try:
             os.ftruncate(self._lock, 0)
             os.write(self._lock, str(os.getpid()).encode())

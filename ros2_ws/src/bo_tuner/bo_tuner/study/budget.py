@@ -47,7 +47,7 @@ class Budget:
     trials : int
         Trials, each of one parameter set, including the initial design.
     initial_trials : int
-        Trials of the initial design, which are at most all.
+        Number of trials in the initial design, at most `trials`.
     drawn_contexts : int, optional
         Evaluations per trial in contexts drawn from their distribution. Unless given, the
         algorithm's: 5, or 2 for boundary.

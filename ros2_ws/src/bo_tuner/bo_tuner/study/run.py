@@ -59,7 +59,7 @@ class Run:
     after : tuple of Step
         What follows, also after a run that failed, was interrupted, or lost a node.
     recover : tuple of Step
-        Brings the machine home after a run that failed, with the safe parameters.
+        Returns the machine to its home position after a failed run, with the safe parameters.
     timeout : float
         Longest time [s] of a run from its start to its end.
     abort_when : str

@@ -80,9 +80,10 @@ class Signal:
     minimum_messages : int
         A run with fewer messages fails.
     largest_gap : float, optional
-        A run with a longer time [s] without a message fails; its start and its end count.
+        A run fails if no message comes for longer than this [s], also after its start or before
+        its end.
     most_lost : int, optional
-        A run in which more messages are lost or late fails.
+        A run fails if more messages than this are lost or late.
     """
 
     name: str

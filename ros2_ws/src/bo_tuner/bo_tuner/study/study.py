@@ -63,7 +63,7 @@ class Study:
         Starts an evaluation of nodes that report their own metrics; a study has either this or
         `run`.
     run : Run, optional
-        The procedure that is an evaluation of nodes which know nothing of the tuner.
+        The procedure of one evaluation, of nodes that have no interface to the tuner.
     signals : mapping from str to Signal
         What is recorded in such a run.
     park : Park
@@ -81,9 +81,9 @@ class Study:
         Names (a, b) of parameters with a <= b.
     start : tuple of mapping or str
         Parameter sets that are tried first: ``default``, or values of parameters by name, where
-        those that are left out are the defaults. The default alone unless given.
+        those that are left out are the defaults. Without this key, only the default.
     seed_parameter : SeedParameter, optional
-        Where an evaluation's noise is seeded.
+        The node parameter that takes the seed of an evaluation's noise.
     seed : int
         Seed of everything random in a run.
     description : str

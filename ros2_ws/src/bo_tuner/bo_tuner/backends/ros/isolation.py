@@ -63,7 +63,7 @@ class DomainClaim:
         if domain is None:
             raise BackendError(f"no free ROS domain between 1 and {HIGHEST_DOMAIN}")
         raise BackendError(
-            f"another tuner works in ROS domain {domain}, namespace {namespace}; "
+            f"another tuner is running in ROS domain {domain}, namespace {namespace}; "
             "wait for it or set another ROS_DOMAIN_ID"
         )
 

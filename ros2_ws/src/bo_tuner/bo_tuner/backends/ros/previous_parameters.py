@@ -71,11 +71,11 @@ class PreviousParameters:
                 f"{name} {brief(str(found[key][name]))} -> {brief(str(value))}"
                 for name, value in left.items()
             )
-            self._tuner.warn(f"{spec.node} is set back after a killed run: {changes}")
+            self._tuner.warn(f"{spec.node} is restored after a killed run: {changes}")
             try:
                 self._parameters.assign_and_read_back(key, left)
             except RefusedError as refusal:
-                raise BackendError(f"{spec.node} is not set back: {refusal}") from refusal
+                raise BackendError(f"{spec.node} could not be restored: {refusal}") from refusal
             found[key] = self._parameters.read_anew(key)
 
     def begin(self, previous: Values, safe: Values) -> None:
@@ -140,14 +140,16 @@ class PreviousParameters:
             if key in refused:
                 left = f"is left with what it had, and not with the park values: {refused[key]}"
             self._tuner.warn(f"{study.nodes[key].node} {left}")
-        return [f"{study.nodes[key].node} is not set back: {why}" for key, why in failed.items()]
+        return [
+            f"{study.nodes[key].node} could not be restored: {why}" for key, why in failed.items()
+        ]
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""
         try:
             self._note.write()
         except OutputError as error:
-            self._tuner.warn(f"{error}; after a kill the nodes cannot be set back")
+            self._tuner.warn(f"{error}; after a kill the nodes cannot be restored")
 
 
 class _Note:

@@ -122,7 +122,7 @@ class TunerNode:
         found = self.node.get_node_names_and_namespaces().count((NODE_NAME, namespace))
         if found > (self.node.get_name() == NODE_NAME):
             raise BackendError(
-                f"another tuner is at work as {full_name(namespace, NODE_NAME)}; wait for it, or "
+                f"another tuner is running as {full_name(namespace, NODE_NAME)}; wait for it, or "
                 "use another namespace or ROS_DOMAIN_ID"
             )
 

@@ -34,12 +34,11 @@ def all_trials(analysis: Analysis) -> Section:
     return Section(
         name="trials",
         title="All trials",
-        lead="Sorted by a click on a heading. An outcome is that of the trial, with what was known "
-        "when it was run; one that was run again is judged anew. It is not the verdict on the "
-        f"result. Marked are the result and the {NEIGHBOURS} trials "
-        "nearest to it between the bounds of the parameters: where they do far worse, the result "
-        "is sensitive. As a table for other programs: trials.csv and evaluations.csv in the run "
-        "folder.",
+        lead="Click a heading to sort. The outcome of a trial is judged by what was known when it "
+        "was run, and again after a repetition; it is not the verdict on the result. Marked are "
+        f"the result and the {NEIGHBOURS} trials nearest to it, by distances relative to the "
+        "bounds of the parameters: if these are far worse, the result is sensitive. As a table "
+        "for other programs: trials.csv and evaluations.csv in the run folder.",
         tables=[
             Table(
                 caption=f"{len(rows)} trials",

@@ -51,7 +51,7 @@ def contexts(analysis: Analysis) -> Section | None:
     shown: Sequence[Constraint | None] = study.worst_case_constraints or (None,)
     return Section(
         name="contexts",
-        title="Which contexts are the worst",
+        title="Worst contexts",
         lead=" ".join(_lead(study, sides, constraint) for constraint in shown),
         figures=[
             _map(study, sides, constraint, numbered("contexts", k))
@@ -74,7 +74,8 @@ def _lead(study: Study, sides: Sequence[Side], constraint: Constraint | None) ->
         for worst in (max(evaluations, key=lambda e: sign * e.outcome.metrics[metric.name]),)
     )
     extreme = "Largest" if sign > 0.0 else "Smallest"
-    text = f"{extreme} {metric.name} in the run, without certificates: {found}."
+    where = "in the tuning run (evaluations of certificates excluded)"
+    text = f"{extreme} {metric.name} {where}: {found}."
     if constraint is None:
         return text
     limit = quantity(constraint.limit, metric.unit)

@@ -41,12 +41,12 @@ def front(analysis: Analysis) -> Section | None:
         name="front",
         title="Pareto front",
         lead=f"{len(points)} parameter sets that are believed to keep all limits are on the front: "
-        f"no other such trial has better means of all objectives.{rule}",
+        f"no other such trial dominates them.{rule}",
         figures=[_figure(analysis, points)],
         tables=[_table(analysis, points, result)],
         notes=[
             "Only the result was validated on fresh draws; the means of the others are those of "
-            "their own evaluations, of which the best were also lucky. For one of them: "
+            "their own evaluations, the best of which are biased by selection. To use one of them: "
             "validate RUN --trial N, then apply RUN --trial N."
         ],
     )

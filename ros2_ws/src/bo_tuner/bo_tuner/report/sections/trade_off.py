@@ -82,7 +82,8 @@ def _figure(
         name=name,
         title=f"Mean {study.objective.metric} against worst {limited.name}, all trials",
         caption="Estimates of the trials themselves, with the noise of a few evaluations "
-        "each; the best ones were also lucky. The default has the numbers of the answer.",
+        "each; the best values are biased by selection. The default has the values of the "
+        "result section.",
         alternative="; ".join(
             f"trial {trials[k].number}: {number(float(means[k]))} at worst "
             f"{number(float(worst[k]))}"
@@ -115,8 +116,13 @@ def _table(analysis: Analysis, constraint: Constraint, trials: list[Trial], mean
     unit = analysis.study.metrics[constraint.metric].unit
     among = ", among trials that keep all others" if len(analysis.study.constraints) > 1 else ""
     return Table(
-        caption=f"Best mean {objective} seen within other limits of {constraint.metric}{among}",
-        header=[with_unit("limit", unit), "trial", f"mean {objective}", "relative to the limit's"],
+        caption=f"Best mean {objective} observed if {constraint.metric} had another limit{among}",
+        header=[
+            with_unit("limit", unit),
+            "trial",
+            f"mean {objective}",
+            "relative to the present limit",
+        ],
         rows=_other_limits(analysis, constraint, trials, means),
         numeric=[0, 1, 2, 3],
     )
