@@ -73,6 +73,20 @@ def test_metrics_of_a_run():
     )
 
 
+def test_a_run_begins_before_the_first_message_of_a_signal():
+    late = Recording({"y": recorded([4, 4.5], [2, 1])}, end=5.0)
+    found = outcome(
+        late,
+        gap={"of": "y", "measure": "largest_gap"},
+        duration={"of": "y", "measure": "duration"},
+        # 2 t from 4 to 4.5 s and t from 4.5 to 5 s.
+        itae={"of": "y", "measure": "itae"},
+        iae={"of": "y", "measure": "iae"},
+    )
+    itae = 2 * (4.5**2 - 4**2) / 2 + (5**2 - 4.5**2) / 2
+    assert found.metrics == pytest.approx({"gap": 4.0, "duration": 5.0, "itae": itae, "iae": 1.5})
+
+
 @pytest.mark.parametrize(
     ("metric", "reason"),
     [
@@ -83,6 +97,13 @@ def test_metrics_of_a_run():
         ),
         ({"of": "exp(900 * x)", "measure": "mean"}, "metric error: exp(900 * x) is undefined at 1"),
         ({"of": "x * 1e200", "measure": "ise"}, "metric error is inf"),
+        *(
+            (
+                {"of": "x", "measure": measure, "target": "4 / (x - 4)"},
+                "metric error: its target, 4 / (x - 4), is undefined at the end",
+            )
+            for measure in ("overshoot", "settling_time", "rise_time")
+        ),
     ],
 )
 def test_a_metric_that_is_not_defined_fails_the_run_and_says_why(metric, reason):

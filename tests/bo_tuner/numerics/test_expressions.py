@@ -100,6 +100,11 @@ def test_anything_else_is_refused_in_one_line(text):
         ("x > 1; y", "not an expression at character 6, ';'"),
         ("x >", "not an expression: something is missing at its end"),
         ("(x\n* > 2)", "not an expression in its line 2"),
+        # NumPy would take a further one as the place of the result.
+        ("max(abs(x), abs(y), 2) > 2", "max takes 2 arguments, found 3"),
+        ("min(x)", "min takes 2 arguments, found 1"),
+        ("hypot(x, y, x)", "hypot takes 2 arguments, found 3"),
+        ("x + abs(x, y)", "abs takes 1 argument, found 2"),
     ],
 )
 def test_the_place_of_a_mistake(text, complaint):

@@ -40,6 +40,7 @@ NODE = {
     "steps": Described("integer", 3, 1.0, 5.0, 1.0),
     "frame": Described("string", "odom"),
     "locked": Described("double", 1.0, read_only=True),
+    "stepped": Described("double", 0.5, 0.0, 2.0, 0.25),
 }
 
 
@@ -74,6 +75,12 @@ def test_a_whole_study_asks_no_node():
 def test_without_a_node_to_ask_a_study_is_whole():
     with pytest.raises(StudyError, match=r"parameters\.kp\.type: missing"):
         parse_study(TEXT)
+
+
+def test_no_node_is_asked_whose_name_is_none():
+    text = TEXT.replace("pid: {node: pid}", "pid: {node: my-pid}", 1)
+    with pytest.raises(StudyError, match=r"nodes\.pid\.node: expected a node name .*'my-pid'"):
+        parse_study(text, describe=lambda nodes: pytest.fail("asked"))
 
 
 def test_asking_what_is_open_changes_nothing():
@@ -117,6 +124,30 @@ def test_what_no_node_can_say(item, complaint):
             {"type": "integer", "fixed": 1},
             "type double_array in the node, not",
         ),
+        ("loop.rate", {"type": "integer", "bounds": [10, 30], "step": 20, "default": 10}, ""),
+        ("loop.rate", {"type": "integer", "fixed": 40}, ""),
+        ("loop.rate", {"type": "integer", "fixed": 45}, "in steps of 10 from 10 on in the node"),
+        (
+            "loop.rate",
+            {"type": "integer", "bounds": [10, 30], "default": 10},
+            "in steps of 10 from",
+        ),
+        (
+            "loop.rate",
+            {"type": "integer", "bounds": [15, 35], "step": 10, "default": 15},
+            "in steps of 10 from 10 on in the node; expected a lower bound and a step that are",
+        ),
+        ("stepped", {"type": "double", "bounds": [0.5, 2.0], "step": 0.5, "default": 1.0}, ""),
+        (
+            "stepped",
+            {"type": "double", "bounds": [0.5, 2.0], "default": 1.0},
+            "steps of 0.25 from 0",
+        ),
+        (
+            "stepped",
+            {"type": "double", "bounds": [0.5, 2.0], "step": 0.3, "default": 0.8},
+            "in steps of 0.25 from 0 on in the node",
+        ),
     ],
 )
 def test_what_a_node_will_not_take(name, fields, expected):
@@ -124,6 +155,36 @@ def test_what_a_node_will_not_take(name, fields, expected):
     found = problem(item, NODE)
     assert expected in found
     assert bool(found) == bool(expected)
+
+
+def test_a_step_of_the_node_is_taken_also_beside_bounds_of_the_study():
+    text = TEXT.replace("kp: {node: pid}", "stepped: {node: pid, bounds: [0.5, 1.5]}")
+    assert parse_study(text, describe=described).parameters["stepped"].step == 0.25
+
+
+@pytest.mark.parametrize(
+    ("section", "described_as", "expected"),
+    [
+        ("parameters", Described("double", 1.0, 0.0, 5.0), "10 lies outside the range of 'own'"),
+        ("contexts", Described("integer", 1), "'own' is of type integer in the node, not double"),
+        ("contexts", Described("double", 1.0, read_only=True), "'own' is read-only in the node"),
+        ("seed_parameter", Described("double", 1.0), "'own' is of type double in the node, not in"),
+        ("seed_parameter", Described("integer", 1, read_only=True), "'own' is read-only in the n"),
+    ],
+)
+def test_what_a_node_will_not_take_besides(section, described_as, expected):
+    """A follower has the values of the parameter that it is tied to, between 0 and 10."""
+    text = {
+        "parameters": TEXT.replace("  rate:", "  own: {node: pid, tied_to: kp}\n  rate:"),
+        "contexts": f"{TEXT}contexts:\n  own: {{node: pid, distribution: uniform, bounds: [1, 2], "
+        "nominal: 1}\n",
+        "seed_parameter": f"{TEXT}seed_parameter: {{node: pid, parameter: own}}\n",
+    }[section]
+    known = NODE | {"own": described_as}
+    study = parse_study(text, describe=lambda nodes: {"pid": known})
+    (found,) = node_problems(study, "pid", known, declared=True)
+    where = section if section == "seed_parameter" else f"{section}.own"
+    assert str(found).startswith(f"{where}: {expected}")
 
 
 @pytest.mark.parametrize(

@@ -197,6 +197,7 @@ class TestStudy:
             ({"data": 0}, {"data": 1}),
             ({"data": False}, {"data": True}),
             ({"data[0]": 0.0}, {"data": [1.0]}),
+            ({"a.x[0]": 0.0, "a.x[1]": 0.0, "y[0]": 0.0}, {"a": {"x": [1.0, 0.0]}}),
         ],
     )
     def test_the_step_has_the_form_of_the_message(self, fields, message):

@@ -33,6 +33,35 @@ def test_a_study_file_keeps_them(study):
     assert again.search_space().defaults["planner"] == "a_star"
 
 
+def test_a_study_file_keeps_an_empty_text(make_study):
+    parameters = PARAMETERS | {
+        "filter": NODE | {"type": "string", "choices": ["", "median"], "default": ""},
+        "prefix": NODE | {"type": "string", "fixed": ""},
+    }
+    study = make_study(nodes={"axis": AXIS}, parameters=parameters)
+    assert parse_study(study_to_yaml(study)) == study
+
+
+def test_a_step_may_lead_through_zero(make_study):
+    """-0.3 and three steps of 0.1 are 5.6e-17."""
+    changed = NODE | {"type": "double", "bounds": [-0.3, 0.3], "step": 0.1, "default": 0.0}
+    study = make_study(nodes={"axis": AXIS}, parameters=PARAMETERS | {"rate": changed})
+    assert study.search_space().defaults["rate"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("section", "path"),
+    [
+        ({"start": ["default", {"rate": 1.6}]}, "start[1].rate"),
+        ({"park": {"parameters": {"rate": 1.6}}}, "park.parameters.rate"),
+    ],
+)
+def test_values_between_two_steps(make_study, section, path):
+    with pytest.raises(StudyError) as caught:
+        make_study(nodes={"axis": AXIS}, parameters=PARAMETERS, **section)
+    assert f"{path}: 1.6 is not 1.0 plus a multiple of the step 0.25" in str(caught.value)
+
+
 def test_points_of_the_cube_are_permitted_values(study):
     space = study.search_space()
     seen = {name: set() for name in PARAMETERS}

@@ -134,6 +134,8 @@ def test_no_path_of_a_field(text):
         ("signals/position/filed", "x", "unknown key; did you mean 'field'?"),
         ("signals/t", {"topic": "a", "field": "b"}, "signals.t: 't' has a meaning in expressions"),
         ("signals/abs", {"topic": "a", "field": "b"}, "'abs' has a meaning in expressions"),
+        ("signals/in", {"topic": "a", "field": "b"}, "'in' has a meaning in expressions"),
+        ("signals/lambda", {"topic": "a", "field": "b"}, "'lambda' has a meaning in expressions"),
         ("signals/a-b", {"topic": "a", "field": "b"}, "expected a name of letters, digits and _"),
         ("metrics/error/of", "setpoint - positoin", "there is no signal or function 'positoin'; "
          "did you mean 'position'?"),

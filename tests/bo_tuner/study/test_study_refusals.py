@@ -241,6 +241,16 @@ class TestRefusedValues:
                 "parameters.window",
             ),
             (
+                "nodes/second",
+                {"node": "drive", "object": "drives:Drive"},
+                "nodes.second.node: 'drive' is already nodes.drive",
+            ),
+            (
+                "certificate",
+                {"draws": 200_000},
+                "certificate.draws: expected an integer of at most 100000, found 200000",
+            ),
+            (
                 "contexts/load",
                 {"node": "drive"},
                 "contexts.load.distribution: missing; expected one of truncated_normal, "

@@ -9,7 +9,12 @@ from bo_tuner.errors import StudyError
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.numerics.signal_metrics import MEASURES, UndefinedMetricError, options_of
+from bo_tuner.numerics.signal_metrics import (
+    FROM_START,
+    MEASURES,
+    UndefinedMetricError,
+    options_of,
+)
 from bo_tuner.study import checks, named_code
 from bo_tuner.study.signals import TIME, PythonMetric, Signal, SignalMetric, expression
 from bo_tuner.study.study import Study
@@ -232,7 +237,13 @@ class SignalSource:
         metric = self._metric
         options = {key: getattr(metric, key) for key in options_of(metric.measure)}
         if self._target is not None:
-            options["target"] = float(recording.sample(self._target)[1][-1])
+            target = float(recording.sample(self._target)[1][-1])
+            if not np.isfinite(target):
+                # No step to nowhere overshoots.
+                raise MissingMetricError(
+                    f"metric {metric.name}: its target, {metric.target}, is undefined at the end"
+                )
+            options["target"] = target
         # What holds at the start came before it: its change would look too steep.
         time, value = recording.sample(self._of, held=metric.measure != "largest_rate")
         if not np.isfinite(value).all():
@@ -240,6 +251,8 @@ class SignalSource:
             raise MissingMetricError(
                 f"metric {metric.name}: {metric.of} is undefined at {when:.3f} s"
             )
+        if metric.measure in FROM_START and time[0] > 0.0:
+            time, value = np.append(0.0, time), np.append(0.0, value)
         try:
             given = {key: item for key, item in options.items() if item is not None}
             return MEASURES[metric.measure](time, value, **given)

@@ -69,7 +69,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
 _NODES = (
     ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.Call, ast.Name, ast.Constant,
 )  # fmt: skip
-FUNCTIONS: dict[str, Callable[..., Any]] = {
+FUNCTIONS: dict[str, np.ufunc] = {
     "abs": np.abs,
     "sqrt": np.sqrt,
     "exp": np.exp,
@@ -142,12 +142,15 @@ class Expression:
         except (ValueError, RecursionError, MemoryError):
             raise ExpressionError("not an expression") from None
         self.text = text
-        called = {id(n.func) for n in ast.walk(self._tree) if isinstance(n, ast.Call)}
+        calls = [node for node in ast.walk(self._tree) if isinstance(node, ast.Call)]
+        called = {id(call.func) for call in calls}
         found = [n for n in ast.walk(self._tree) if isinstance(n, ast.Name)]
         for node in found:
             known = tuple(FUNCTIONS) if id(node) in called else names
             if node.id not in known:
                 raise UnknownNameError(node.id, known)
+        for call in calls:
+            _check_arguments(call)
         self.names = frozenset(node.id for node in found if id(node) not in called)
         # Whatever else is wrong, such as a missing argument, shows with any numbers.
         self({name: np.ones(1) for name in self.names})
@@ -185,6 +188,16 @@ class Expression:
             raise ExpressionError(one_line(str(error))) from None
         except (TypeError, ValueError, RecursionError) as error:
             raise ExpressionError(f"cannot be evaluated: {one_line(str(error))}") from None
+
+
+def _check_arguments(call: ast.Call) -> None:
+    """Refuse another number of arguments: NumPy would write its result to a further one."""
+    if not isinstance(call.func, ast.Name):
+        return
+    expected, found = FUNCTIONS[call.func.id].nin, len(call.args)
+    if found != expected:
+        noun = "argument" if expected == 1 else "arguments"
+        raise ExpressionError(f"{call.func.id} takes {expected} {noun}, found {found}")
 
 
 def _what_is_wrong(text: str, error: SyntaxError) -> str:

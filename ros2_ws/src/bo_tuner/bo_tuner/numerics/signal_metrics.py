@@ -160,6 +160,9 @@ MEASURES: Mapping[str, SignalMetricFunction] = MappingProxyType(
 )  # fmt: skip
 """The functions by the name that a study file gives them."""
 
+FROM_START = frozenset({"itae", "largest_gap", "duration"})
+"""Names of those that count from the start of a run, also of a signal that begins later."""
+
 NEVER_NEGATIVE = frozenset(MEASURES) - {"mean", "minimum", "maximum", "percentile"}
 """Names of those that are at least 0, whatever the signal."""
 

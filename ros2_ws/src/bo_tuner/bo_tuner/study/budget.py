@@ -34,7 +34,7 @@ class CertificateRequirement:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        checks.integer(self.draws, "draws", at_least=2)
+        checks.integer(self.draws, "draws", at_least=2, at_most=maxima.DRAWS)
         object.__setattr__(self, "confidence", checks.fraction(self.confidence, "confidence"))
 
 

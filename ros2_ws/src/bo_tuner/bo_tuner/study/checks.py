@@ -162,6 +162,11 @@ def matching(value: object, pattern: re.Pattern[str], expected: str, *path: str 
     return value
 
 
+def node_name(value: object, *path: str | int) -> str:
+    """Return `value` if it is the name of a node, relative to the tuner's namespace."""
+    return matching(value, NODE_NAME, "a node name without leading slash such as axis", *path)
+
+
 def parameter_name(value: object, *path: str | int) -> str:
     """Return `value` if it can name a ROS parameter; dots separate groups."""
     return matching(value, PARAMETER_NAME, "a ROS parameter name such as gains.kp", *path)

@@ -115,15 +115,17 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                 continue
             if value is not None:
                 item.setdefault("default", value)
-            if item["type"] in ("double", "integer") and "bounds" not in item:
+            if item["type"] not in ("double", "integer"):
+                continue
+            kind = int if item["type"] == "integer" else float
+            if "bounds" not in item:
                 if not described.has_range or array:
                     raise StudyError(
                         f"missing; node {key} gives no range for it", (*path, "bounds")
                     )
-                kind = int if item["type"] == "integer" else float
                 item["bounds"] = [kind(described.lower), kind(described.upper)]
-                if described.step > (1 if kind is int else 0):
-                    item.setdefault("step", kind(described.step))
+            if described.step > (1 if kind is int else 0) and not array:
+                item.setdefault("step", kind(described.step))
 
 
 def node_problems(
@@ -146,7 +148,8 @@ def node_problems(
     for name, item in study.parameters.items():
         if item.node != key or (declared and (item.array or item.parameter) not in known):
             continue
-        if text := problem(item, known):
+        leader = study.parameters[item.tied_to] if item.tied_to is not None else None
+        if text := problem(item, known, leader):
             found.append(StudyError(text, ("parameters", name)))
     for path, node, name in _further_parameters(study):
         if node == key and name not in known and not declared:
@@ -160,8 +163,13 @@ def node_problems(
         if variable.node != key or described is None:
             continue
         ends = (variable.distribution.lower, variable.distribution.upper)
-        if text := _outside(ends, variable.parameter, described):
+        text = _unsettable(variable.parameter, described, "double")
+        if text := text or _outside(ends, variable.parameter, described):
             found.append(StudyError(text, ("contexts", name)))
+    seed = study.seed_parameter
+    if seed is not None and seed.node == key and seed.parameter in known:
+        if text := _unsettable(seed.parameter, known[seed.parameter], "integer"):
+            found.append(StudyError(text, ("seed_parameter",)))
     return found
 
 
@@ -177,7 +185,9 @@ def _further_parameters(study: Study) -> Iterator[tuple[KeyPath, str, str]]:
         yield ("seed_parameter",), study.seed_parameter.node, study.seed_parameter.parameter
 
 
-def problem(item: Parameter, known: Mapping[str, Described]) -> str:
+def problem(
+    item: Parameter, known: Mapping[str, Described], leader: Parameter | None = None
+) -> str:
     """Tell in a line why a node will not take a parameter of a study; empty if it will.
 
     Parameters
@@ -186,20 +196,52 @@ def problem(item: Parameter, known: Mapping[str, Described]) -> str:
         The parameter.
     known
         All parameters of the node.
+    leader
+        The one that it is tied to, whose values it has.
     """
     name = item.array or item.parameter
     described = known.get(name)
     if described is None:
         return _undeclared(name, known)
+    if text := _unsettable(name, described, f"{item.type}_array" if item.array else item.type):
+        return text
+    if not item.is_number or item.array:
+        return ""
+    source = item if leader is None else leader
+    given = [*(source.bounds or ()), *([] if source.fixed is None else [source.fixed])]
+    values = [float(value) for value in given]
+    return _outside(values, name, described) or _off_steps(source, name, described)
+
+
+def _unsettable(name: str, described: Described, expected: str) -> str:
+    """Tell in a line why a parameter takes no value of a type; empty if it does."""
     if described.read_only:
         return f"'{name}' is read-only in the node"
-    expected = f"{item.type}_array" if item.array else item.type
     if described.type not in ("", expected):
         return f"'{name}' is of type {described.type} in the node, not {expected}"
-    if item.is_number and not item.array:
-        given = [*(item.bounds or ()), *([] if item.fixed is None else [item.fixed])]
-        return _outside([float(value) for value in given], name, described)
     return ""
+
+
+def _off_steps(item: Parameter, name: str, described: Described) -> str:
+    """Tell in a line that a study has values between the steps of a node; empty if it has none."""
+    if not described.step or not math.isfinite(described.lower):
+        return ""
+
+    def is_multiple(value: float) -> bool:
+        steps = value / described.step
+        return math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
+
+    offsets = [] if item.fixed is None else [float(item.fixed) - described.lower]
+    if item.bounds is not None:
+        step = 1.0 if item.is_integer and item.step is None else item.step
+        # Without steps of its own a double has all values.
+        offsets += [item.bounds[0] - described.lower, math.nan if step is None else step]
+    if all(math.isfinite(offset) and is_multiple(offset) for offset in offsets):
+        return ""
+    return (
+        f"'{name}' goes in steps of {described.step:g} from {described.lower:g} on in the node; "
+        "expected a lower bound and a step that are multiples of these"
+    )
 
 
 def _outside(values: Iterable[float], name: str, described: Described) -> str:

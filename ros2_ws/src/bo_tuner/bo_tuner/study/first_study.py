@@ -228,16 +228,17 @@ def _goals(actions: Iterable[SeenAction]) -> Iterator[str]:
 
 def _message(offer: SignalOffer, value: float) -> dict[str, Any]:
     """Return a step's topic and message, in which one field has a value."""
+    fields = offer.topic.fields
     # As the message has it: an integer takes no 1.0, and a truth value no number.
-    nested: Any = type(offer.topic.fields[offer.field])(value)
-    for part in reversed(offer.field.split(".")):
-        nested = _in_field(part, nested)
+    kind = type(fields[offer.field])
+    nested: Any = kind(value)
+    path, is_item, _ = offer.field.partition("[")
+    if is_item:
+        items = [name for name in fields if name.startswith(f"{path}[")]
+        nested = [kind(value if name == offer.field else 0) for name in items]
+    for part in reversed(path.split(".")):
+        nested = {part: nested}
     return {"topic": offer.topic.name, "message": nested}
-
-
-def _in_field(part: str, value: object) -> dict[str, object]:
-    name, _, item = part.rstrip("]").partition("[")
-    return {name: [value] if item else value}
 
 
 def _metric_lines(

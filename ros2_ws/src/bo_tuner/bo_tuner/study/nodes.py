@@ -56,9 +56,7 @@ class NodeSpec:
 
     def __post_init__(self) -> None:
         checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -")
-        checks.matching(
-            self.node, checks.NODE_NAME, "a node name without leading slash such as axis", "node"
-        )
+        checks.node_name(self.node, "node")
         if self.result != "":
             checks.matching(
                 self.result, checks.TOPIC_NAME, "a topic name such as ~/cut_result", "result"

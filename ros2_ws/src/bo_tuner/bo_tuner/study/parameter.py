@@ -212,9 +212,23 @@ class Parameter:
         if not lower <= default <= upper:
             raise StudyError(f"{default} lies outside the bounds [{lower}, {upper}]", ("default",))
         object.__setattr__(self, "default", default)
-        if self.step is not None and not math.isclose(default, self.on_grid(default), rel_tol=1e-9):
+        self.check_grid(default, "default")
+
+    def check_grid(self, value: object, *path: str | int) -> None:
+        """Refuse a number that is no multiple of the step above the lower bound.
+
+        Raises
+        ------
+        StudyError
+            If it is not.
+        """
+        if self.step is None or self.bounds is None or not isinstance(value, (int, float)):
+            return
+        error = 1e-9 * max(self.step, abs(value))
+        if not math.isclose(value, self.on_grid(value), rel_tol=0.0, abs_tol=error):
+            lower = self.bounds[0]
             raise StudyError(
-                f"{default} is not {lower} plus a multiple of the step {self.step}", ("default",)
+                f"{value} is not {lower} plus a multiple of the step {self.step}", path
             )
 
     def on_grid(self, value: float) -> float:

@@ -102,7 +102,11 @@ def check_targets(
     contexts: Mapping[str, ContextVariable],
     seed: SeedParameter | None,
 ) -> None:
-    """Refuse two sources for one parameter of a node, and items of an array that is not there."""
+    """Refuse two keys of one node, two sources for one parameter, and items of no array."""
+    keys: dict[str, str] = {}
+    for key, spec in nodes.items():
+        if (other := keys.setdefault(spec.node, key)) != key:
+            raise StudyError(f"'{spec.node}' is already nodes.{other}", ("nodes", key, "node"))
     sources: dict[tuple[str, str], str] = {}
     arrays = {(item.node, item.array) for item in parameters.values() if item.array}
     for name, item in parameters.items():

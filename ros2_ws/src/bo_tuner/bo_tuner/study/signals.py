@@ -1,5 +1,6 @@
 """What a study records of a system's topics, and the metrics that are computed from it."""
 
+import keyword
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -97,7 +98,7 @@ class Signal:
 
     def __post_init__(self) -> None:
         checks.matching(self.name, SIGNAL_NAME, "a name of letters, digits and _")
-        if self.name == TIME or self.name in FUNCTIONS:
+        if self.name == TIME or self.name in FUNCTIONS or keyword.iskeyword(self.name):
             raise StudyError(f"'{self.name}' has a meaning in expressions; choose another name")
         checks.matching(self.topic, GRAPH_NAME, "a topic name such as /joint_states", "topic")
         field_path(checks.text(self.field, "field"))

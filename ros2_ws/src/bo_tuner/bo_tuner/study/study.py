@@ -206,6 +206,7 @@ class Study:
                     f"expected {found[name]}, as the study sets it, found {checks.show(value)}",
                     (name,),
                 )
+            self.parameters[name].check_grid(value, name)
         return found
 
     def starting_sets(self) -> list[dict[str, Value]]:
@@ -368,6 +369,7 @@ class Study:
             checks.reference(name, "parameter", self.parameters, *path)
             if not self.parameters[name].is_tuned:
                 raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
+            self.parameters[name].check_grid(self.park.parameters[name], *path, name)
         try:
             _ = self.safe_parameters
         except ParameterError as error:

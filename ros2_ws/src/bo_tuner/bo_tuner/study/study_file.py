@@ -198,7 +198,7 @@ def _fill_in(mapping: object, nodes: Mapping[str, Sequence[str]], describe: Desc
         spec = specs[key]
         if not isinstance(spec, dict) or not isinstance(spec.get("node"), str):
             return
-        names[key] = spec["node"]
+        names[key] = checks.node_name(spec["node"], "nodes", key, "node")
     complete(mapping, describe(names))
 
 
@@ -286,12 +286,14 @@ def _plain_part(part: Any) -> dict[str, object]:
 
 def _plain_fields(settings: Any) -> dict[str, Any]:
     """Return the fields that are not empty, with lists for tuples."""
-    fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
-    return {
-        key: _plain(value)
-        for key, value in fields.items()
-        if value is not None and value != "" and value != () and value != {}
-    }
+    found = {}
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        # An empty text may be one of the choices of a parameter.
+        if value is None or value in ((), {}) or (value == "" and field.default == ""):
+            continue
+        found[field.name] = _plain(value)
+    return found
 
 
 def _plain(value: object) -> object:
