@@ -93,6 +93,8 @@ class System(Node):
 
     def judge(self, parameters):
         self.asked_to_set += 1
+        # As of an author who expects something in it: nobody else sets nothing.
+        self.last_asked = parameters[0].name
         reason = "the key is out" if abs(self.angle) > self.refuses_beyond else self.refusal
         reason = reason if self.accepts() else "it is at work"
         return SetParametersResult(successful=not reason, reason=reason)

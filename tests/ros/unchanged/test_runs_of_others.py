@@ -1,11 +1,16 @@
 """Runs on a system that knows nothing of the tuner: its topics, services and mistakes."""
 
 import re
+import threading
+import time
 from functools import partial
 
 import pytest
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo import Sensor, failure, run, study
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros import procedure, signals, suspension, tuner_node
@@ -407,3 +412,73 @@ def test_a_system_without_the_tuner_s_interfaces_has_no_form_in_process():
 
     with pytest.raises(StudyError, match="run: needs ROS nodes; use --backend ros"):
         InProcessBackend(study()).open()
+
+
+def test_a_step_that_comes_after_the_end_of_the_run(backend, system):
+    """What it brings about would not be recorded, and the machine look as if at rest."""
+    late = {"wait_until": {"condition": "t > 0.6", "timeout": DEADLINE}}
+    moving = {"publish": {"topic": "setpoint", "message": {"data": 1.0}}}
+    made = backend(run={"start": [late, moving], "end": {"after": 0.3}})
+    assert failure(run(made)) == "run.start[1] comes after the end of the run at 0.3 s"
+    assert system.setpoint == 0.0
+
+
+def test_a_step_that_is_meant_to_come_with_the_end_of_the_run(backend, system):
+    moving, resting = (
+        {"publish": {"topic": "setpoint", "message": {"data": value}}} for value in (1.0, 0.0)
+    )
+    made = backend(run={"start": [moving, {"wait": 0.3}, resting], "end": {"after": 0.3}})
+    outcome = run(made)
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    wait_until(lambda: system.setpoint == 0.0, "the last step")
+
+
+def test_a_signal_that_was_not_heard_before_must_hold_as_long(backend, system):
+    moving = {"publish": {"topic": "setpoint", "message": {"data": 0.125}}}
+    calm = {"wait_until": {"condition": "fault < 1", "hold": 1.0, "timeout": DEADLINE}}
+    made = backend(
+        signals={"fault": {"topic": "fault", "field": "data", "minimum_messages": 0}},
+        run={"before": [moving, calm]},
+    )
+    heard = []
+
+    def publish():
+        wait_until(lambda: system.setpoint == 0.125, "the steps before the run")
+        # By then the step has waited for longer than the condition is to hold.
+        time.sleep(1.2)
+        heard.append(time.monotonic())
+        system.fault.publish(Float64(data=0.0))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    outcome = run(made)
+    ended = time.monotonic()
+    thread.join()
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason
+    assert ended - heard[0] >= 1.0
+
+
+class Late(Node):
+    """Has a service."""
+
+    def __init__(self, context):
+        super().__init__("late", context=context)
+        self.create_service(Trigger, "late", self.succeed)
+
+    def succeed(self, request, response):
+        response.success = True
+        return response
+
+
+def test_a_service_is_waited_for_that_is_started_anew(backend, system, join, leave):
+    """A request to nobody would be lost."""
+    first = join(Late)
+    made = backend(run={"before": [{"call": {"service": "late", "timeout": DEADLINE}}]})
+    (step,) = (s for s in made._procedure._steps.values() if hasattr(s, "service"))
+    leave(first)
+    wait_until(lambda: not step.service.service_is_ready(), "it is gone")
+    timer = threading.Timer(0.5, join, [Late])
+    timer.start()
+    outcome = run(made)
+    timer.join()
+    assert outcome.state is EvaluationState.COMPLETE, outcome.reason

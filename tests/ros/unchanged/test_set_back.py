@@ -6,6 +6,7 @@ import os
 import pytest
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from servo import SAFE, gain, run
 
 from bo_tuner.errors import BackendError
@@ -131,6 +132,38 @@ def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, 
     system.set_gain(0.75)
     backend(run={"before": []}).close()
     assert gain(system) == 0.75
+
+
+def test_a_kill_before_the_first_trial(backend, system, killed):
+    """The constants of the study are set by then."""
+    constant = {"servo": {"node": "servo", "parameters": {"count": 5}}}
+    killed(backend(run={"before": []}, nodes=constant))
+    assert system.get_parameter("count").value == 5
+    backend(run={"before": []}, nodes=constant).close()
+    assert system.get_parameter("count").value == 3
+
+
+class Empty(Node):
+    """Has an array of doubles without an item."""
+
+    def __init__(self, context):
+        super().__init__("filter", context=context)
+        self.declare_parameter("noise", Parameter.Type.DOUBLE_ARRAY)
+        self.set_parameters([Parameter("noise", Parameter.Type.DOUBLE_ARRAY, [])])
+
+
+def test_an_array_that_was_empty(backend, system, join):
+    """rclpy takes an empty list for one of bytes."""
+    node = join(Empty)
+    nodes = {
+        "servo": {"node": "servo"},
+        "filter": {"node": "filter", "parameters": {"noise": [1.0, 2.0]}},
+    }
+    made = backend(run={"before": []}, nodes=nodes)
+    assert list(node.get_parameter("noise").value) == [1.0, 2.0]
+    made.close()
+    found = node.get_parameter("noise")
+    assert (list(found.value), found.type_) == ([], Parameter.Type.DOUBLE_ARRAY)
 
 
 def test_a_kill_before_the_node_has_the_next_parameters(backend, system, killed):

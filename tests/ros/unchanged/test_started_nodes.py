@@ -84,6 +84,16 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
     assert "ready" in (tmp_path / "motor.log").read_text()
 
 
+def test_a_domain_that_was_found_is_not_taken_for_the_users(backend, monkeypatch):
+    """The next backend in this process is to look for a free one again."""
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    nodes = {name: {"node": name, "command": command(name)} for name in ("pid", "motor")}
+    made = backend(position(nodes=nodes))
+    assert os.environ["ROS_DOMAIN_ID"] == str(made._claim.domain)
+    made.close()
+    assert "ROS_DOMAIN_ID" not in os.environ
+
+
 def test_a_restart_of_a_process_with_several_nodes(backend, tmp_path):
     """All of them have forgotten what they were told, not only the one that is named."""
     both = tmp_path / "both.py"

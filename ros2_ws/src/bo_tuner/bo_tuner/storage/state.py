@@ -3,10 +3,22 @@
 import os
 from pathlib import Path
 
+from bo_tuner.errors import OutputError
+
 
 def state_folder() -> Path:
-    """Return ``$XDG_STATE_HOME/bo_tuner``, in ``~/.local/state`` unless that is set."""
+    """Return ``$XDG_STATE_HOME/bo_tuner``, in ``~/.local/state`` unless that is set.
+
+    Raises
+    ------
+    OutputError
+        If that is not set, and the user has no home folder.
+    """
     given = os.environ.get("XDG_STATE_HOME", "")
     # As the specification has it, a relative path counts as none.
-    state = Path(given) if given.startswith("/") else Path("~/.local/state").expanduser()
-    return state / "bo_tuner"
+    if given.startswith("/"):
+        return Path(given) / "bo_tuner"
+    try:
+        return Path.home() / ".local" / "state" / "bo_tuner"
+    except RuntimeError:
+        raise OutputError("this user has no home folder; set HOME or XDG_STATE_HOME") from None

@@ -167,9 +167,10 @@ def node_problems(
         if text := text or _outside(ends, variable.parameter, described):
             found.append(StudyError(text, ("contexts", name)))
     seed = study.seed_parameter
-    if seed is not None and seed.node == key and seed.parameter in known:
-        if text := _unsettable(seed.parameter, known[seed.parameter], "integer"):
-            found.append(StudyError(text, ("seed_parameter",)))
+    described = known.get(seed.parameter) if seed is not None and seed.node == key else None
+    if seed is not None and described is not None:
+        text = _unsettable(seed.parameter, described, "integer")
+        found += [StudyError(text, ("seed_parameter",))] if text else []
     return found
 
 

@@ -185,6 +185,11 @@ class Step:
     wait_until: WaitUntil | None = None
     wait: float | None = None
 
+    @property
+    def waits(self) -> bool:
+        """Whether it does nothing but wait."""
+        return self.wait is not None or self.wait_until is not None
+
     def __post_init__(self) -> None:
         checks.text(self.restart, "restart")
         given = [key for key in (*_KINDS, "wait") if getattr(self, key) is not None]

@@ -114,6 +114,7 @@ class RosBackend(SequentialBackend):
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
         self._procedure: Procedure | None = None
+        self._environment: dict[str, str | None] = {}
         self._bringup: Bringup | None = None
         self._held: Values = {}
         self._suspension = Suspension()
@@ -172,11 +173,24 @@ class RosBackend(SequentialBackend):
         self._claim = DomainClaim(self._namespace, 0 if self._attach and domain is None else domain)
         if not self._attach:
             # The middleware reads the environment of the process, in this one too.
-            os.environ.update(isolated_environment(self._claim.domain))
+            self._set_environment(isolated_environment(self._claim.domain))
         os.environ.setdefault("ROS_LOG_DIR", str(self._log_directory))
         self._tuner = TunerNode(self._claim.domain, self._ros_arguments, self._watch)
         self._client = StudyClient(self._study, self._tuner)
         return self._tuner, self._client
+
+    def _set_environment(self, variables: Mapping[str, str]) -> None:
+        self._environment = {name: os.environ.get(name) for name in variables}
+        os.environ.update(variables)
+
+    def _reset_environment(self) -> None:
+        """Leave no domain there that a later backend would take for the user's."""
+        for name, value in self._environment.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+        self._environment = {}
 
     @property
     def context(self) -> Context:
@@ -392,6 +406,7 @@ class RosBackend(SequentialBackend):
         with contextlib.ExitStack() as stack:
             # What is done first stands last, and all of it is tried whatever the rest comes to.
             stack.callback(self._let_go)
+            stack.callback(self._reset_environment)
             if self._claim is not None:
                 stack.callback(self._claim.release)
             if self._tuner is not None:

@@ -82,14 +82,19 @@ class Goal:
             raise LostError(f"{self.name} has not ended its goal")
         self._handle = self._result = None
         self._is_cancelled = False
+        # A goal for a server that was started anew and is not discovered yet would be lost.
+        if not self._tuner.wait_until(self._client.server_is_ready, CALL_TIMEOUT):
+            raise self._silence
         asked = self._asked = self._client.send_goal_async(self._message)
         asked.add_done_callback(self._take)
         if not self._tuner.wait_until(lambda: self._asked is None, CALL_TIMEOUT):
-            raise SilentError(
-                f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s"
-            )
+            raise self._silence
         if self._result is None:
             raise FailedRunError(f"{self.name} refused the goal")
+
+    @property
+    def _silence(self) -> SilentError:
+        return SilentError(f"the server of {self.name} does not answer within {CALL_TIMEOUT:g} s")
 
     def _take(self, asked: Future) -> None:
         """Take the server's answer to a goal, and cancel one that nobody waits for any more."""

@@ -190,14 +190,14 @@ class NodeParameters:
         return _disturbed(seen[0]) if seen else None
 
     def expect_answer(self, key: str) -> None:
-        """Ask a node to change no parameter.
+        """Ask a node for no parameter.
 
         Raises
         ------
         SilentError
             If it does not answer.
         """
-        self._tuner.complete([self.clients[key].set({})])
+        self._tuner.complete([self.clients[key].values([])])
 
     def _tell(self, key: str, values: Mapping[str, object], kept: Collection[str]) -> list[str]:
         before = dict(self._known.get(key, {}))
@@ -222,10 +222,9 @@ class NodeParameters:
         if not changes:
             return []
         # Until it answers, the node may have the one or the other.
-        for name in changes:
-            known.pop(name, None)
+        present = {name: known.pop(name) for name in changes if name in known}
         self._watch.tell(key, changes)
-        result = yield from self.clients[key].set(changes)
+        result = yield from self.clients[key].set(changes, present)
         if not result.successful:
             self._watch.take_back(key)
             # The refusal of rclpy does not name what is not declared.

@@ -39,7 +39,7 @@ class ParameterClient:
     node
         Name of the other one, relative to the namespace.
     services
-        Those that are used.
+        Those that are used; that which sets parameters first, and one that reads after it.
     """
 
     def __init__(self, tuner: TunerNode, node: str, *services: Any) -> None:
@@ -64,9 +64,14 @@ class ParameterClient:
         return self._tuner.node.count_services(client.srv_name)
 
     def expect_answers(self, deadline: float) -> None:
-        """Have all services answer a request that changes nothing, until a time of `monotonic`."""
+        """Have the services that read answer, until a time of `monotonic`.
+
+        One that answers a later client knows the earlier ones (see `meet`), and that which sets
+        parameters is the first: to set none of them would call functions of the node's author
+        with a list that is empty, which they need not expect.
+        """
         for kind in self._clients:
-            while True:
+            while kind is not SetParametersAtomically:
                 try:
                     self._tuner.complete([self._calling(kind, kind.Request())], ATTEMPT)
                     break
@@ -98,9 +103,14 @@ class ParameterClient:
             values += yield from self.values([name])
         return values
 
-    def set(self, values: Mapping[str, object]) -> Calls:
-        """Set parameters, all of them or none; returns the result of that."""
-        request = SetParametersAtomically.Request(parameters=to_messages(values))
+    def set(
+        self, values: Mapping[str, object], present: Mapping[str, object] | None = None
+    ) -> Calls:
+        """Set parameters, all of them or none, in place of those of `present`; returns the result.
+
+        Arguments as of `to_messages`.
+        """
+        request = SetParametersAtomically.Request(parameters=to_messages(values, present))
         return (yield from self._calling(SetParametersAtomically, request)).result
 
     def _calling(self, kind: Any, request: Any) -> Calls:

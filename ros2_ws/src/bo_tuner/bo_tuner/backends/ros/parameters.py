@@ -45,9 +45,24 @@ class Difference:
         return f"{self.node}: parameter {self.name} is {found}, expected {self.expected}"
 
 
-def to_messages(values: Mapping[str, object]) -> list[ParameterMessage]:
-    """Make the messages that set parameters."""
-    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+def to_messages(
+    values: Mapping[str, object], present: Mapping[str, object] | None = None
+) -> list[ParameterMessage]:
+    """Make the messages that set parameters.
+
+    Parameters
+    ----------
+    values
+        Values by name.
+    present
+        What the node has: an empty array has the type of the one that it replaces.
+    """
+    messages = []
+    for name, value in values.items():
+        like = value if value or present is None else present.get(name, value)
+        kind = Parameter.Type.from_parameter_value(like)
+        messages.append(Parameter(name, kind, value).to_parameter_msg())
+    return messages
 
 
 def to_value(message: ParameterValue) -> object:

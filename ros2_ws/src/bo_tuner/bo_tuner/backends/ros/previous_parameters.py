@@ -82,7 +82,8 @@ class PreviousParameters:
         """Note what nodes have, by key, and what they will have between evaluations."""
         self._previous = {key: dict(values) for key, values in previous.items()}
         self._safe = safe
-        self.tell({})
+        # The constants are set next.
+        self.tell({key: spec.parameters for key, spec in self._study.nodes.items()})
 
     def tell(self, told: Values) -> None:
         """Note what nodes, by key, are about to have, ahead of telling them.
@@ -163,27 +164,31 @@ class _Note:
     """
 
     def __init__(self, domain: int, namespace: str) -> None:
-        self._path: Path = state_folder() / "attached" / f"{place_name(domain, namespace)}.json"
+        self._name = f"{place_name(domain, namespace)}.json"
         self.content: dict[str, Any] = {}
         # What cannot be read is of no use, and replaced.
         with contextlib.suppress(
-            OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
+            OutputError, OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
         ):
             self.content = {
                 node: {"previous": dict(item["previous"]), "told": dict(item["told"])}
-                for node, item in json.loads(read_text(self._path)).items()
+                for node, item in json.loads(read_text(self._path())).items()
             }
 
     def write(self) -> None:
         """Write the content down, or no file of none; raises `OutputError`."""
+        path = self._path()
         try:
             if not self.content:
-                self._path.unlink(missing_ok=True)
+                path.unlink(missing_ok=True)
                 return
-            self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror}") from error
-        write_atomically(self._path, json.dumps(self.content, default=str))
+            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
+        write_atomically(path, json.dumps(self.content, default=str))
+
+    def _path(self) -> Path:
+        return state_folder() / "attached" / self._name
 
 
 def _left_behind(noted: Mapping[str, Any], now: Mapping[str, object]) -> dict[str, object]:

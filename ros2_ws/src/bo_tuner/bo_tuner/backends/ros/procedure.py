@@ -250,7 +250,21 @@ class Procedure:
         for index, step in enumerate(getattr(self._run, phase)):
             # A step may act before it waits: the end may have been asked for since the last wait.
             self._tuner.look()
+            if self._is_recording and not step.waits:
+                self._expect_time(index)
             self._perform_step(("run", phase, index), step)
+
+    def _expect_time(self, index: int) -> None:
+        """Raise `FailedRunError` if a run is over before it has performed a step of `start`.
+
+        What the step brings about would not be recorded. That the study has it wait so long, for
+        what ends with the run, is its own affair.
+        """
+        after, planned = self._run.end.after, sum(s.wait or 0.0 for s in self._run.start[:index])
+        if after is not None and planned < after < self._recorder.seconds:
+            raise FailedRunError(
+                f"{where(('run', 'start', index))} comes after the end of the run at {after:g} s"
+            )
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:
         # A service may have taken its time, and the search between two runs: waiting counts from
@@ -310,8 +324,10 @@ class Procedure:
             recording = self._recorder.recording(now, since)
             if any(recording.silence(name, spec) for name, spec in used.items()):
                 return False
-            _, values = sampled(condition, recording, since)
-            return len(values) > 0 and bool(np.all(np.nan_to_num(values) != 0.0))
+            times, values = sampled(condition, recording, since)
+            # Of a signal without an earlier message nothing is known before its first one.
+            is_whole = len(times) > 0 and times[0] <= since
+            return is_whole and bool(np.all(np.nan_to_num(values) != 0.0))
 
         if self._is_recording:
             self._watch.wait_until(began + wait.timeout, held)

@@ -43,7 +43,7 @@ class PendingCall:
 
     def silence(self, timeout: float) -> SilentError:
         """Make the error that it was not answered within `timeout` seconds."""
-        return SilentError(f"{self.node} does not answer {self.service} within {timeout:g} s")
+        return silence(self.node, self.service, timeout)
 
 
 Calls = Generator[PendingCall, None, Any]
@@ -51,6 +51,11 @@ Calls = Generator[PendingCall, None, Any]
 
 Where one is not answered in time, `SilentError` is raised, which they may handle.
 """
+
+
+def silence(node: str, service: str, timeout: float) -> SilentError:
+    """Make the error that a service of a node did not answer within `timeout` seconds."""
+    return SilentError(f"{node} does not answer {service} within {timeout:g} s")
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -189,8 +194,13 @@ class TunerNode:
         Raises
         ------
         SilentError
-            If it does not answer within `timeout` seconds, `CALL_TIMEOUT` unless given.
+            If it is not there, or does not answer, within `timeout` seconds each; `CALL_TIMEOUT`
+            unless given.
         """
+        limit = CALL_TIMEOUT if timeout is None else timeout
+        # A request to a server that was started anew and is not discovered yet would be lost.
+        if not self.wait_until(client.service_is_ready, limit):
+            raise silence(name, client.srv_name, limit)
         (answer,) = self.complete([self.calling(client, request, name)], timeout)
         return answer
 
