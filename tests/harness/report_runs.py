@@ -44,6 +44,16 @@ class Traced(Axis):
 class Untold(Axis):
     def trace(self):
         return {{"force": ("N", [1.0])}}
+
+
+class Blank(Axis):
+    def trace(self):
+        return {{"time": ("s", []), "force": ("N", [])}}
+
+
+class OnlyTime(Axis):
+    def trace(self):
+        return {{"time": ("s", [0.0, 1.0])}}
 """
 
 

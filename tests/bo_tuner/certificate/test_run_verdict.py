@@ -160,6 +160,19 @@ def test_a_certificate_of_another_trial_is_not_one_of_the_result(run):
     assert run_verdict(run).certificate == ""
 
 
+def test_apply_waits_for_the_result_of_a_run_that_has_none(run, monkeypatch):
+    monkeypatch.setattr("bo_tuner.certificate.run_verdict.certificate_problem", lambda *_: "")
+    draws = [(1.0, 0.5)] * 40
+    certify(run, draws, draws, with_default=False, repeated=40)
+    trial = run.trials[run.summary["trial"]]
+    going_on = dataclasses.replace(run, summary=None)
+    verdict = certified(going_on, trial, run.path / "certificates" / "0001.json")
+    assert verdict.certificate == PASS
+    commands = [step.command for step in next_steps(verdict, "run")]
+    assert commands == ["tune --resume run", f"replay run {trial.number}"]
+    assert "apply waits for the result of the run, which has not ended." in verdict.remarks
+
+
 def test_draws_of_a_certificate_and_of_a_validation_are_not_mixed(run):
     """A draw of the validation beyond the limit counts as on record, and once."""
     draws = [(1.0, 0.5)] * 24

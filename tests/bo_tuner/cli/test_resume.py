@@ -14,7 +14,9 @@ from command_runs import RESULTS, Runs
 from commands import finish, run
 from waiting import wait_until
 
+from bo_tuner.cli import tune
 from bo_tuner.errors import OutputError
+from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.storage.journal import create_journal
@@ -101,6 +103,23 @@ class TestResume:
         assert complaint in err
         assert err.startswith("error: ")
         assert err.count("\n") == 1
+
+    @pytest.mark.parametrize(
+        ("arguments", "expected"),
+        [
+            ([], RecordOptions(Policy.ALL, 5_000_000)),
+            (["--record", "none", "--record-limit", "7"], RecordOptions(Policy.NONE, 7_000_000)),
+        ],
+    )
+    def test_bags_are_kept_as_before(self, runs, whole, arguments, expected):
+        """A lower limit would delete those of the earlier session."""
+        record = read_run(runs.latest(whole))
+        assert (record.record_policy, record.record_limit) == ("notable", 1_000_000_000)
+        given = tune.make_parser().parse_args(["--resume", "run", *arguments])
+        other = replace(record, record_policy="all", record_limit=5_000_000)
+        assert tune._recording(given, other) == expected
+        unknown = replace(record, record_policy="", record_limit=None)
+        assert tune._recording(given, unknown) == (expected if arguments else RecordOptions())
 
     def test_a_folder_in_use_is_refused(self, runs, whole):
         folder = RunFolder(runs.latest(whole).resolve())

@@ -21,6 +21,7 @@ from waiting import DEADLINE, catches, count_in, wait_until
 
 from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
+from bo_tuner.errors import JournalError
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, TrialState
@@ -190,6 +191,22 @@ class TestFaults:
         # What was told as done is in the record.
         told = sum(line.startswith("trial ") for line in err.splitlines())
         assert len(recorded(latest(tmp_path))) in (told, told + 1)
+
+    def test_a_disk_that_is_full_before_there_is_a_record(
+        self, study_file, tmp_path, monkeypatch, capsys
+    ):
+        """There is nothing to resume, so no folder stays."""
+
+        def journal(path, *_):
+            raise JournalError(f"{path}: no space") from OSError(28, "No space left on device")
+
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("bo_tuner.cli.session.Journal", journal)
+        arguments = command(study_file)[1:]
+        line = complaint(tune_command, capsys, *arguments, code=1)
+        assert line.endswith("journal.sqlite: no space")
+        assert [path for path in (tmp_path / "runs").iterdir() if not path.is_symlink()] == []
 
     def test_a_table_that_cannot_be_written(self, tune, tmp_path):
         counter = tmp_path / "cuts"

@@ -114,6 +114,17 @@ class TestBag:
         assert data["lost_messages"] == "3"
         assert summary["lost_messages"] == 3
 
+    def test_what_no_bag_takes_leaves_the_memory(self, recorder, tmp_path):
+        """As what comes while candidates are ranked that need no further evaluation."""
+        it = recorder(Policy.ALL, memory=len(joints(START)[1]) * 20)
+        for index in range(15):
+            it.take(*joints(START + index))
+        it.phase_ended()
+        it._writer.submit(lambda: None).result()
+        record(it, trial_of(0), samples=15)
+        it.close()
+        assert custom_data(tmp_path / "trial_0000")["dropped_messages"] == "0"
+
     def test_a_trial_that_goes_on_keeps_what_it_had(self, recorder, tmp_path):
         for samples in (10, 20):
             it = recorder(Policy.ALL)

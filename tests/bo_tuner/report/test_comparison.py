@@ -82,6 +82,13 @@ def test_a_run_without_an_incumbent_is_named(both, parts):
     assert parts["convergence"].notes == [f"{names(both)[1]}: no trial is believed feasible."]
 
 
+def test_runs_of_which_none_has_an_incumbent(both):
+    _, bad = both
+    section = {s.name: s for s in comparison({"a": bad, "b": bad})}["convergence"]
+    assert section.figures == []
+    assert len(section.notes) == 2
+
+
 def test_the_results_move_side_by_side(both, importable):
     """The object's position is its gain times the number of the step."""
     runs = dict(zip(names(both), both, strict=True))

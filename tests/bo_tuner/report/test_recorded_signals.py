@@ -1,16 +1,20 @@
 """Trajectories of a study with signals: from the bags, the worst run of default and tuned."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from signal_runs import ANGLE, record_run, signal_study
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.recording.recorder import Recorder
+from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_from_mapping
+from bo_tuner.trials import EvaluationState, Outcome
 
 STUDY = study_from_mapping(
     signal_study(signals={"angle": ANGLE}, metrics={"error": {"of": "1 - angle", "measure": "iae"}})
@@ -45,6 +49,23 @@ def test_the_worst_run_of_each_is_drawn_as_it_was_heard(folder):
         np.testing.assert_array_equal(line.y, heard.value)
     assert "default: evaluation 2 in bags/trial_0000" in section.lead
     assert "best so far: evaluation 2 in bags/trial_0001" in section.lead
+
+
+def test_what_was_heard_of_a_run_that_somebody_disturbed_is_not_that_of_its_repetition(folder):
+    """It was made again, and has the place of the first attempt."""
+    bags = folder / "bags"
+    run = read_run(folder)
+    worst = run.trials[0].evaluations[2]
+    disturbed = Outcome(EvaluationState.FAILED, reason="the clock was set")
+    recorder = Recorder(bags, STUDY, RecordOptions(Policy.ALL))
+    recorder.evaluation(replace(worst, outcome=disturbed), recording(0.1, 9))
+    recorder.trial(run.trials[0], best=False)
+    recorder.close()
+    (bags / "trial_0000").rename(bags / "trial_0000_part3")
+    (bags / "trial_0000_part2").rename(bags / "trial_0000")
+    section = trajectories(Analysis(read_run(folder)))
+    default, _ = section.figures[0].panels[0].elements
+    np.testing.assert_array_equal(default.y, recording(0.5, 2).signals["angle"].value)
 
 
 def test_a_side_without_a_bag_is_told(folder):

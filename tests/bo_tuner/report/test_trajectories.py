@@ -54,6 +54,13 @@ def test_signals_without_a_time_are_told(section_of):
     assert "expected 'time' and other signals of the same length" in section.lead
 
 
+@pytest.mark.parametrize("name", ["Blank", "OnlyTime"])
+def test_signals_without_a_value_are_told(section_of, name):
+    _, section = section_of(name)
+    assert section.figures == ()
+    assert "of the same length, at least one value each" in section.lead
+
+
 def test_an_object_that_cannot_be_had_is_told(monkeypatch, analysis):
     monkeypatch.setattr(sys, "path", [p for p in sys.path if "axis" not in p])
     monkeypatch.delitem(sys.modules, "report_objects", raising=False)

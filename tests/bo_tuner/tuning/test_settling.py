@@ -10,14 +10,17 @@ from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.errors import RunError
 from bo_tuner.models.constraints import CONFIDENT
 from bo_tuner.optimizers.algorithms import ALGORITHMS, BOUNDARY
-from bo_tuner.optimizers.ranking import looks, rank, required_of, runs_until
+from bo_tuner.optimizers.ranking import looks, rank, ranking_models, required_of, runs_until
 from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS
 from bo_tuner.trials import (
     CHECKS,
+    Evaluation,
     EvaluationState,
     Outcome,
     Stage,
+    Trial,
     TrialState,
+    WorstCase,
     count_checks,
     count_evaluations,
 )
@@ -25,6 +28,7 @@ from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.recommendation import DRAWN_EVALUATIONS, WORST_EVALUATIONS
 from bo_tuner.tuning.settling import (
     before_repetitions,
+    estimated,
     most_repetitions,
     settle,
     with_checks,
@@ -322,3 +326,16 @@ def test_what_failed_when_it_was_run_again_is_no_candidate_of_a_pooled_run(study
     assert known[best].evaluations == (*trials[best].evaluations, again)
     numbers = [candidate.trial.number for candidate in rank(study, known, options)]
     assert (best in numbers) is not options.pooled
+
+
+def test_worst_cases_stay_where_all_trials_have_failed_when_run_again(study_of):
+    """No model of a limit is left to estimate them by, and the report is written all the same."""
+    study = study_of()
+    found = {"peak": WorstCase(0.9, {"load": 2.0}, 0.95, 0.01)}
+    trial = Trial(0, study.search_space().defaults, "", TrialState.COMPLETE, worst_cases=found)
+    failed = Outcome(EvaluationState.FAILED, reason="axis: stalled")
+    again = Evaluation(0, 0, Stage.CHECK_DRAWN, trial.parameters, {"load": 2.0}, 1, failed)
+    trial = with_repetitions(trial, [again])
+    options = ALGORITHM.models
+    models = ranking_models(study, [trial], options)
+    assert estimated(study, models, trial).worst_cases == found

@@ -144,6 +144,9 @@ def _certified(
     problem = certificate_problem(record, trial) if passed else ""
     if problem:
         remarks.append(f"apply still refuses it: {problem}.")
+    has_result = record.result is not None
+    if passed and not has_result:
+        remarks.append("apply waits for the result of the run, which has not ended.")
     try:
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
         overall = min(float(content["confidence"]), *_confidences(record))
@@ -182,6 +185,7 @@ def _certified(
         apply_refuses=bool(problem),
         is_default=same,
         is_result=is_result,
+        has_result=has_result,
     )
 
 

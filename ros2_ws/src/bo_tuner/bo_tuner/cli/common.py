@@ -2,7 +2,9 @@
 
 import argparse
 import contextlib
+import errno
 import signal
+import sqlite3
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
@@ -120,6 +122,8 @@ class Parser(argparse.ArgumentParser):
 def guarded(run: Run) -> Run:
     """Decorate a command: its expected errors become one line and exit code 2, a signal its code.
 
+    A full disk is a fault, with exit code 1.
+
     Parameters
     ----------
     run
@@ -140,7 +144,7 @@ def guarded(run: Run) -> Run:
             return EXIT_USAGE
         except (OutputError, BackendError, JournalError, RunRecordError) as error:
             say_error(f"error: {error}")
-            return EXIT_USAGE
+            return EXIT_FAULT if _is_full(error) else EXIT_USAGE
         except Interrupted as interrupt:
             say_error(f"interrupted by {interrupt}")
             return EXIT_SIGNAL + interrupt.signum
@@ -150,6 +154,14 @@ def guarded(run: Run) -> Run:
             discard_output()
 
     return guard
+
+
+def _is_full(error: Exception) -> bool:
+    """Return whether an error is one of a full disk, and not of what the user has given."""
+    cause = error.__cause__
+    if isinstance(cause, sqlite3.Error):
+        return cause.sqlite_errorcode == sqlite3.SQLITE_FULL
+    return isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _fault(error: OSError, interruption: Interruption) -> int:

@@ -32,6 +32,8 @@ from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.provenance import (
     ATTACHED,
     CARRIED,
+    RECORD,
+    RECORD_LIMIT,
     STOP_EARLY,
     changed_sources,
     session_provenance,
@@ -175,12 +177,14 @@ class Session:
                 earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
+            begun = folder.journal.exists()
             try:
                 try:
                     with (
                         opened(backend, self._interruption) as left,
                         Journal(folder.journal, provenance, earlier.trials) as journal,
                     ):
+                        begun = True
                         # A file of fewer trials is that of an earlier session.
                         folder.write_study(self._study)
                         if self._goes_on(earlier):
@@ -201,6 +205,9 @@ class Session:
                 self._display.warn(f"interrupted by {interrupt}; {how_to_resume(folder.path)}")
                 return EXIT_SIGNAL + interrupt.signum
             except (RunError, JournalError, OutputError) as error:
+                if not begun:
+                    # There is nothing to go on with.
+                    raise
                 self._display.warn(f"error: {error}; {how_to_resume(folder.path)}")
                 return EXIT_FAULT
 
@@ -220,6 +227,8 @@ class Session:
             provenance[ATTACHED] = "yes"
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
+        provenance[RECORD] = str(options.record.policy)
+        provenance[RECORD_LIMIT] = str(options.record.limit)
         if options.carried:
             provenance[CARRIED] = options.carried_from
         if damage:
@@ -350,6 +359,8 @@ class Session:
                 backend=self._options.backend,
                 stop_early=self._options.stop_early,
                 attached=self._options.attach,
+                record_policy=str(self._options.record.policy),
+                record_limit=self._options.record.limit,
                 provenance=content.sessions[-1],
                 trials=content.trials,
                 evaluations=content.evaluations,

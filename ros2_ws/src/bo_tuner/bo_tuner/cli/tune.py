@@ -117,7 +117,7 @@ def _run(
         backend=plan.backend,
         attach=plan.attach,
         ros_arguments=ros_arguments,
-        record=RecordOptions(Policy(arguments.record or Policy.NOTABLE), arguments.record_limit),
+        record=_recording(arguments, plan.resumed),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
         carried=plan.earlier.trials if plan.earlier else (),
@@ -134,6 +134,22 @@ def _run(
     except BaseException:
         folder.discard()
         raise
+
+
+def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> RecordOptions:
+    """Return which bags to keep: what the user says, else what an earlier session of the run did.
+
+    The bags of that session count, too: a lower limit would delete them.
+    """
+    policy, limit = arguments.record, arguments.record_limit
+    if resumed is not None:
+        known = resumed.record_policy in list(Policy)
+        policy = policy or (resumed.record_policy if known else None)
+        limit = resumed.record_limit if limit is None else limit
+    default = RecordOptions()
+    return RecordOptions(
+        Policy(policy or default.policy), default.limit if limit is None else limit
+    )
 
 
 def _resumed(arguments: argparse.Namespace, parser: Parser) -> Plan:

@@ -119,15 +119,14 @@ def _add_record(parser: Parser) -> None:
         "--record",
         choices=[policy.value for policy in Policy],
         help="bags of trials to keep, on ROS: all, none, or notable: a new best, the worst so far, "
-        "or failed (default: notable)",
+        "or failed (default: notable, or as the run that is resumed)",
     )
     parser.add_argument(
         "--record-limit",
         type=_megabytes,
-        default=RecordOptions.limit,
         metavar="MB",
         help="total size of all bags; beyond it the oldest are deleted, but never the best one's "
-        f"(default: {RecordOptions.limit // MEGABYTE})",
+        f"(default: {RecordOptions.limit // MEGABYTE}, or as the run that is resumed)",
     )
 
 

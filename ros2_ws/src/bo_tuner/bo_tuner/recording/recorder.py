@@ -245,11 +245,11 @@ class Recorder:
         self._bag.write(messages, self._notes)
 
     def _finish(self, batch: _Batch, trial: Trial, best: bool) -> None:
+        self._count(batch)
         bag, retention = self._bag, self._retention
         if bag is None or retention is None:
             return
         reason = retention.reason(self._study, trial, best)
-        self._count(batch)
         bag.write(timed(batch.messages, bag.latest), self._notes)
         if bag.empty or not retention.wants(reason):
             bag.discard()
@@ -266,10 +266,10 @@ class Recorder:
 
     def _finish_evidence(self, batch: _Batch) -> None:
         """Finish the bag of a check or of the validation, if one is open."""
+        self._count(batch)
         bag, retention = self._bag, self._retention
         if bag is None or retention is None:
             return
-        self._count(batch)
         bag.write(timed(batch.messages, bag.latest), self._notes)
         self._keep(retention, bag, {"state": "complete"}, Reason.EVIDENCE, None)
 
@@ -298,8 +298,8 @@ class Recorder:
         if displaced and not self._displaced:
             self._displaced = True
             self.warn(
-                f"the bags have reached their {limit}: from now on the oldest go, first "
-                f"{displaced[0]}"
+                f"the bags have reached their {limit}: from now on the oldest are deleted, "
+                f"starting with {displaced[0]}"
             )
 
     def _count(self, batch: _Batch) -> None:

@@ -175,7 +175,19 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
                 hover=[f"{name}: trial {c.trial.number}" for _, c in found],
             )
         )
-    figure = Figure(
+    return Section(
+        name="convergence",
+        title="Convergence",
+        lead="How soon each run found what it found, by its own models.",
+        figures=[_incumbents(panels, scales)] if panels else [],
+        notes=[f"{name}: no trial is believed feasible." for name in without],
+    )
+
+
+def _incumbents(
+    panels: Mapping[tuple[str, str], list[Line]], scales: Mapping[tuple[str, str], Scale]
+) -> Figure:
+    return Figure(
         name="comparison",
         title="The incumbent of each run",
         caption="The parameter set that would be the result if the run ended there, by the "
@@ -194,13 +206,6 @@ def _convergence(runs: Mapping[str, Analysis]) -> Section:
             for (metric, unit), lines in panels.items()
         ],
         columns=min(2, max(1, len(panels))),
-    )
-    return Section(
-        name="convergence",
-        title="Convergence",
-        lead="How soon each run found what it found, by its own models.",
-        figures=[figure] if panels else [],
-        notes=[f"{name}: no trial is believed feasible." for name in without],
     )
 
 

@@ -166,7 +166,7 @@ def render(analysis: Analysis, parts: Sequence[Section], run: str | None = os.cu
         study=analysis.study,
         record=analysis.record,
         answer=replace(found, files=()) if run is None else found,
-        base=quote(f"{run}/"),
+        base=quote(os.fsencode(f"{run}/")),
     )
 
 

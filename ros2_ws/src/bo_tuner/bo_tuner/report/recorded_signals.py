@@ -26,9 +26,15 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
     name = bag_name(wanted)
     for bag in sorted(filter(is_bag, (*folder.glob(name), *folder.glob(f"{name}_part*")))):
         for run in recorded_runs(bag):
-            found = run.evaluation
-            # A run that was extended may have validated another parameter set before.
-            same = found.get("parameters", wanted.parameters) == dict(wanted.parameters)
+            # A run that was extended may have validated another parameter set before, and one that
+            # somebody disturbed was made again.
+            found, outcome = run.evaluation, wanted.outcome
+            expected = {
+                "parameters": dict(wanted.parameters),
+                "state": str(outcome.state),
+                "metrics": dict(outcome.metrics),
+            }
+            same = all(found.get(key, value) == value for key, value in expected.items())
             if same and run.trial == wanted.trial and found.get("index") == wanted.index:
                 return run
     return None

@@ -216,7 +216,7 @@ def _trial_row(trial: Trial) -> tuple[object, ...]:
     return (
         trial.number,
         json.dumps(dict(trial.parameters)),
-        trial.origin,
+        _storable(trial.origin),
         str(trial.state),
         _storable(trial.reason),
         json.dumps({name: asdict(worst) for name, worst in trial.worst_cases.items()}),

@@ -9,7 +9,13 @@ from pathlib import Path
 from bo_tuner.errors import JournalError, RunRecordError, StudyError
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
-from bo_tuner.storage.provenance import ATTACHED, STOP_EARLY, STUDY_YAML
+from bo_tuner.storage.provenance import (
+    ATTACHED,
+    RECORD,
+    RECORD_LIMIT,
+    STOP_EARLY,
+    STUDY_YAML,
+)
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
@@ -36,6 +42,9 @@ class RunRecord:
         Whether its last session follows the advice to stop.
     attached
         Whether its last session used running nodes.
+    record_policy, record_limit
+        Which bags its last session keeps, and their size together [byte]; empty and None where
+        that is not on record.
     provenance
         Versions, seed and host of the process that began it.
     trials
@@ -55,6 +64,8 @@ class RunRecord:
     backend: str
     stop_early: bool
     attached: bool
+    record_policy: str
+    record_limit: int | None
     provenance: Mapping[str, str]
     trials: tuple[Trial, ...]
     evaluations: tuple[Evaluation, ...]
@@ -112,12 +123,18 @@ def read_run(path: Path) -> RunRecord:
         backend=provenance.get("backend", ""),
         stop_early=STOP_EARLY in content.sessions[-1],
         attached=ATTACHED in content.sessions[-1],
+        record_policy=content.sessions[-1].get(RECORD, ""),
+        record_limit=_size(content.sessions[-1].get(RECORD_LIMIT, "")),
         provenance=provenance,
         trials=content.trials,
         evaluations=content.evaluations,
         summary=_summary(path / SUMMARY),
         damage=content.damage,
     )
+
+
+def _size(text: str) -> int | None:
+    return int(text) if text.isascii() and text.isdigit() else None
 
 
 def _study(path: Path, found: Study, sessions: Sequence[Mapping[str, str]]) -> Study:

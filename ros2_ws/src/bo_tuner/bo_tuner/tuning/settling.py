@@ -216,7 +216,8 @@ def estimated(study: Study, models: Surrogates, trial: Trial) -> Trial:
     x = study.search_space().to_cube(trial.parameters)[None]
     worst_cases = dict(trial.worst_cases)
     for name in trial.worst_cases:
-        constraint, response = study.constraints[name], models.constraints[name]
+        # Of trials that have all failed when they were run again there is no model.
+        constraint, response = study.constraints[name], models.constraints.get(name)
         if isinstance(response, EveryContext):
             row, value, noise = response.worst_case(x)
             context = contexts.to_dict(contexts.to_contexts(response.contexts[row])[0])

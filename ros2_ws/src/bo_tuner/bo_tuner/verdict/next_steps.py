@@ -49,6 +49,8 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
             return (both if verdict.default_preferred else validate, replay, more)
         case State.CERTIFIED if verdict.default_preferred:
             return (more, replay) if verdict.default_certified else (both, replay, more)
+        case State.CERTIFIED if not verdict.has_result:
+            return (again, replay)
         case State.CERTIFIED if verdict.apply_refuses:
             again = Step(f"validate {where}{trial}", "certify it again: apply refuses this one")
             return (again, replay)

@@ -160,6 +160,8 @@ class Verdict:
         Whether the tuned parameter set is the default itself.
     is_result
         Whether it is the result of the run; else that of a trial which the user has named.
+    has_result
+        Whether the run has a result: else `apply` waits for its end.
     outliers
         Numbers of the trials that kept all limits, but are outliers of the objective and were
         therefore no candidates.
@@ -178,6 +180,7 @@ class Verdict:
     apply_refuses: bool = False
     is_default: bool = False
     is_result: bool = True
+    has_result: bool = True
     outliers: tuple[int, ...] = ()
 
     @property

@@ -238,7 +238,9 @@ class LivePage(RunObserver):
         return f"{what}, {self._running} evaluation{'s' * (self._running > 1)} finished"
 
     def _send(self, message: dict[str, object]) -> None:
-        line = json.dumps(message, ensure_ascii=False).encode() + b"\n"
+        # The path of the run need not be UTF-8.
+        text = json.dumps(message, ensure_ascii=False)
+        line = text.encode("utf-8", "surrogatepass") + b"\n"
         # A pipe takes a short line whole or not at all (POSIX, write).
         if len(line) > select.PIPE_BUF:
             line = json.dumps(message | {"texts": {}}).encode() + b"\n"

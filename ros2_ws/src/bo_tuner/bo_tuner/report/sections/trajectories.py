@@ -86,9 +86,10 @@ class TracingBackend(InProcessBackend):
             raise NoTraceError(
                 f"trace() of node '{key}': {type(error).__name__}: {error}"
             ) from None
-        if TIME not in signals or len(lengths) != 1:
+        if TIME not in signals or len(signals) < 2 or len(lengths) != 1 or 0 in lengths:
             raise NoTraceError(
-                f"trace() of node '{key}': expected '{TIME}' and other signals of the same length"
+                f"trace() of node '{key}': expected '{TIME}' and other signals of the same length, "
+                "at least one value each"
             )
         return signals
 
