@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from axis import node, write_study
 from commands import run
@@ -94,6 +95,23 @@ def test_the_report_shows_the_front_instead_of_the_trade_off(runs):
     (figure,) = found["front"].figures
     assert len(figure.panels) == 1
     assert all(name in found["trials"].tables[0].header for name in ("mean error", "mean peak"))
+
+
+def test_what_the_models_predict_is_called_the_cost_of_the_compromise(runs):
+    """It is that of no objective, and has none's unit."""
+    analysis = Analysis(with_summary(read_run(runs.latest), str))
+    found = {section.name: section for section in sections(analysis)}
+    drawn = {figure.name: figure for section in found.values() for figure in section.figures}
+    (panel, *_) = drawn["slices"].panels
+    assert panel.y.title == "cost of the compromise"
+    assert "trials nearby" not in [getattr(element, "name", "") for element in panel.elements]
+    (line,) = [e for e in panel.elements if getattr(e, "name", "") == "posterior mean"]
+    gains = np.array(line.x)[:, None]
+    bounds = analysis.study.parameters["gain"].bounds
+    cube = (gains - bounds[0]) / (bounds[1] - bounds[0])
+    np.testing.assert_allclose(line.y, analysis.models.objective.predict_mean(cube))
+    (table,) = found["sensitivity"].tables
+    assert table.header[1] == "cost of the compromise"
 
 
 def test_the_page_of_a_trial_has_the_means_of_all_objectives(runs):

@@ -1,5 +1,6 @@
 """Stage one with ask and tell, on cheap functions with a known optimum."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -7,6 +8,14 @@ import pytest
 
 from bo_tuner.optimizers.bayesian import BayesianOptimization
 from bo_tuner.optimizers.random_search import RandomSearch
+from bo_tuner.trials import (
+    DISTURBED,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    Stage,
+    TrialState,
+)
 
 NODE = {"node": "axis"}
 OPTIMUM = 0.3
@@ -172,6 +181,28 @@ class TestRepetition:
         study = study_of(parameters, trials=40)
         proposals = optimize(study, noisy_bowl)
         assert len(set(keys(study, proposals))) == 40
+
+    def test_what_somebody_disturbed_is_proposed_again(self, study_of, make_trial):
+        """Else it would be the best of an acquisition that may not be tried, trial by trial."""
+        study = study_of({"n": integer(0, 9)}, initial=3)
+        stage_one = BayesianOptimization(study)
+
+        def tell(number, proposal, **outcome):
+            trial = make_trial(
+                number, proposal.parameters, noisy_bowl(number, proposal.parameters)[0], 0.5
+            )
+            stage_one.tell(dataclasses.replace(trial, **outcome))
+
+        for number in range(3):
+            tell(number, stage_one.ask())
+        proposal = stage_one.ask()
+        reason = "axis: parameter n is 1, expected 2 (changed by someone else)"
+        spoilt = Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        evaluation = Evaluation(3, 0, Stage.DRAWN, proposal.parameters, {}, 1, spoilt)
+        tell(3, proposal, state=TrialState.FAILED, reason=reason, evaluations=(evaluation,))
+        again = stage_one.ask()
+        assert again.parameters == proposal.parameters
+        assert again.origin != "space-filling"
 
     def test_a_small_space_is_tried_in_full(self, study_of, optimize):
         """Of 6 parameter sets none is left out, and the search still answers afterwards."""

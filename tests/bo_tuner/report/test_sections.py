@@ -297,7 +297,7 @@ def test_changes_of_a_negative_objective_are_in_its_unit(analysis):
     (panel,) = figure.panels
     optimum, *others = (float(row[1]) for row in table.rows)
     assert optimum < 0.0
-    assert panel.y.title == "change of the mean [mm]"
+    assert panel.y.title == "change of the mean error [mm]"
     heights = [y for bars in panel.elements for y in bars.y]
     np.testing.assert_allclose(sorted(heights), sorted(o - optimum for o in others), atol=2e-3)
     assert "%" not in figure.alternative

@@ -240,6 +240,15 @@ class TestRefusedValues:
                 "seed_parameter: parameter 'window' of node 'drive' is already set by "
                 "parameters.window",
             ),
+            *(
+                (
+                    f"constraints/{name}",
+                    {"kind": "worst_case", "metric": "peak", "upper": 3},
+                    f"constraints.{name}: the models call another one '{name}'; choose another "
+                    "name",
+                )
+                for name in ("objective", "outliers", "outliers_error", "failures")
+            ),
             (
                 "nodes/second",
                 {"node": "drive", "object": "drives:Drive"},

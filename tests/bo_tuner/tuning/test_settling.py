@@ -328,6 +328,27 @@ def test_what_failed_when_it_was_run_again_is_no_candidate_of_a_pooled_run(study
     assert (best in numbers) is not options.pooled
 
 
+def test_without_its_checks_a_trial_is_what_it_was(study_of):
+    """Else the advice to stop would change when a run goes on."""
+    study = study_of()
+    parameters = study.search_space().defaults
+    metrics = {"error": 1.0, "peak": 0.5}
+    done = Evaluation(
+        0, 0, Stage.DRAWN, parameters, {}, 1, Outcome(EvaluationState.COMPLETE, metrics)
+    )
+    trial = Trial(0, parameters, "", TrialState.COMPLETE, evaluations=(done,))
+    failed = Outcome(EvaluationState.FAILED, reason="axis: stalled")
+    again = with_repetitions(
+        trial, [dataclasses.replace(done, index=1, stage=Stage.CHECK_DRAWN, outcome=failed)]
+    )
+    assert again.state is TrialState.FAILED
+    assert again.unchecked == trial
+    of_run = dataclasses.replace(
+        trial, state=TrialState.FAILED, reason="axis: gone", evaluations=()
+    )
+    assert of_run.unchecked == of_run
+
+
 def test_worst_cases_stay_where_all_trials_have_failed_when_run_again(study_of):
     """No model of a limit is left to estimate them by, and the report is written all the same."""
     study = study_of()

@@ -245,8 +245,11 @@ class Trial:
 
     @property
     def unchecked(self) -> "Trial":
-        """The trial without the evaluations that checked it as a candidate."""
-        return replace(self, evaluations=tuple(e for e in self.evaluations if e.stage in TUNING))
+        """The trial without the evaluations that checked it as a candidate, and their outcome."""
+        tuning = tuple(e for e in self.evaluations if e.stage in TUNING)
+        if self.failed_again and all(e.outcome.complete for e in tuning):
+            return replace(self, evaluations=tuning, state=TrialState.COMPLETE, reason="")
+        return replace(self, evaluations=tuning)
 
 
 def count_evaluations(trials: Iterable[Trial]) -> int:

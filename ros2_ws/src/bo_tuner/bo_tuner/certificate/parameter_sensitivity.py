@@ -34,7 +34,8 @@ class Neighbour:
     changed
         The tuned parameters that differ from the optimum, with their values here.
     objective
-        Posterior mean of the objective, in the metric's unit.
+        Posterior mean of the objective, in the metric's unit; of several objectives that of the
+        cost of the compromise, which has none.
     feasibility
         Probability that all constraints hold.
     loss
@@ -124,7 +125,7 @@ def parameter_sensitivity(
     tuned = [{name: item[name] for name in space.names} for item in around]
     points = space.cube_of(tuned)
     cost = models.objective.predict_mean(points)
-    objective = study.objective.from_cost(cost)
+    objective = study.from_predicted_cost(cost)
     if len(study.objectives) == 1 and objective[0] != 0.0:
         loss: Array = study.objective.sign * (objective - objective[0]) / abs(objective[0])
     else:

@@ -32,12 +32,10 @@ from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.student_t import find_outliers
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.constraint import FAILURES, OBJECTIVE, OUTLIERS, Constraint
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState
-
-OBJECTIVE, OUTLIERS, FAILURES = "objective", "outliers", "failures"
 
 # Length scale of the classifiers in the unit cube. The objective's length scales do not suit them:
 # they are fitted to complete trials only, and are long if the response is flat.

@@ -81,6 +81,7 @@ class DesignedOptimizer:
         self.space = study.search_space()
         self.trials: list[Trial] = []
         self._keys: set[tuple[Value, ...]] = set()
+        self._judged: set[tuple[Value, ...]] = set()
         self._starts = study.starting_sets()
         drawn = study.budget.initial_trials - len(self._starts)
         self._design = np.empty((0, self.space.dimension))
@@ -91,11 +92,21 @@ class DesignedOptimizer:
     def tell(self, trial: Trial) -> None:
         """Add a finished trial, complete or failed."""
         self.trials.append(trial)
-        self._keys.add(self.space.key(trial.parameters))
+        key = self.space.key(trial.parameters)
+        self._keys.add(key)
+        if not trial.disturbed:
+            self._judged.add(key)
 
     def has_tried(self, parameters: Mapping[str, Value]) -> bool:
         """Return whether a trial had the same parameter set."""
         return self.space.key(parameters) in self._keys
+
+    def has_judged(self, parameters: Mapping[str, Value]) -> bool:
+        """Return whether a trial had the same parameter set, and nobody disturbed it.
+
+        Of one that was disturbed the models know nothing, so it may be what they propose again.
+        """
+        return self.space.key(parameters) in self._judged
 
     def initial(self) -> Proposal | None:
         """Return the initial design's proposal for the next trial, or None after the last."""

@@ -168,7 +168,7 @@ class BayesianOptimization(DesignedOptimizer):
             warm |= surrogates.warm_starts
             for point, origin in points(surrogates, rng):
                 parameters = self.space.to_parameters(point)
-                if not self.has_tried(parameters):
+                if not self.has_judged(parameters):
                     return Proposal(parameters, origin, warnings, warm, protocol, outliers)
         except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
             cause = f"{type(error).__name__}: {error}"

@@ -12,6 +12,8 @@ from bo_tuner.study import checks
 
 CHANCE, WORST_CASE = "chance", "worst_case"
 UPPER, LOWER = "upper", "lower"
+MODEL_NAMES = OBJECTIVE, OUTLIERS, FAILURES = "objective", "outliers", "failures"
+"""What the models call those that are not of a constraint, whose name they have."""
 EXPECTATION, SINGLE_RUN = "expectation", "single_run"
 """What a limit is on: the mean over noise, or single runs, of which a share must keep it."""
 

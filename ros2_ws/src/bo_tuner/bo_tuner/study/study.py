@@ -5,11 +5,21 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from bo_tuner.errors import KeyPath, ParameterError, StudyError
+from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.budget import Budget, CertificateRequirement
 from bo_tuner.study.building import Findings, under
-from bo_tuner.study.constraint import CHANCE, WORST_CASE, Constraint
+from bo_tuner.study.constraint import (
+    CHANCE,
+    MODEL_NAMES,
+    OUTLIERS,
+    WORST_CASE,
+    Constraint,
+)
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
@@ -165,6 +175,19 @@ class Study:
     def objectives(self) -> tuple[Objective, ...]:
         """The objective, and the further ones if there are any."""
         return (self.objective, *self.further_objectives)
+
+    def from_predicted_cost(self, cost: ArrayLike) -> Array:
+        """Return the objective that models predict: of several, the cost of the compromise.
+
+        Parameters
+        ----------
+        cost : array-like
+            The predicted cost, of any shape: that of the objective, or of several the Chebyshev
+            distance, which has no unit.
+        """
+        if len(self.objectives) > 1:
+            return np.asarray(cost, dtype=np.float64)
+        return self.objective.from_cost(cost)
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
@@ -383,6 +406,11 @@ def _one_limit_each(constraints: Mapping[str, Constraint]) -> dict[str, Constrai
         if item.name != name:
             raise StudyError(f"is called '{item.name}' in itself", ("constraints", name))
         for side in item.sides():
+            if side.name in MODEL_NAMES or side.name.startswith(f"{OUTLIERS}_"):
+                raise StudyError(
+                    f"the models call another one '{side.name}'; choose another name",
+                    ("constraints", name),
+                )
             if side.name in found or (side is not item and side.name in constraints):
                 raise StudyError(
                     f"is split into '{side.name}' and another, but there is such a constraint",

@@ -24,7 +24,7 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.grid import POINTS, ParameterGrid, parameter_grid, permitted
-from bo_tuner.report.sections.convergence import outcome_points
+from bo_tuner.report.sections.convergence import outcome_points, predicted_axis
 from bo_tuner.trials import Trial
 
 MOST_PARAMETERS = 4
@@ -44,10 +44,10 @@ def contours(analysis: Analysis, answer: Trial) -> Figure:
         _contour_panel(analysis, answer, (grids[a], grids[b]), field, colors)
         for (a, b), field in zip(pairs, fields, strict=True)
     ]
-    metric = study.metrics[study.objective.metric]
+    label = predicted_axis(study).label
     return Figure(
         name="contours",
-        title=f"Mean {metric.name} and feasible region, for pairs of parameters",
+        title=f"{label[:1].upper()}{label[1:]} and feasible region, for pairs of parameters",
         caption="Colour: posterior mean of the objective, with the other parameters as "
         f"in the {analysis.answer_set}. "
         "Faded: probability of feasibility below 0.5. Inside the dotted line: a failure or an "
@@ -73,7 +73,7 @@ def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid
     points[:, b.column] = np.repeat(b.cube, len(a.cube))
     shape = len(b.cube), len(a.cube)
     allowed = permitted(study, points)
-    objective = study.objective.from_cost(models.objective.predict_mean(points))
+    objective = study.from_predicted_cost(models.objective.predict_mean(points))
     feasible = np.exp(models.log_feasibility(points))
     good = np.exp(np.sum([c.log_complement(points) for c in models.classifiers], axis=0))
     objective, feasible, bad = (
@@ -133,15 +133,14 @@ def _contour_panel(
 
 def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
     """Return a scale over the lowest 90 % of all values; those above have the last colour."""
-    study = analysis.study
-    metric = study.metrics[study.objective.metric]
+    axis = predicted_axis(analysis.study)
     seen = np.concatenate([field[np.isfinite(field)] for field in fields])
     low, high = np.quantile(seen, [0.0, 0.9]) if len(seen) else (0.0, 1.0)
     if not low < high:
         low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
-    scale = Scale(study.objective.scale) if low > 0.0 else Scale.LINEAR
+    scale = axis.scale if low > 0.0 else Scale.LINEAR
     return ColorScale(
-        label=f"mean {metric.name}", unit=metric.unit, low=float(low), high=float(high), scale=scale
+        label=axis.label, unit=axis.unit, low=float(low), high=float(high), scale=scale
     )
 
 

@@ -180,6 +180,13 @@ def mean_axis(study: Study, objective: Objective) -> Axis:
     )
 
 
+def predicted_axis(study: Study) -> Axis:
+    """Return the axis of what the surrogates predict for the objective, or for several."""
+    if len(study.objectives) > 1:
+        return Axis(label="cost of the compromise")
+    return mean_axis(study, study.objective)
+
+
 def outcome_points(
     analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array, size: float = 7.0
 ) -> list[Element]:

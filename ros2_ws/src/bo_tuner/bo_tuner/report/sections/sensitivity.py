@@ -12,9 +12,9 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.optimizers.ranking import TOLERABLE
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, change, number
-from bo_tuner.study.parts import Metric
+from bo_tuner.report.sections.convergence import predicted_axis
 from bo_tuner.study.search_space import STEP
-from bo_tuner.text import shown, with_unit
+from bo_tuner.text import shown
 from bo_tuner.trials import Value
 
 
@@ -26,7 +26,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
     found = parameter_sensitivity(study, analysis.answer.parameters, analysis.models)
     if found is None or not found.neighbours:
         return None
-    metric = study.metrics[study.objective.metric]
+    axis = predicted_axis(study)
     optimum = found.optimum
     rows = [
         [
@@ -54,14 +54,14 @@ def sensitivity(analysis: Analysis) -> Section | None:
         name="sensitivity",
         title="Sensitivity to a step in one parameter",
         lead=lead,
-        figures=[_figure(analysis, found, metric)],
+        figures=[_figure(analysis, found, axis)],
         tables=[
             Table(
                 caption="Predictions of the surrogates one step away from the "
                 f"{analysis.answer_set}",
                 header=[
                     "step",
-                    with_unit(f"mean {metric.name}", metric.unit),
+                    axis.title,
                     "change",
                     "P(feasible)",
                     "tolerable",
@@ -80,7 +80,7 @@ def sensitivity(analysis: Analysis) -> Section | None:
     )
 
 
-def _figure(analysis: Analysis, found: ParameterSensitivity, metric: Metric) -> Figure:
+def _figure(analysis: Analysis, found: ParameterSensitivity, axis: Axis) -> Figure:
     optimum = found.optimum
     steps = [_step(n, optimum) for n in found.neighbours]
     objectives = np.array([n.objective for n in found.neighbours])
@@ -88,7 +88,7 @@ def _figure(analysis: Analysis, found: ParameterSensitivity, metric: Metric) -> 
         unit, form = "%", "+.1f"
         changes = 100.0 * (objectives / optimum.objective - 1.0)
     else:  # A percentage of it would say nothing; the table has a dash.
-        unit, form = metric.unit, "+.3g"
+        unit, form = axis.unit, "+.3g"
         changes = objectives - optimum.objective
     told = [f"{s}: {c:{form}} {unit}".rstrip() for s, c in zip(steps, changes, strict=True)]
     kept = np.array([n.feasibility >= BELIEVED_FEASIBLE for n in found.neighbours])
@@ -113,14 +113,14 @@ def _figure(analysis: Analysis, found: ParameterSensitivity, metric: Metric) -> 
     ]
     return Figure(
         name="sensitivity",
-        title=f"Change of the mean {metric.name} one step away from the {analysis.answer_set}",
+        title=f"Change of the {axis.label} one step away from the {analysis.answer_set}",
         caption="Predicted by the surrogates. A gain at an infeasible neighbour means that a limit "
         "is active at the optimum; large losses on both sides mean that the optimum is narrow.",
         alternative="; ".join(told),
         panels=[
             Panel(
                 x=Axis(label="", ticks=list(zip(places.tolist(), steps, strict=True))),
-                y=Axis(label="change of the mean", unit=unit),
+                y=Axis(label=f"change of the {axis.label}", unit=unit),
                 elements=bars,
             )
         ],

@@ -22,7 +22,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
-from bo_tuner.report.sections.convergence import describe, mean_axis
+from bo_tuner.report.sections.convergence import describe, predicted_axis
 from bo_tuner.study.constraint import CHANCE, Constraint
 from bo_tuner.trials import Trial
 
@@ -68,14 +68,15 @@ def _objective_slice(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> 
     mean, variance = model.predict(points)
     sigma = TWO_SIGMA * np.sqrt(variance)
     line, one, other = (
-        np.where(allowed, study.objective.from_cost(cost), math.nan)
+        np.where(allowed, study.from_predicted_cost(cost), math.nan)
         for cost in (mean, mean - sigma, mean + sigma)
     )
-    near = _near(analysis, answer, grid)
+    # Trials have no cost of the compromise that their own evaluations would tell.
+    near = _near(analysis, answer, grid) if len(study.objectives) == 1 else []
     y = [analysis.mean_objective(trial) for trial in near]
     return Panel(
         x=grid.axis,
-        y=mean_axis(study, study.objective),
+        y=predicted_axis(study),
         elements=[
             *_curve(grid, line, np.minimum(one, other), np.maximum(one, other)),
             *_near_points(analysis, near, grid, y),
@@ -169,15 +170,16 @@ def _near(analysis: Analysis, answer: Trial, grid: ParameterGrid) -> list[Trial]
 
 def _ranges(analysis: Analysis, grids: Sequence[ParameterGrid], answer: Trial) -> str:
     study = analysis.study
-    unit = study.metrics[study.objective.metric].unit
+    axis = predicted_axis(study)
     parts = []
     for grid in grids:
         points, allowed = _along(analysis, answer, grid)
         model = analysis.models.objective
         if model is not None and allowed.any():
-            line = study.objective.from_cost(model.predict_mean(points[allowed]))
+            line = study.from_predicted_cost(model.predict_mean(points[allowed]))
             parts.append(
-                f"over {grid.name} the mean ranges from {quantity(float(line.min()), unit)} to "
-                f"{quantity(float(line.max()), unit)}"
+                f"over {grid.name} the {axis.label} ranges from "
+                f"{quantity(float(line.min()), axis.unit)} to "
+                f"{quantity(float(line.max()), axis.unit)}"
             )
     return f"Along each slice: {'; '.join(parts)}."
