@@ -44,10 +44,16 @@ class Peer:
         """Call a service and return its answer.
 
         A server may take a request before it has discovered where the answer goes, which is then
-        lost: what stays unanswered is asked again.
+        lost: what stays unanswered is asked again. Of a service that acts, its node is met before
+        the first call.
         """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(service, name)
+            node, _, last = name.rpartition("/")
+            if not last.endswith("_parameters") and self.node.count_services(
+                f"{node}/get_parameters"
+            ):
+                self.meet(node)
         client = self._clients[name]
         self.spin_until(client.service_is_ready, f"service {name}")
         futures = []

@@ -205,8 +205,9 @@ def test_the_way_back_from_an_apply_that_was_killed(client, record, now, capsys,
     assert now() == before
 
 
-def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys):
+def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys, monkeypatch):
     """Its lock is not here, but its node is in the graph."""
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 5.0)
     before = now()
     tuner = Node("bo_tuner", context=peer.node.context)
     try:
@@ -219,7 +220,8 @@ def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys):
 
 
 @pytest.mark.parametrize("rollback", [False, True])
-def test_two_controllers(record, now, start_node, peer, capsys, rollback):
+def test_two_controllers(record, now, start_node, peer, capsys, monkeypatch, rollback):
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 5.0)
     before = now()
     if rollback:
         assert apply(capsys, record, "--yes")[0] == 0
@@ -253,7 +255,8 @@ def test_a_second_node_that_comes_before_anything_is_set_has_changed_nothing():
 
 def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):
     study = make_study()
-    nodes = {key: replace(spec, node="mpc_controller") for key, spec in study.nodes.items()}
+    exchanged = {"plant": "mpc_controller", "controller": "milling_plant"}
+    nodes = {key: replace(spec, node=exchanged[key]) for key, spec in study.nodes.items()}
     study = replace(study, nodes=nodes)
     record = make_run(tmp_path / "run", study, InProcessBackend(study), result=1)
     write_certificate(record, record.trials[1])

@@ -80,7 +80,7 @@ def leave(pid):
 class TestEnd:
     def test_stopped_by_the_tuner(self, folder, monkeypatch, how, before):
         if how == "deaf":
-            monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
+            monkeypatch.setattr(processes, "STOP_TIMEOUT", 2.0)
         process = NodeProcess("axis", ["lib/axis/axis", how], {}, folder / "log")
         wait_until(lambda: pids(folder), "the node")
         before(pids(folder)[0])

@@ -1,8 +1,10 @@
 """What is on record was run with what the record says, whoever else talks to the nodes."""
 
 import contextlib
+import subprocess
 
 import pytest
+from commands import start
 from diagnostic_msgs.msg import DiagnosticArray
 from functions import planned
 from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
@@ -69,8 +71,9 @@ class Attached:
 
 
 @pytest.fixture
-def attach(client, tmp_path):
+def attach(client, tmp_path, monkeypatch):
     """Function that attaches to the pair of this module, which has its shipped parameters."""
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)
     with contextlib.ExitStack() as stack:
 
         def make(study=None):
@@ -266,17 +269,28 @@ class TestOthers:
         assert str(to_value(ParameterValue(type=42))) == "of unknown type 42"
 
 
-def test_nodes_with_more_threads_in_their_environment(start_node, peer, tmp_path, monkeypatch):
+def test_nodes_with_more_threads_in_their_environment(peer, tmp_path, monkeypatch):
     """With two threads OpenBLAS sums the products of these horizons in another order."""
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)
     # Beside the pair of this module.
-    namespace = ["-r", "__ns:=/threads"]
-    for package in PACKAGES:
-        start_node(package, *namespace)
-        peer.get_parameters(f"threads/{package}", ["gain"])
+    arguments = ["--ros-args", "-r", "__ns:=/threads"]
     study = make_study()
-    attached = Attached(tmp_path, study, ["--ros-args", *namespace])
-    with contextlib.closing(attached.backend):
+    with contextlib.ExitStack() as stack:
+        for package in PACKAGES:
+            # By an interpreter of its own: the library reads the number when it is loaded.
+            process = start(
+                *arguments,
+                folder=tmp_path,
+                package=package,
+                env={"OPENBLAS_NUM_THREADS": "2"},
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            stack.callback(process.wait, DEADLINE)
+            stack.callback(process.terminate)
+            peer.get_parameters(f"threads/{package}", ["gain"])
+        attached = Attached(tmp_path, study, arguments)
+        stack.enter_context(contextlib.closing(attached.backend))
         attached.backend.open()
         for horizon in (15, 20):
             parameters = {

@@ -25,8 +25,9 @@ def nodes(start_node):
 
 
 @pytest.fixture
-def run_cut(nodes, peer, tmp_path):
+def run_cut(nodes, peer, tmp_path, monkeypatch):
     """Function that runs a cut on the nodes, other values each time, and returns its outcome."""
+    monkeypatch.setattr("bo_tuner.backends.ros.bringup.ATTACH_TIMEOUT", DEADLINE)
     mapping = study_to_mapping(load_study("benchmark"))
     mapping["nodes"]["controller"]["parameters"] = {"return_time": "modelled"}
     mapping["nodes"]["plant"]["parameters"] = {"samples_per_level": 20, "command_timeout": 5.0}

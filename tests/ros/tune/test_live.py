@@ -137,7 +137,12 @@ def test_pause_and_what_is_published(run, watch, shared_pair):
     times = [message.header.stamp.sec for message in watcher.diagnostics]
     assert len(times) <= times[-1] - times[0] + 2
 
-    layouts_name_what_is_there(watcher.peer.node)
+    shown = {"/joint_states", "/mpc_controller/command"}
+    node = watcher.peer.node
+    watcher.peer.spin_until(
+        lambda: shown <= dict(node.get_topic_names_and_types()).keys(), "what the layouts show"
+    )
+    layouts_name_what_is_there(node)
 
     watcher.peer.call(SetBool, "tuner/pause", SetBool.Request(data=False))
     watcher.wait_for_progress("the end of the pause", paused="False")

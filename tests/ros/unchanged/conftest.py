@@ -76,10 +76,21 @@ def patience(monkeypatch):
 
 
 @pytest.fixture
-def backend(system, tmp_path, monkeypatch, patience):
-    """Function that opens a backend for a study."""
+def patient(monkeypatch, patience):
+    """Waits long for what a busy machine is slow to show, and not at all for what is not there."""
     patience(DEADLINE)
-    monkeypatch.setattr("bo_tuner.backends.ros.bringup.LOOK_AROUND", 0.1)
+    for name, value in (
+        ("bringup.LOOK_AROUND", 0.1),
+        ("bringup.ATTACH_TIMEOUT", DEADLINE),
+        ("study_client.PARK_TIMEOUT", DEADLINE),
+        ("backend.PARK_TIMEOUT", DEADLINE),
+    ):
+        monkeypatch.setattr(f"bo_tuner.backends.ros.{name}", value)
+
+
+@pytest.fixture
+def backend(system, tmp_path, patient):
+    """Function that opens a backend for a study."""
     opened = []
 
     def make(**changes):
@@ -96,9 +107,8 @@ def backend(system, tmp_path, monkeypatch, patience):
 
 
 @pytest.fixture
-def interruptible(system, tmp_path, monkeypatch):
+def interruptible(system, tmp_path, patient):
     """Function that opens a backend whose waits end, as by Ctrl-C, from a moment on."""
-    monkeypatch.setattr("bo_tuner.backends.ros.bringup.LOOK_AROUND", 0.1)
     opened = []
 
     def make(when, **changes):

@@ -174,12 +174,12 @@ def test_a_node_that_is_started_anew_hears_the_last_message_alone(backend, join,
 
 def test_what_a_node_that_hangs_has_not_done_is_asked_of_it_again(backend, system):
     """The message that stops it lets it hang; the brake comes when it is back."""
-    brake = {"call": {"service": "servo/reset", "timeout": 0.2}}
+    brake = {"call": {"service": "servo/reset", "timeout": 1.0}}
     made = backend(run=ABORTED | {"before": [], "start": [], "after": [STOP, brake]})
-    system.setpoint, system.hang = 9.0, 0.6
+    system.setpoint, system.hang = 9.0, 4.0
     reason = failure(run(made))
     assert "; run.after[1]: the node that run.after[1] calls does not answer /servo/reset" in reason
-    assert len(system.gains_at_reset) == 2
+    wait_until(lambda: len(system.gains_at_reset) == 2, "the repetition")
 
 
 def test_a_step_that_is_never_done_is_an_error_in_the_end(backend):

@@ -1,5 +1,6 @@
 """Runs by the clock of a simulation, and clocks that are not to be trusted."""
 
+import re
 import time
 import types
 
@@ -91,8 +92,7 @@ def test_a_simulation_that_stands_still(backend, simulation, monkeypatch):
     found = [run(made) for _ in range(3)]
     lost = [o for o in found if o.state is EvaluationState.LOST]
     assert lost
-    assert lost[0].reason.startswith("/clock has not advanced for 0.5 s; it is at 10")
-    assert " for 0.5 s" in lost[0].reason
+    assert re.match(r"/clock has not advanced for 0\.5 s; it is at \d+\.\d+", lost[0].reason)
 
 
 class Silence:

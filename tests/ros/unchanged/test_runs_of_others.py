@@ -275,7 +275,13 @@ def test_a_run_that_somebody_else_made_fail_is_not_put_down_to_its_parameters(
     backend, system, in_run
 ):
     made = backend(run=FOR_LONG | {"abort_when": "abs(angle) > 3"})
-    in_run(made, lambda: system.set_gain(2.5))
+
+    def disturb():
+        system.set_gain(2.5)
+        # By now it may stand exactly where it is to stand, which is no stable place any more.
+        system.setpoint = 0.5
+
+    in_run(made, disturb)
     outcome = run(made)
     assert outcome.spoilt, outcome
     assert "parameter gain is 2.5, expected 0.5 (changed by someone else)" in outcome.reason
