@@ -15,7 +15,6 @@ from bo_tuner.models.constraints import LimitedResponse, log_feasibility
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.fitting import (
     DEFAULT_MODELS,
-    FAILURES,
     Fitting,
     ModelOptions,
     fitted_after,
@@ -23,6 +22,7 @@ from bo_tuner.models.fitting import (
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.protocol import Fitted, Model
 from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.constraint import FAILURES
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Trial, TrialState, pooled
 
