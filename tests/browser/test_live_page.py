@@ -39,6 +39,12 @@ def test_it_follows_the_run(chromium, run):
     before = chromium.evaluate(TRIALS)
     assert 0 < before < 7
     chromium.evaluate("document.querySelector('#trials details').open = true; window.stays = 1")
+    chromium.evaluate(
+        "(() => { const input = document.querySelector('#trials .filter input');"
+        "input.value = 'initial'; input.dispatchEvent(new Event('input'));"
+        "document.querySelectorAll('#trials thead button')[0].click();"
+        "document.querySelectorAll('#trials thead button')[0].click(); })()"
+    )
     order = chromium.evaluate("[...document.querySelectorAll('nav a')].map(a => a.hash)")
     assert order[:3] == ["#now", "#answer", "#convergence"]
 
@@ -48,6 +54,12 @@ def test_it_follows_the_run(chromium, run):
     # The same page, with what was unfolded.
     assert chromium.evaluate("window.stays") == 1
     assert chromium.evaluate("document.querySelector('#trials details').open") is True
+    # And with the words that the table is filtered by, and the column that it is sorted by.
+    assert chromium.evaluate("document.querySelector('#trials .filter input').value") == "initial"
+    head = "document.querySelector('#trials thead th')"
+    assert chromium.evaluate(f"{head}.getAttribute('aria-sort')") == "descending"
+    first = chromium.evaluate("document.querySelector('#trials tbody tr').cells[0].textContent")
+    assert first.strip() == "6"
     chromium.wait_for("document.querySelector('#now h2').textContent.startsWith('Ended. ')")
     assert chromium.evaluate("'harmed' in window") is False
     assert [url for url in chromium.requests if not url.startswith((run.address, "data:"))] == []

@@ -134,6 +134,35 @@ def test_a_measurement_that_is_not_finite_is_left_out_and_counted(bad):
     assert steps[5].command == run(MpcController(), [*values[:5], math.nan])[5].command
 
 
+def test_a_lost_measurement_gives_no_command(monkeypatch):
+    """The filter goes on with the last one that was sent, and the next move starts from it."""
+    controller = MpcController()
+    controller.start([0.2, 0.2, *[0.8] * 8])
+    controller.step(0.2)
+    sent = controller.step(0.2).command
+    known, predict = [], type(controller._kf).predict
+
+    def note(filter_, command):
+        known.append(command)
+        predict(filter_, command)
+
+    monkeypatch.setattr(type(controller._kf), "predict", note)
+    solved = []
+    solve = controller._mpc.solve
+    monkeypatch.setattr(
+        controller._mpc, "solve", lambda x, last, r: solved.append(last) or solve(x, last, r)
+    )
+    for _ in range(3):
+        controller.skip()
+    assert known == [sent] * 3
+    controller.step(0.3)
+    assert solved == [sent]
+    assert controller.samples_done == 6
+    result = controller.cut_result()
+    assert (result["fallbacks"], result["reason"]) == (3, "sample 2: the measurement was lost")
+    assert result["samples"] == 6
+
+
 def test_a_solver_without_an_answer_holds_the_last_input_and_is_named(monkeypatch):
     monkeypatch.setitem(mpc_module.SOLVER_SETTINGS, "max_iter", 1)
     controller = MpcController()

@@ -205,6 +205,17 @@ def test_the_way_back_from_an_apply_that_was_killed(client, record, now, capsys,
     assert now() == before
 
 
+def test_what_did_not_finish_has_once_nothing_is_left_to_set(record, now, capsys):
+    """Else the next one would not save the values that it replaces."""
+    assert apply(capsys, record, "--yes")[0] == 0
+    unfinished = record.path / "deploy" / "unfinished.txt"
+    unfinished.write_text("as of a kill after the last value\n")
+    code, out, _ = apply(capsys, record, "--yes")
+    assert code == 0
+    assert "nothing to set" in out
+    assert not unfinished.exists()
+
+
 def test_a_tuner_at_work_on_another_machine(record, now, peer, capsys, monkeypatch):
     """Its lock is not here, but its node is in the graph."""
     monkeypatch.setattr("bo_tuner.deploy.live_parameters.LOOK_AROUND", 5.0)

@@ -136,12 +136,12 @@ def test_lost_measurements_are_bridged_by_the_model_and_counted(drive, t0):
     drive.reference(REFERENCE, start=t0)
     times = [t0 + k * PERIOD for k in (0, 1, 2, 5, 6, 7)]
     velocities = [VELOCITIES[k] for k in (0, 1, 2, 5, 6, 7)]
-    gap = [*VELOCITIES[:3], math.nan, math.nan, *VELOCITIES[5:]]
+    gap = [*VELOCITIES[:3], None, None, *VELOCITIES[5:]]
     expected = expected_commands(velocities=gap)
     assert run(drive, times, velocities) == [expected[k] for k in (0, 1, 2, 5, 6, 7)]
     values, level, message = drive.result()
     assert level == DiagnosticStatus.ERROR
-    assert message == "sample 3: measurement is nan"
+    assert message == "sample 3: the measurement was lost"
     assert values["fallbacks"] == "2"
     assert values["samples"] == "8"
 
@@ -162,12 +162,23 @@ def test_as_many_measurements_as_allowed_can_be_lost_and_no_more(drive, t0):
     assert values["ignored_messages"] == "1"
 
 
-def test_a_measurement_that_is_not_finite_is_left_out_and_counted(drive, t0):
-    velocities = [*VELOCITIES[:5], math.inf, *VELOCITIES[6:]]
+def test_samples_need_not_lie_on_the_times_of_the_reference(drive, t0):
+    """Half a sample beside them, with jitter, and by a clock that is slower by two percent."""
+    jitter = [0.0, 0.1, -0.1, 0.1, -0.1, 0.0, 0.1, -0.1]
+    times = [t0 + round((0.5 + 1.02 * k + jitter[k]) * PERIOD) for k in range(len(REFERENCE))]
     drive.reference(REFERENCE, start=t0)
-    assert run(drive, samples_from(t0), velocities) == expected_commands(velocities=velocities)
+    assert run(drive, times) == expected_commands()
+    assert drive.result()[0]["fallbacks"] == "0"
+
+
+@pytest.mark.parametrize("value", [math.inf, 1.7e308, -1e9])
+def test_a_measurement_that_is_none_is_left_out_and_counted(drive, t0, value):
+    velocities = [*VELOCITIES[:5], value, *VELOCITIES[6:]]
+    drive.reference(REFERENCE, start=t0)
+    left_out = [*VELOCITIES[:5], math.nan, *VELOCITIES[6:]]
+    assert run(drive, samples_from(t0), velocities) == expected_commands(velocities=left_out)
     values, _, message = drive.result()
-    assert message == "sample 5: measurement is inf"
+    assert message == f"sample 5: measurement is {value}"
     assert values["fallbacks"] == "1"
 
 

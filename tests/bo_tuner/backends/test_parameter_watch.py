@@ -4,7 +4,7 @@ import contextlib
 from types import SimpleNamespace
 
 import pytest
-from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.msg import ParameterEvent, ParameterType
 from rclpy.serialization import serialize_message
 
 from bo_tuner.backends.ros.parameters import ParameterWatch, to_messages
@@ -103,3 +103,19 @@ def test_an_event_that_was_lost_keeps_none_of_the_later_ones(watch, events):
     assert seen(watch) == []
     events.tell("changed", gain=0.5)
     assert seen(watch) == ["axis: parameter gain is 0.5, expected 2.0"]
+
+
+def test_only_an_empty_array_has_the_type_of_what_it_replaces():
+    """An integer for a double is for the node to refuse, with its reason."""
+    present = {"gains": [1.0], "gain": 1.5, "name": "a", "taps": []}
+    values = {"gains": [], "gain": 0, "name": "", "taps": [], "other": 2.0}
+    found = {m.name: m.value.type for m in to_messages(values, present)}
+    expected = {
+        "gains": ParameterType.PARAMETER_DOUBLE_ARRAY,
+        "gain": ParameterType.PARAMETER_INTEGER,
+        "name": ParameterType.PARAMETER_STRING,
+        # Nobody can tell.
+        "taps": ParameterType.PARAMETER_BYTE_ARRAY,
+        "other": ParameterType.PARAMETER_DOUBLE,
+    }
+    assert found == expected

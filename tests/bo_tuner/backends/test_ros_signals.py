@@ -34,9 +34,9 @@ def test_a_topic_faster_than_its_reader_lets_the_reader_go_on():
     assert topic.lost.count == 0
 
 
-def heard(stamps):
+def heard(stamps, in_run=True):
     """A track of a message each second, which tells its number and has one of `stamps` [s]."""
-    track = _Track(lambda message: message.number, True, WallClock(), in_run=True)
+    track = _Track(lambda message: message.number, True, WallClock(), in_run=in_run)
     for number, stamp in enumerate(stamps):
         header = Header(stamp=Time(sec=stamp))
         track.add(SimpleNamespace(header=header, number=float(number)), number * 1_000_000_000)
@@ -59,3 +59,19 @@ def test_stamps_that_do_not_go_on(stamps, stale, late):
     track = heard(stamps)
     assert track.stale == stale * 1_000_000_000
     assert list(track.take_late()) == late
+
+
+@pytest.mark.parametrize(
+    ("stamps", "kept"),
+    [
+        # Sent ten times as often as it is measured.
+        ([10, 10, 11, 11, 12], ([10, 11, 12], [1.0, 3.0, 4.0])),
+        # A simulation that was reset.
+        ([10, 11, 0, 1], ([0, 1], [2.0, 3.0])),
+        ([10, 12, 11, 13], ([10, 11, 13], [0.0, 2.0, 3.0])),
+    ],
+)
+def test_outside_of_a_run_what_came_last_of_a_stamp_holds(stamps, kept):
+    """A condition may have to hold for longer than one stamp."""
+    track = heard(stamps, in_run=False)
+    assert ([stamp // 1_000_000_000 for stamp in track.stamps], track.values) == kept

@@ -127,7 +127,7 @@ class TestResume:
             code, _, err = runs.resume(whole)
             assert code == 2
             assert f"another process is using this run folder (process {os.getpid()})" in err
-            with pytest.raises(OutputError, match="another process works"):
+            with pytest.raises(OutputError, match="another process is using this run folder"):
                 RunFolder(folder.path)
         finally:
             folder.close()

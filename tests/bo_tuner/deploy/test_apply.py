@@ -112,17 +112,31 @@ class TestSetValues:
             def set(self, node, values):
                 told.append(node)
                 super().set(node, values)
-                if node == "drive" and values == OLD["drive"]:
+                if node == "drive" and values.get("gain") == OLD["drive"]["gain"]:
                     self.values[node]["gain"] = 2.25
 
         with pytest.raises(ApplyError) as caught:
             set_values(Limited(silent=("axis",)), OLD, NEW)
-        assert told == ["drive", "axis", "axis", "drive"]
+        # It is told once more what it has otherwise.
+        assert told == ["drive", "axis", "axis", "drive", "drive"]
         assert str(caught.value) == (
             "axis: does not answer within 5 s; "
             "drive could not be restored: drive: gain is 2.25 after it was set to 1.0"
         )
         assert not caught.value.restored
+
+    def test_what_a_node_changes_along_with_others_is_restored_too(self):
+        class Coupled(FakeNodes):
+            def set(self, node, values):
+                super().set(node, values)
+                if values.get("gain") == NEW["drive"]["gain"]:
+                    self.values[node]["taps"] = 9
+
+        new = {"drive": {"gain": 2.5, "taps": 3}, "axis": OLD["axis"]}
+        nodes = Coupled()
+        with pytest.raises(ApplyError, match="taps is 9 after it was set to 3; previous values of"):
+            set_values(nodes, read_values(nodes, new), new)
+        assert nodes.values == OLD
 
 
 def test_differences_are_of_values_not_of_types(make_study):
@@ -182,7 +196,7 @@ class TestCertificate:
             ({"parameters": {"more": 1.0}}, "no certificate of trial 1; run validate"),
             ({"parameters_sha256": "0" * 64}, "parameters do not match its digest"),
             ({"study_sha256": "0" * 64}, "belongs to another version of the study; run validate"),
-            ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not have the digest"),
+            ({"evaluations_sha256": "0" * 64}, "0001_evaluations.csv does not match its digest"),
             ({"draws": 999}, "made with 999 draws, the study requires 1000; run validate"),
             ({"draws": "1000"}, "made with text '1000' draws"),
             ({"draws": 1e9}, "made with 1000000000.0 draws"),
@@ -222,7 +236,7 @@ class TestCertificate:
     def test_evaluations_that_were_changed_or_are_gone(self, record):
         path = evaluations_path(write_certificate(record, record.trials[1]))
         path.write_text("other")
-        assert "does not have the digest" in certificate_problem(record, record.trials[1])
+        assert "does not match its digest" in certificate_problem(record, record.trials[1])
         path.unlink()
         assert "cannot be read" in certificate_problem(record, record.trials[1])
 

@@ -13,7 +13,7 @@ from made_runs import INITIAL, make_run, write_certificate
 
 from bo_tuner.deploy.bundle import read_rollback, result_of, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.storage.parameter_file import from_yaml, node_values, to_yaml
+from bo_tuner.storage.parameter_file import from_yaml, to_yaml
 from bo_tuner.storage.run_folder import RunFolder
 
 FILES = {"parameters.yaml", "rollback.yaml", "difference.csv", "provenance.json"}
@@ -235,21 +235,11 @@ LISTS = st.one_of(
 SECTIONS = st.dictionaries(NAMES, st.one_of(SCALARS, LISTS), max_size=4)
 
 
+def test_an_array_without_an_item_may_be_what_leads_back():
+    values = {"drive": {"gains": [], "gain": 1.0}}
+    assert from_yaml(to_yaml(values)) == values
+
+
 @given(st.dictionaries(NAMES, SECTIONS, min_size=1, max_size=3))
 def test_parameter_files_read_back_as_they_were_with_their_types(values):
     assert repr(from_yaml(to_yaml(values))) == repr(values)
-
-
-def test_two_keys_of_one_node_share_its_section(make_study):
-    """Two entries of the study may name one ROS node, with other result topics."""
-    nodes = {
-        key: {"node": "drive", "result": f"~/{key}_result", "parameters": {f"{key}_mode": 1}}
-        for key in ("axis", "spindle")
-    }
-    item = {"type": "double", "bounds": [0.0, 1.0], "default": 0.5}
-    study = make_study(
-        nodes=nodes,
-        parameters={"gain": item | {"node": "axis"}, "speed": item | {"node": "spindle"}},
-    )
-    values = node_values(study, {"gain": 0.25, "speed": 0.75})
-    assert values == {"drive": {"axis_mode": 1, "gain": 0.25, "spindle_mode": 1, "speed": 0.75}}

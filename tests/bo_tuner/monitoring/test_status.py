@@ -177,9 +177,24 @@ class TestDiagnostics:
         assert found.values["paused"] == found.values["stop_advised"] == "True"
         assert progress(study, Snapshot()).message == "starting"
 
+    def test_what_others_make_of_trials_on_record_is_no_time_of_the_next(self, make_study):
+        """As the advice to stop, which is computed anew for them."""
+        now = [0.0]
+        status = RunStatus(make_study(), ALGORITHMS["IV"], lambda: now[0])
+        status.begin(Phase.TUNING, 5)
+        status.recall([], None)
+        now[0] = 1000.0
+        status.restart()
+        assert status._times._trial_began == 1000.0
+        assert status.now.phase == Phase.TUNING
+
     def test_surrogate(self, make_study, make_trial):
         study = make_study()
         assert surrogate(study, Snapshot()).message == "no model yet"
+        # One that cannot be fitted at all is trouble, too.
+        unfitted = dataclasses.replace(make_trial(3, {"gain": 0.5}, [1.0]), warnings=("singular",))
+        found = surrogate(study, Snapshot(last=unfitted))
+        assert (found.level, found.message) == (Level.WARN, "singular")
         phi = Hyperparameters(length_scales=[0.25], signal=2.0, noise=0.125)
         trial = dataclasses.replace(
             make_trial(0, {"gain": 0.5}, [1.0]),

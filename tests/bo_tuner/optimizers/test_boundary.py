@@ -287,15 +287,16 @@ class TestPooled:
         assert pooled([good, lost]) == [good]
         (joint,) = pooled([dataclasses.replace(lost, number=0), make_trial(1, {"x": 0.5}, [1.0])])
         assert joint.state is TrialState.COMPLETE
-        assert joint.number == 0
+        # The one that is the result, if it is: a lost trial has no worst context, nor a bag.
+        assert joint.number == 1
 
     def test_runs_of_a_set_whose_first_trial_was_lost_are_kept(self, make_trial):
-        """Repetitions are added to the trial with the number of the joint one: the lost one."""
+        """They may be on record as repetitions of the lost one."""
         lost, good = lost_trial(make_trial, 0, 0.5), make_trial(3, {"x": 0.5}, [1.0, 1.1])
         (run,) = make_trial(0, {"x": 0.5}, [1.3]).evaluations
         run = dataclasses.replace(run, stage=Stage.CHECK_DRAWN, index=1)
         (joint,) = pooled([with_repetitions(lost, [run]), good])
-        assert (joint.number, joint.state) == (0, TrialState.COMPLETE)
+        assert (joint.number, joint.state) == (3, TrialState.COMPLETE)
         assert joint.evaluations == (run, *good.evaluations)
         crash = dataclasses.replace(run, outcome=make_trial(0, {"x": 0.5}).evaluations[0].outcome)
         (joint,) = pooled([with_repetitions(lost, [run, crash]), good])

@@ -1,6 +1,7 @@
 """Bags without ROS: what is in them, and which are kept."""
 
 import json
+import os
 import shutil
 import threading
 from dataclasses import replace
@@ -207,6 +208,18 @@ class TestRetention:
         record(it, trial_of(6, 0.07))
         record(it, trial_of(7, 0.09))
         assert it.close()["bags"] == ["trial_0000", "trial_0003", "trial_0005", "trial_0007"]
+
+    def test_the_best_of_an_earlier_session_is_the_last_one_whatever_its_time(
+        self, recorder, tmp_path
+    ):
+        """A clock may have been set, and a copy of the folder has the times of the copy."""
+        self.run(recorder())
+        for age, name in enumerate(("trial_0003", "trial_0000")):
+            os.utime(tmp_path / name, (10**9 + age, 10**9 + age))
+        size = sum(path.stat().st_size for path in (tmp_path / "trial_0000").iterdir())
+        it = recorder(limit=int(2.5 * size))
+        record(it, trial_of(6, 0.09))
+        assert "trial_0003" in it.close()["bags"]
 
     def test_limit_of_size(self, recorder, tmp_path):
         record(probe := recorder(Policy.ALL), trial_of(0), best=True)

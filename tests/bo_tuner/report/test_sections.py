@@ -165,6 +165,27 @@ def test_failed_trials_are_above_all_others(analysis):
     assert min(failed.y) >= max(others)
 
 
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_with_an_objective_to_maximize_they_are_below_all_others(analysis, scale):
+    """And what is far below the others is at the bottom, too."""
+    objective = replace(analysis.study.objective, direction="maximize", scale=scale)
+    study = replace(analysis.study, objective=objective)
+    first, *others = analysis.record.trials
+    far = [
+        replace(e, outcome=replace(e.outcome, metrics={**e.outcome.metrics, "error": 1e-9}))
+        for e in first.evaluations
+    ]
+    trials = (replace(first, evaluations=tuple(far)), *others)
+    record = replace(analysis.record, study=study, trials=trials)
+    figure, *_ = convergence(Analysis(record)).figures
+    panel = figure.panels[0]
+    failed = named(panel, TrialOutcome.FAILED, Points)
+    shown = [y for element in panel.elements if isinstance(element, Points) for y in element.y]
+    assert max(failed.y) == min(failed.y) == min(shown)
+    assert min(shown) > 1e-9 or scale == "linear"
+    assert "are at the bottom" in figure.caption
+
+
 def test_the_slice_is_the_surrogate(analysis):
     figure = slices(analysis, analysis.answer)
     objective, peak = figure.panels

@@ -156,9 +156,7 @@ class TestParameterFile:
 
     def test_constants_of_the_study_belong_to_it(self, tmp_path, make_study):
         node = {"node": "group/axis", "result": "~/r", "parameters": {"mode": "fast", "q": [1.5]}}
-        _, content = self.write(
-            tmp_path, make_study(nodes={"axis": node, "other": node}), {"gain": 0.5}
-        )
+        _, content = self.write(tmp_path, make_study(nodes={"axis": node}), {"gain": 0.5})
         assert content == {
             "/**/group/axis": {"ros__parameters": {"mode": "fast", "q": [1.5], "gain": 0.5}}
         }

@@ -41,6 +41,7 @@ NODE = {
     "frame": Described("string", "odom"),
     "locked": Described("double", 1.0, read_only=True),
     "stepped": Described("double", 0.5, 0.0, 2.0, 0.25),
+    "odd": Described("double", 0.3, 0.0, 1.0, 0.3),
 }
 
 
@@ -126,6 +127,7 @@ def test_what_no_node_can_say(item, complaint):
         ),
         ("loop.rate", {"type": "integer", "bounds": [10, 30], "step": 20, "default": 10}, ""),
         ("loop.rate", {"type": "integer", "fixed": 40}, ""),
+        ("odd", {"type": "double", "fixed": 1.0}, ""),
         ("loop.rate", {"type": "integer", "fixed": 45}, "in steps of 10 from 10 on in the node"),
         (
             "loop.rate",

@@ -247,7 +247,7 @@ class TestRefusedValues:
                     f"constraints.{name}: the models call another one '{name}'; choose another "
                     "name",
                 )
-                for name in ("objective", "outliers", "outliers_error", "failures")
+                for name in ("objective", "outliers", "failures")
             ),
             (
                 "nodes/second",

@@ -4,6 +4,7 @@ tests/browser has the same page as a reader sees it.
 """
 
 import http.client
+import json
 import os
 import re
 import signal
@@ -85,6 +86,23 @@ class TestEnd:
         run = held(6)
         assert len(run.page_processes()) == 1
         run.process.kill()
+        wait_until(lambda: run.page_processes() == [], "the end of the page")
+
+    def test_a_reader_is_told_that_a_run_was_killed(self, held):
+        """And the page, with its port, does not outlast it for that reader."""
+        run = held(6)
+        run.ask("/state?after=-1")
+        run.process.kill()
+        now = {}
+
+        def over():
+            try:
+                now.update(json.loads(run.ask("/state?after=-1")[2])["now"])
+            except (OSError, http.client.HTTPException):
+                return True
+            return now.get("ended")
+
+        wait_until(over, "the end")
         wait_until(lambda: run.page_processes() == [], "the end of the page")
 
     def test_of_the_page_leaves_the_run_alone(self, held):

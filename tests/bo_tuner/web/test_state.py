@@ -153,3 +153,26 @@ def test_a_record_that_cannot_be_read_is_told_of_until_it_can(play, monkeypatch)
         await page.until(lambda: page.state.problem == "")
 
     play(story)
+
+
+@pytest.mark.parametrize("name", ["preliminary", "parts"])
+def test_an_unexpected_error_holds_up_neither_the_rest_nor_the_result(play, monkeypatch, name):
+    async def story(page):
+        def broken(**_):
+            raise ValueError("a matrix is singular")
+            yield
+
+        page.sections.fitted.set()
+        with monkeypatch.context() as patch:
+            patch.setattr(page.sections, name, broken)
+            page.advance(1)
+            await page.until(
+                lambda: page.state.problem.endswith("ValueError: a matrix is singular")
+            )
+        page.advance(2)
+        await page.until(lambda: page.shown().get("answer") == "best of 2")
+        page.advance(2, ended=True, verdict="kept")
+        await page.until(lambda: page.state.complete)
+        assert page.shown()["answer"] == "result of 2"
+
+    play(story)

@@ -288,7 +288,6 @@ def _joint(trials: Sequence[Trial]) -> Trial:
     latest = failed[-1] if failed else telling[0]
     return replace(
         telling[0],
-        number=first.number,
         state=latest.state,
         reason=latest.reason,
         evaluations=tuple(e for t in trials for e in t.evaluations if not e.outcome.spoilt),

@@ -10,6 +10,7 @@ from math import isfinite, sqrt
 from typing import Protocol
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from feed_axis_common.model import Array
 from feed_axis_common.parameters import build
@@ -36,8 +37,7 @@ def overshoot(reference: Array, velocity: Array, window: int) -> Array:
     The window keeps a late step down from counting as overshoot. Never below 0. Shape (...) for
     velocities (..., N).
     """
-    padded = np.pad(reference, window, mode="edge")
-    ceiling = np.lib.stride_tricks.sliding_window_view(padded, 2 * window + 1).max(axis=-1)
+    ceiling = maximum_filter1d(reference, 2 * window + 1, mode="nearest")
     return np.asarray(np.maximum(np.max(velocity - ceiling, axis=-1), 0.0))
 
 

@@ -1,7 +1,7 @@
 """The plant's ROS 2 node: cuts in lock-step with a controller, faster than real time."""
 
 from dataclasses import asdict, replace
-from time import monotonic_ns
+from time import monotonic_ns, time_ns
 
 # Ahead of rclpy and all messages: this package switches their field checks on.
 from feed_axis_common.ros.messages import (
@@ -69,7 +69,10 @@ class PlantNode(Node):
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         settings = self._parameter_table.settings
-        start = max(self.get_clock().now().nanoseconds, self._next_start)
+        # Simulated time that nobody publishes is 0, and a plant that is started anew would repeat
+        # its identifiers.
+        now = self.get_clock().now().nanoseconds or time_ns()
+        start = max(now, self._next_start)
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
         if self._running is not None:
@@ -103,6 +106,8 @@ class PlantNode(Node):
     def _begin(self, settings: PlantSettings, start: int) -> None:
         self._settings = settings
         self._watchdog.timer_period_ns = int(_watchdog_period(self._settings) * NANOSECONDS)
+        # It would end its present period first, which may be a long one.
+        self._watchdog.reset()
         self._cut = Cut(self._settings)
         self._start = start
         self._ignored = 0

@@ -27,6 +27,8 @@ from mpc_controller.settings import ControllerSettings, default_settings
 
 HOLD_LAST_INPUT = "hold_last_input"
 """The fallback of a step without a usable solution: the last command is given again."""
+FASTEST = 1e9
+"""Speed [m/s] from which on a measurement is none: some drives mark one by the largest number."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,7 @@ class MpcController:
         # Past its end the reference stays on its last value.
         self._preview = np.concatenate((r, np.full(s.prediction_horizon, r[-1])))
         self._last_input = min(max(float(r[0]) / s.gain, s.input_lower), s.input_upper)
+        self._samples = 0
         self._return_times: list[float] = []
         self._iterations = 0
         self._faults: list[str] = []
@@ -120,13 +123,29 @@ class MpcController:
     @property
     def samples_done(self) -> int:
         """Number of samples of the present cut that have their command."""
-        return len(self._return_times) if self._reference is not None else 0
+        return self._samples if self._reference is not None else 0
+
+    def skip(self) -> None:
+        """Bridge the next sample by the model: its measurement was lost, and no command was given.
+
+        The drive still has the last one. The sample is counted as a fallback in `cut_result`.
+
+        Raises
+        ------
+        ControllerError
+            As `step`.
+        """
+        k = self._expect_sample("skip")
+        self._faults.append(f"sample {k}: the measurement was lost")
+        self._kf.predict(self._last_input)
+        self._samples += 1
 
     def step(self, measurement: float) -> Step:
         """Take the measured velocity of the next sample [m/s] and give its command.
 
-        A measurement that is not finite is left out of the estimate; a program without a usable
-        solution falls back on `HOLD_LAST_INPUT`. Both are counted in `cut_result`.
+        A measurement that is not finite, or is at least `FASTEST`, is left out of the estimate; a
+        program without a usable solution falls back on `HOLD_LAST_INPUT`. Both are counted in
+        `cut_result`.
 
         Raises
         ------
@@ -134,11 +153,9 @@ class MpcController:
             If no cut was started or all samples of the cut are done.
         """
         begin = perf_counter()
-        k = self.samples_done
-        if self._reference is None or k >= self._reference.size:
-            raise ControllerError("step: no cut is running; call start with a reference first")
+        k = self._expect_sample("step")
         s = self._in_force
-        if isfinite(measurement):
+        if isfinite(measurement) and abs(measurement) < FASTEST:
             self._kf.update(measurement)
         else:
             self._faults.append(f"sample {k}: measurement is {measurement}")
@@ -152,6 +169,7 @@ class MpcController:
         else:
             self._last_input = solution.input
         self._kf.predict(self._last_input)
+        self._samples += 1
         self._iterations += solution.iterations
         elapsed = perf_counter() - begin
         self._return_times.append(
@@ -177,13 +195,19 @@ class MpcController:
             "samples": self.samples_done,
             "return_time_source": s.return_time,
             **(quantiles(self._return_times) if self._return_times else {}),
-            "mean_iterations": self._iterations / max(self.samples_done, 1),
+            "mean_iterations": self._iterations / max(len(self._return_times), 1),
             "control_horizon": s.control_horizon,
             "prediction_horizon": s.prediction_horizon,
             "lambda_mpc": s.lambda_mpc,
             "lambda_kf": s.lambda_kf,
             **({"lambda_disturbance": s.lambda_disturbance} if s.estimate_disturbance else {}),
         }
+
+    def _expect_sample(self, name: str) -> int:
+        """Return the index of the next sample."""
+        if self._reference is None or self._samples >= self._reference.size:
+            raise ControllerError(f"{name}: no cut is running; call start with a reference first")
+        return self._samples
 
     def _modelled_return_time(self, solution: Solution) -> float:
         s = self._in_force

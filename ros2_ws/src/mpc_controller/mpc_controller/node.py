@@ -28,6 +28,8 @@ from feed_axis_common.ros.parameters import NodeParameters
 from mpc_controller.controller import MpcController
 from mpc_controller.settings import ControllerSettings, default_settings
 
+PHASE_SHARE = 0.1
+"""Share of a new measurement in the phase of the samples: it follows a clock that drifts."""
 LONGEST_GAP = 200
 """Most measurements in a row that can be lost; one from further ahead is not of this cut."""
 
@@ -68,6 +70,7 @@ class ControllerNode(Node):
         self._settings = settings
         self._controller.settings = settings
         self._start = start or None
+        self._phase: float | None = None
         self._latest = start
         self._running = False
         self._ignored = 0
@@ -90,7 +93,23 @@ class ControllerNode(Node):
         time = from_stamp(measurement.header.stamp)
         if self._start is None:
             self._start = time
-        return round((time - self._start) / (self._settings.sample_time * NANOSECONDS))
+        return round(self._periods(time) - (self._phase or 0.0))
+
+    def _periods(self, time: int) -> float:
+        """Time since the start [samples]."""
+        start = time if self._start is None else self._start
+        return (time - start) / (self._settings.sample_time * NANOSECONDS)
+
+    def _follow(self, time: int, k: int) -> None:
+        """Note where between two samples of the reference a drive measures.
+
+        Its clock may be another one: half a sample off, jitter alone would give two measurements
+        one index, and the next none.
+        """
+        phase = self._periods(time) - k
+        self._phase = (
+            phase if self._phase is None else (self._phase + PHASE_SHARE * (phase - self._phase))
+        )
 
     def _on_measurement(self, message: JointState) -> None:
         settings = self._settings if self._running else self._parameter_table.settings
@@ -115,9 +134,10 @@ class ControllerNode(Node):
                 self._early = message
             return
         while controller.samples_done < k:
-            controller.step(float("nan"))
+            controller.skip()
         step = controller.step(velocity)
         time = from_stamp(message.header.stamp)
+        self._follow(time, k)
         self._latest = time
         self._command.publish(settings.joint_name, time, step.command)
         if self._estimate.subscription_count > 0:

@@ -144,6 +144,30 @@ class TestInterruption:
         assert (found["attempt"], found["trial"]) == (2, result)
         assert not (folder / "certificates" / "0001.json").exists()
 
+    def test_of_several_the_one_that_was_interrupted_goes_on(self, here, folder, monkeypatch):
+        """The result has its certificate, and is not certified again."""
+        monkeypatch.setenv("PEAK", "2")
+        assert here(folder, "--draws", "200")[0] == 3
+        result = read_run(folder).summary["trial"]
+        outcome, count = InProcessBackend.outcome, []
+
+        def stop(self, planned):
+            count.append(planned)
+            if len(count) == 5:
+                raise RunError("the plug was pulled")
+            return outcome(self, planned)
+
+        other = 0 if result else 1
+        monkeypatch.delenv("PEAK")
+        with monkeypatch.context() as patch:
+            patch.setattr(InProcessBackend, "outcome", stop)
+            assert here(folder, "--trial", str(other), "--draws", "200")[0] == 1
+        code, _, err = here(folder, "--until-pass", "3")
+        assert code == 0
+        assert "continuing an interrupted certificate after 4 evaluations" in err
+        found = certificate(folder, 2)
+        assert (found["attempt"], found["trial"]) == (2, other)
+
 
 class TestFaults:
     def test_nodes_lost_for_good(self, here, folder, monkeypatch):

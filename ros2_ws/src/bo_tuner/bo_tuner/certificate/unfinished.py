@@ -24,15 +24,17 @@ from bo_tuner.tuning.observer import RunObserver
 UNFINISHED = "unfinished.jsonl"
 
 
-def evaluations_begun(folder: Path, study: Study, trial: Trial) -> int:
+def evaluations_begun(folder: Path, study: Study, trial: Trial, backend: str = "") -> int:
     """Return how many evaluations of an unfinished certificate of a trial `validate` goes on with.
 
-    Those of anything else, or of other code, it makes anew.
+    Those of anything else, or of other code, it makes anew; and those by another backend than the
+    one that is named, if any is.
     """
     begun = _begun(folder)
     if begun is None or begun.attempt < next_attempt(folder):
         return 0
-    return begun.evaluations if begun.is_of(study, trial.parameters, begun.backend) else 0
+    is_same = begun.is_of(study, trial.parameters, backend or begun.backend)
+    return begun.evaluations if is_same else 0
 
 
 def attempt_for(folder: Path, study: Study, parameters: Mapping[str, Value], backend: str) -> int:

@@ -5,6 +5,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rich.table import Table
 
@@ -111,6 +112,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parser = make_parser()
     arguments = parser.parse_args(own)
     record = read_result(arguments.run)
+    # `latest` may name another run by the time that somebody answers.
+    record = replace(record, path=record.path.resolve())
     trial = None
     if arguments.rollback:
         if arguments.trial is not None:
@@ -146,6 +149,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 rows = differences(record.study, now, new)
                 _show(rows, f"{record.study.name}: {title}")
                 if all(row.equal for row in rows):
+                    # What an earlier one did not finish is so now.
+                    (record.path / DEPLOY / UNFINISHED).unlink(missing_ok=True)
                     say("the nodes already have these values; nothing to set")
                     return EXIT_OK
                 if not arguments.yes:
@@ -170,8 +175,7 @@ def _set(
     interruption: Interruption,
 ) -> int:
     """Set the values of a trial, or without one those to roll back to."""
-    # Resolved, since `latest` will point to another run later.
-    folder = record.path.resolve()
+    folder = record.path
     rollback = folder / DEPLOY / ROLLBACK
     unfinished = folder / DEPLOY / UNFINISHED
     was_unfinished = unfinished.exists()

@@ -281,6 +281,8 @@ class Session:
             observers.begin(Phase.TUNING, study.budget.trials)
             if tuning.trials:
                 observers.recall(tuning.trials, self._best(tuning))
+                # What others have made of them took its time, which is none of a trial.
+                self._status.restart()
             for trial in self._trials(tuning):
                 observers.trial(trial, self._best(tuning))
             observers.end(Phase.TUNING)

@@ -5,6 +5,7 @@ import contextlib
 import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from bo_tuner.certificate.store import (
     shortfall,
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
-from bo_tuner.certificate.unfinished import attempt_for
+from bo_tuner.certificate.unfinished import attempt_for, evaluations_begun
 from bo_tuner.cli.certifier import Certifier
 from bo_tuner.cli.common import (
     Parser,
@@ -147,6 +148,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     parser = make_parser()
     arguments = parser.parse_args(own)
     record = read_result(arguments.run)
+    # `latest` may name another run by the time that it ends.
+    record = replace(record, path=record.path.resolve())
     backend = arguments.backend or recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
@@ -155,6 +158,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
     trial, is_result = _trial(record, arguments.trial)
+    if most > 1 and latest_certificate(record, trial) is not None:
+        # Those ahead of one that was interrupted have theirs, too.
+        trial = _begun(record, backend) or trial
+        is_result = record.is_result(trial)
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
     last = attempt + min(most, len(record.trials)) - 1
@@ -245,6 +252,14 @@ def _draws(
         why = f" to show {constraint}, even if none violates it" if constraint else ""
         parser.error(f"--draws: expected at least {max(needed, FEWEST_DRAWS)}{why}, found {draws}")
     return draws
+
+
+def _begun(record: RunRecord, backend: str) -> Trial | None:
+    """Return the trial whose certificate an interrupted call has begun, if there is one."""
+    for trial in record.trials:
+        if evaluations_begun(record.path, record.study, trial, backend):
+            return trial
+    return None
 
 
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:

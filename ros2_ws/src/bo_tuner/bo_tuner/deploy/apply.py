@@ -102,19 +102,21 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
             _read_back(nodes, node, values)
     except NodeError as error:
         # What was set last goes first, as the nodes had it together before.
-        changed = {node: _changes(new[node], before[node]) for node in reversed(touched)}
-        failed = _set_back(nodes, changed)
+        failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)
         done = f"previous values of {', '.join(touched)} restored"
         outcome = "; ".join(failed) or (done if touched else "nothing was changed")
         raise ApplyError(f"{error}; {outcome}", restored=not failed) from error
 
 
-def _set_back(nodes: Nodes, before: NodeValues) -> list[str]:
+def _set_back(nodes: Nodes, before: NodeValues, new: NodeValues) -> list[str]:
     """Restore values of nodes, and read them back; return what failed, a line for each node."""
     failed = []
     for node, values in before.items():
         try:
-            nodes.set(node, values)
+            nodes.set(node, _changes(new[node], values))
+            # A node may have changed others along with those that it was told.
+            if others := _changes(nodes.get(node, list(values)), values):
+                nodes.set(node, others)
             _read_back(nodes, node, values)
         except NodeError as error:
             failed.append(f"{node} could not be restored: {error}")

@@ -45,6 +45,7 @@ class LiveParameters:
         self, nodes: list[str], ros_arguments: list[str], watch: Callable[[], None]
     ) -> None:
         self._claim: DomainClaim | None = None
+        self._present: dict[str, dict[str, object]] = {}
         # Once the nodes are there, nothing is to come between two requests.
         self._tuner = TunerNode(None, ros_arguments, lambda: None, NODE_NAME)
         try:
@@ -74,6 +75,9 @@ class LiveParameters:
         except SilentError as error:
             raise NodeError(str(error)) from error
         values = [to_value(value) for value in found]
+        # An empty array does not tell its type, so that of what it replaces is kept.
+        known = self._present.setdefault(node, {})
+        known |= {name: value for name, value in zip(names, values, strict=True) if value != []}
         if missing := [name for name, value in zip(names, values, strict=True) if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
         return dict(zip(names, values, strict=True))
@@ -82,7 +86,9 @@ class LiveParameters:
         """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            (result,) = self._tuner.complete([self._clients[node].set(values)])
+            (result,) = self._tuner.complete(
+                [self._clients[node].set(values, self._present.get(node))]
+            )
         except SilentError as error:
             raise NodeError(str(error)) from error
         if not result.successful:

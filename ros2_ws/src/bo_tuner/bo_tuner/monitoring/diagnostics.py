@@ -87,8 +87,12 @@ def surrogate(study: Study, now: Snapshot) -> Status:
     """Return the hyperparameters and warnings of the latest proposal as a status."""
     last = now.last
     values: dict[str, object] = {"fallbacks": now.fallbacks}
-    if last is None or not last.hyperparameters:
+    if last is None:
         return Status(SURROGATE, Level.OK, "no model yet", _text(values))
+    level = Level.WARN if last.warnings else Level.OK
+    if not last.hyperparameters:
+        message = last.warnings[0] if last.warnings else "no model yet"
+        return Status(SURROGATE, level, message, _text(values))
     space = study.search_space()
     names = Coding(space.levels).names([*space.names, *study.context_space().names])
     for model, phi in last.hyperparameters.items():
@@ -96,7 +100,6 @@ def surrogate(study: Study, now: Snapshot) -> Status:
         scales = zip(names, found.length_scales.tolist(), strict=False)
         values |= {f"{model}.length_scale.{name}": scale for name, scale in scales}
         values |= {f"{model}.signal": found.signal, f"{model}.noise": found.noise}
-    level = Level.WARN if last.warnings else Level.OK
     message = last.warnings[0] if last.warnings else f"trial {last.number}: {last.origin}"
     return Status(SURROGATE, level, message, _text(values))
 

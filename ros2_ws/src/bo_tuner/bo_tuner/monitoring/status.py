@@ -110,6 +110,10 @@ class RunStatus(RunObserver):
         self._times.recall(trials)
         self._update(incumbent=incumbent)
 
+    def restart(self) -> None:
+        """Let the next trial begin now."""
+        self._times.begin(self.now.phase)
+
     def evaluation(self, evaluation: Evaluation) -> None:
         """Count an evaluation."""
         self._times.evaluation(evaluation)

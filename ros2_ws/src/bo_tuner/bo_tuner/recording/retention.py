@@ -102,8 +102,8 @@ class Retention:
         self._sizes: dict[str, int] = {}
         self._reasons: dict[str, str] = {}
         self._worst = float("-inf")
-        bags = [bag for bag in made_bags(folder) if is_bag(bag)]
-        for path in sorted(bags, key=lambda path: (path.stat().st_mtime_ns, path.name)):
+        # In the order of the list: a clock may be set, and a copy be newer than what it is of.
+        for path in filter(is_bag, made_bags(folder)):
             data = custom_data(path)
             self._sizes[path.name] = _size(path)
             self._reasons[path.name] = data.get(KEPT_AS, "")
@@ -219,7 +219,9 @@ def made_bags(folder: Path) -> list[Path]:
     except FileNotFoundError:
         return []
     with os.fdopen(descriptor, encoding="utf-8", errors="replace") as file:
-        names = dict.fromkeys(line.strip() for line in file)
+        lines = [line.strip() for line in file]
+    # A name may have been made again: what counts is the last time.
+    names = reversed(dict.fromkeys(reversed(lines)))
     # No name leads out of the folder.
     bags = [folder / name for name in names if BAG_NAME.fullmatch(name)]
     return [bag for bag in bags if not bag.is_symlink()]

@@ -32,6 +32,7 @@ def recorded(analysis: Analysis, wanted: Evaluation) -> RecordedRun | None:
             expected = {
                 "parameters": dict(wanted.parameters),
                 "state": str(outcome.state),
+                "reason": outcome.reason,
                 "metrics": dict(outcome.metrics),
             }
             same = all(found.get(key, value) == value for key, value in expected.items())

@@ -36,13 +36,14 @@ def to_yaml(values: NodeValues) -> str:
     """Return the text of a parameter file.
 
     A node is addressed by its name in any namespace. Doubles keep their decimal point, since a
-    node refuses an integer for one.
+    node refuses an integer for one. Texts are quoted: ROS takes a plain ``y`` for true, and ``1e5``
+    or ``nan`` for a number.
     """
     nodes = {
-        f"{ANY_NAMESPACE}{node}": {SECTION: {k: _plain(v) for k, v in of_node.items()}}
+        f"{ANY_NAMESPACE}{node}": {SECTION: {k: _quoted(v) for k, v in of_node.items()}}
         for node, of_node in values.items()
     }
-    return yaml.safe_dump(nodes, sort_keys=False)
+    return yaml.dump(nodes, Dumper=_Dumper, sort_keys=False)
 
 
 def from_yaml(text: str) -> dict[str, dict[str, object]]:
@@ -66,12 +67,37 @@ def from_yaml(text: str) -> dict[str, dict[str, object]]:
             raise ValueError(
                 f"expected '{ANY_NAMESPACE}<node>' with {SECTION} only, found {checks.show(key)}"
             )
+        # A study cannot set an array without an item, but a node may have had one.
+        empty = {k: v for k, v in given.items() if v == []} if isinstance(given, dict) else {}
         try:
-            checked = checks.parameter_values(given, key)
+            rest = {k: v for k, v in given.items() if k not in empty} if empty else given
+            checked = checks.parameter_values(rest, key) | empty
         except StudyError as error:
             raise ValueError(str(error)) from error
-        values[key.removeprefix(ANY_NAMESPACE)] = {k: _plain(v) for k, v in checked.items()}
+        order = given if isinstance(given, dict) else checked
+        values[key.removeprefix(ANY_NAMESPACE)] = {k: _plain(checked[k]) for k in order}
     return values
+
+
+class _Text(str):
+    """A text that is quoted."""
+
+    __slots__ = ()
+
+
+class _Dumper(yaml.SafeDumper):
+    pass
+
+
+_Dumper.add_representer(
+    _Text, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style="'")
+)
+
+
+def _quoted(value: object) -> object:
+    if isinstance(value, (list, tuple)):
+        return [_quoted(item) for item in value]
+    return _Text(value) if isinstance(value, str) else value
 
 
 def _plain(value: object) -> object:

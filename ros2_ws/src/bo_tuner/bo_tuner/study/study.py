@@ -1,7 +1,7 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -132,7 +132,9 @@ class Study:
         checks.integer(self.seed, "seed", at_least=0)
         object.__setattr__(self, "order", _order(self.order))
         object.__setattr__(self, "start", _start(self.start))
-        object.__setattr__(self, "constraints", _one_limit_each(self.constraints))
+        taken = {f"{OUTLIERS}_{objective.metric}" for objective in self.further_objectives}
+        constraints = _one_limit_each(self.constraints, {*MODEL_NAMES, *taken})
+        object.__setattr__(self, "constraints", constraints)
         for section, most in MOST.items():
             checks.at_most(getattr(self, section), most, section)
         tuned = [name for name, item in self.parameters.items() if item.is_tuned]
@@ -392,21 +394,22 @@ class Study:
             checks.reference(name, "parameter", self.parameters, *path)
             if not self.parameters[name].is_tuned:
                 raise StudyError("is not tuned; expected tuned parameters only", (*path, name))
-            self.parameters[name].check_grid(self.park.parameters[name], *path, name)
         try:
             _ = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
 
 
-def _one_limit_each(constraints: Mapping[str, Constraint]) -> dict[str, Constraint]:
-    """Return the constraints by name, those with two limits as two."""
+def _one_limit_each(
+    constraints: Mapping[str, Constraint], taken: Collection[str]
+) -> dict[str, Constraint]:
+    """Return the constraints by name, those with two limits as two; some names are taken."""
     found: dict[str, Constraint] = {}
     for name, item in constraints.items():
         if item.name != name:
             raise StudyError(f"is called '{item.name}' in itself", ("constraints", name))
         for side in item.sides():
-            if side.name in MODEL_NAMES or side.name.startswith(f"{OUTLIERS}_"):
+            if side.name in taken:
                 raise StudyError(
                     f"the models call another one '{side.name}'; choose another name",
                     ("constraints", name),

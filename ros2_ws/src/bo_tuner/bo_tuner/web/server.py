@@ -275,7 +275,13 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
     def listen() -> None:
         for line in told:
             loop.call_soon_threadsafe(state.take, json.loads(line))
-        loop.call_soon_threadsafe(over.set)
+        loop.call_soon_threadsafe(end)
+
+    def end() -> None:
+        # A run that was killed has not said so.
+        if not state.now.get("ended"):
+            state.take({**state.now, "ended": True, "verdict": ""})
+        over.set()
 
     threading.Thread(target=listen, daemon=True).start()
     await over.wait()

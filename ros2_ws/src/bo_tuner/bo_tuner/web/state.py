@@ -110,7 +110,7 @@ class LiveState:
                 continue
             reached = (self.now.get("trials"), self.now.get("phase"), self.now.get("ended"))
             if self._over.is_set():
-                await others
+                await asyncio.wait([others])
                 if reached != made:
                     made = reached
                     await self._finish()
@@ -169,6 +169,10 @@ class LiveState:
                 self._show(part)
         except BoTunerError as error:
             self._tell(f"The page cannot be brought up to date: {error}")
+            return None
+        except Exception as error:
+            # Unexpected, but the other sections, and the result, are to be shown all the same.
+            self._tell(f"The page cannot be brought up to date: {type(error).__name__}: {error}")
             return None
         return names
 

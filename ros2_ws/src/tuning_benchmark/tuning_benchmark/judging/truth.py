@@ -240,7 +240,9 @@ class Truth:
             context = space.to_dict(self.drawn_contexts[row])
             metrics = evaluator.metrics(parameters, context, SEED + number)
             for constraint in chances:
-                seen[constraint.name].append(metrics.get(constraint.metric, np.inf))
+                # An evaluation that failed keeps no limit, on whichever side it is.
+                failed = constraint.sign * np.inf
+                seen[constraint.name].append(metrics.get(constraint.metric, failed))
         samples = [judge_sample(constraint, seen[constraint.name]) for constraint in chances]
         shares = {s.name: (s.count - s.violations) / s.count for s in samples}
         return shares, all(sample.holds for sample in samples)

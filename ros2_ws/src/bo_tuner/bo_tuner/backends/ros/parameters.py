@@ -59,8 +59,10 @@ def to_messages(
     """
     messages = []
     for name, value in values.items():
-        like = value if value or present is None else present.get(name, value)
-        kind = Parameter.Type.from_parameter_value(like)
+        had = (present or {}).get(name)
+        kind = Parameter.Type.from_parameter_value(value)
+        if isinstance(had, Sequence) and not isinstance(value, str) and value == []:
+            kind = Parameter.Type.from_parameter_value(had)
         messages.append(Parameter(name, kind, value).to_parameter_msg())
     return messages
 

@@ -261,7 +261,8 @@ class Procedure:
         what ends with the run, is its own affair.
         """
         after, planned = self._run.end.after, sum(s.wait or 0.0 for s in self._run.start[:index])
-        if after is not None and planned < after < self._recorder.seconds:
+        # Waits that add up to it may lack a rounding error.
+        if after is not None and planned < after - 1e-9 and after < self._recorder.seconds:
             raise FailedRunError(
                 f"{where(('run', 'start', index))} comes after the end of the run at {after:g} s"
             )

@@ -359,8 +359,10 @@ class _Track:
             if self.in_run:
                 self._add_late(value, self.stamps[-1] - stamp, self.clock.at(received))
                 return
-            self.stamps.clear()
-            self.values.clear()
+            # What was said of later times holds no more, as of a simulation that was reset.
+            while self.stamps and self.stamps[-1] >= stamp:
+                self.stamps.pop()
+                self.values.pop()
         self.in_a_row = 0
         self.stamps.append(stamp)
         self.values.append(value)

@@ -132,10 +132,13 @@ def _contour_panel(
 
 
 def _color_scale(analysis: Analysis, fields: Sequence[Array]) -> ColorScale:
-    """Return a scale over the lowest 90 % of all values; those above have the last colour."""
-    axis = predicted_axis(analysis.study)
+    """Return a scale over the best 90 % of all values; worse ones have the last colour."""
+    study = analysis.study
+    axis = predicted_axis(study)
     seen = np.concatenate([field[np.isfinite(field)] for field in fields])
-    low, high = np.quantile(seen, [0.0, 0.9]) if len(seen) else (0.0, 1.0)
+    is_maximized = len(study.objectives) == 1 and study.objective.sign < 0
+    shares = [0.1, 1.0] if is_maximized else [0.0, 0.9]
+    low, high = np.quantile(seen, shares) if len(seen) else (0.0, 1.0)
     if not low < high:
         low, high = low - 0.5 * (abs(low) or 1.0), low + 0.5 * (abs(low) or 1.0)
     scale = axis.scale if low > 0.0 else Scale.LINEAR

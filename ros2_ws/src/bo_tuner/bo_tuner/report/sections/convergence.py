@@ -106,8 +106,9 @@ def _objective(analysis: Analysis) -> Figure:
     line = "the posterior mean of the surrogate, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:
         line = "the mean of its evaluations; it may rise where another objective gains more"
-    shown = _within_sight(analysis, means, y.scale)
-    top = float(np.nanmax(shown))
+    shown = _from_above(_within_sight(analysis, _from_above(means, y, study), y.scale), y, study)
+    edge = "top" if study.objective.sign > 0 else "bottom"
+    worst = float(np.nanmax(shown) if study.objective.sign > 0 else np.nanmin(shown))
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
     panels = [
         Panel(
@@ -115,7 +116,7 @@ def _objective(analysis: Analysis) -> Figure:
             x=Axis(label=label),
             y=y,
             elements=[
-                *_incumbent_lines(found, places, top),
+                *_incumbent_lines(found, places, worst, study),
                 *_default_line(analysis),
                 *trial_points(analysis, analysis.trials, places, shown),
             ],
@@ -130,7 +131,7 @@ def _objective(analysis: Analysis) -> Figure:
         title=f"Mean {study.objective.metric} of each trial, and of the incumbent",
         caption="The incumbent is the parameter set that would be the result if the run ended "
         f"there; its line is {line}. Failed and lost trials, which have no value, and values far "
-        "above the others are at the top, and so is the line.",
+        f"worse than the others are at the {edge}, and so is the line.",
         alternative=_summary(analysis, found),
         panels=panels,
         columns=2,
@@ -276,8 +277,18 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     return first_by(models, study, trials, algorithm.models)
 
 
-def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array, top: float) -> list[Element]:
-    """Return two lines up to the top: incumbents believed feasible, and least violating ones."""
+def _from_above(values: Array, axis: Axis, study: Study) -> Array:
+    """Return values (n,) of the objective as if it were minimized, or such values as they were."""
+    if study.objective.sign > 0:
+        return values
+    return 1.0 / values if axis.scale is Scale.LOG else -values
+
+
+def _incumbent_lines(
+    found: Sequence[tuple[int, Candidate]], x: Array, worst: float, study: Study
+) -> list[Element]:
+    """Return two lines up to the worst value shown: feasible and least violating incumbents."""
+    within = min if study.objective.sign > 0 else max
     lines: list[Element] = []
     places = [x[k] for k, _ in found]
     for feasible, name, color, dash in (
@@ -285,7 +296,8 @@ def _incumbent_lines(found: Sequence[tuple[int, Candidate]], x: Array, top: floa
         (False, "incumbent, not feasible", Color.GRAY, Dash.DOTTED),
     ):
         y = [
-            min(c.objective, top) if c.believed_feasible is feasible else math.nan for _, c in found
+            within(c.objective, worst) if c.believed_feasible is feasible else math.nan
+            for _, c in found
         ]
         if not np.all(np.isnan(y)):
             lines.append(

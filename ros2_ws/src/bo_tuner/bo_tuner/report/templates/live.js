@@ -2,7 +2,8 @@
 (() => {
   // The page of a run in progress: asks for what is new, and replaces the sections that changed.
   const RETRY = 2000; // after a request that failed [ms]
-  const MOST_FAILURES = 3; // in a row, after which the run counts as gone
+  const MOST_FAILURES = 3; // in a row, after which the reader is told
+  const LATER = 10000; // after more of them [ms]: a tunnel may be mended, and a laptop wake up
   const main = document.getElementById("main");
   const now = document.getElementById("now");
   const title = now.querySelector("h2");
@@ -83,12 +84,37 @@
     if (old) {
       const open = [...old.querySelectorAll("details")].map((details) => details.open);
       section.querySelectorAll("details").forEach((details, k) => { details.open = open[k] || false; });
+      leave(old);
       old.replaceWith(section);
     } else {
       main.append(section);
     }
     linkTrials(section);
     section.dispatchEvent(new CustomEvent("replaced", { bubbles: true }));
+    if (old) keepTables(old, section);
+  }
+
+  // What watches a section would keep it in memory.
+  function leave(section) {
+    section.dispatchEvent(new CustomEvent("removed", { bubbles: true }));
+  }
+
+  // The words that a table is filtered by, and the column that it is sorted by.
+  function keepTables(old, section) {
+    const filters = [...section.querySelectorAll(".filter input")];
+    [...old.querySelectorAll(".filter input")].forEach((input, k) => {
+      if (!input.value || !filters[k]) return;
+      filters[k].value = input.value;
+      filters[k].dispatchEvent(new Event("input"));
+    });
+    const tables = [...section.querySelectorAll("table.sortable")];
+    [...old.querySelectorAll("table.sortable")].forEach((table, k) => {
+      const column = [...table.tHead.rows[0].cells].findIndex((head) => head.hasAttribute("aria-sort"));
+      const head = column >= 0 && tables[k] && tables[k].tHead.rows[0].cells[column];
+      if (!head) return;
+      const clicks = table.tHead.rows[0].cells[column].getAttribute("aria-sort") === "descending" ? 2 : 1;
+      for (let n = 0; n < clicks; n += 1) head.querySelector("button").click();
+    });
   }
 
   function linkTrials(section) {
@@ -96,6 +122,7 @@
       if (table.tHead.rows[0].cells[0].textContent.trim() !== "trial") continue;
       for (const row of table.tBodies[0].rows) {
         const number = row.cells[0].textContent.trim();
+        if (!/^\d+$/.test(number)) continue;
         const link = document.createElement("a");
         link.href = `trials/${number}`;
         link.textContent = number;
@@ -107,7 +134,9 @@
   function putInOrder(order) {
     const found = order.map(of).filter(Boolean);
     for (const section of [...main.querySelectorAll(":scope > section")]) {
-      if (section !== now && !found.includes(section)) section.remove();
+      if (section === now || found.includes(section)) continue;
+      leave(section);
+      section.remove();
     }
     // Without moving what is in place: a moved figure would be drawn again.
     let before = now;
@@ -145,25 +174,24 @@
         const answer = await fetch(`state?after=${version}`, { cache: "no-store" });
         if (!answer.ok) throw new Error(answer.statusText);
         const news = await answer.json();
-        failures = 0;
-        version = news.version;
         showNow(news.now, news.problem);
         for (const [name, html] of Object.entries(news.sections)) {
           waiting.delete(name);
           replace(name, html);
         }
         putInOrder(news.order);
+        // What went wrong with the sections would be asked for again.
+        version = news.version;
+        failures = 0;
         document.documentElement.dataset.version = version;
         if (news.complete) return;
         ended = news.now.ended;
       } catch (error) {
         if (ended) return;
         failures += 1;
-        if (failures >= MOST_FAILURES) {
-          title.textContent = "The run has ended, or cannot be reached; this is its last state";
-          return;
-        }
-        await new Promise((done) => setTimeout(done, RETRY));
+        const gone = failures >= MOST_FAILURES;
+        if (gone) title.textContent = "The run has ended, or cannot be reached; this is its last state";
+        await new Promise((done) => setTimeout(done, gone ? LATER : RETRY));
       }
     }
   }

@@ -107,6 +107,13 @@
     setTimeout(drawNext, 50);
   });
 
+  document.addEventListener("removed", (event) => {
+    for (const figure of figures.filter((f) => event.target.contains(f.element))) {
+      watcher.unobserve(figure.element);
+      figure.plots.forEach((plot) => Plotly.purge(plot));
+    }
+  });
+
   function redraw() {
     for (const figure of figures) if (figure.theme) figure.draw(theme());
   }

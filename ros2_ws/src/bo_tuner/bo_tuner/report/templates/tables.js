@@ -39,7 +39,9 @@
     const empty = (row) => ["", "–"].includes(text(row));
     const compare = (a, b) => {
       const [x, y] = [Number(text(a)), Number(text(b))];
-      return Number.isNaN(x) || Number.isNaN(y) ? text(a).localeCompare(text(b)) : x - y;
+      return Number.isNaN(x) || Number.isNaN(y)
+        ? text(a).localeCompare(text(b), undefined, { numeric: true })
+        : x - y;
     };
     return [...rows].sort(
       (a, b) => empty(a) - empty(b) || (falling ? compare(b, a) : compare(a, b))
@@ -71,4 +73,11 @@
   }
   adopt(document);
   document.addEventListener("replaced", (event) => adopt(event.target));
+  // Some browsers keep what is observed.
+  document.addEventListener("removed", (event) => {
+    for (const region of event.target.querySelectorAll(".scroll")) {
+      watcher.unobserve(region);
+      watcher.unobserve(region.firstElementChild);
+    }
+  });
 })();
