@@ -233,8 +233,8 @@ def _off_steps(item: Parameter, name: str, described: Described) -> str:
         return math.isclose(steps, round(steps), rel_tol=1e-9, abs_tol=1e-9)
 
     # The ends of a range are taken whatever its steps.
-    is_between = item.fixed is not None and float(item.fixed) < described.upper
-    offsets = [float(item.fixed) - described.lower] if is_between else []
+    fixed = [] if item.fixed is None else [float(item.fixed)]
+    offsets = [value - described.lower for value in fixed if value < described.upper]
     if item.bounds is not None:
         step = 1.0 if item.is_integer and item.step is None else item.step
         # Without steps of its own a double has all values.
