@@ -223,6 +223,29 @@ class TestSources:
         assert changed_sources(before, after) == ["their_axis"]
         assert "their_axis" not in sys.modules
 
+    def test_what_a_package_ships_beside_its_code_shows(self, tmp_path, digests, monkeypatch):
+        """Such as the defaults of a plant; in the source tree, and installed."""
+        source = tmp_path / "src" / "their_axis"
+        installed = tmp_path / "lib" / "python3" / "site-packages"
+        for code, config in (
+            (source, source / "config"),
+            (installed, tmp_path / "share" / "their_axis" / "config"),
+        ):
+            (code / "their_axis").mkdir(parents=True)
+            (code / "their_axis" / "__init__.py").touch()
+            config.mkdir(parents=True)
+            (config / "defaults.yaml").write_text("gain: 1.0")
+        (source / "package.xml").touch()
+        for code, config in (
+            (source, source / "config"),
+            (installed, tmp_path / "share" / "their_axis" / "config"),
+        ):
+            with monkeypatch.context() as patch:
+                patch.syspath_prepend(code)
+                before = digests("ros")
+                (config / "defaults.yaml").write_text("gain: 2.0")
+                assert changed_sources(before, digests("ros")) == ["their_axis"]
+
     def test_the_digest_covers_the_whole_package(self):
         """Not one folder of it only."""
         whole = hashlib.sha256()

@@ -67,8 +67,9 @@ def sources(study: Study, backend: str) -> dict[str, str]:
     """Return digests of the code that evaluates a study, as it lies on the disk.
 
     A commit tells nothing of changes since. Beside this package these are the Python packages
-    installed here of the nodes that a study starts or, in process, of its objects. What is not
-    written in Python, or runs on another machine, has no digest.
+    installed here of the nodes that a study starts or, in process, of its objects, with what they
+    ship in ``config``, such as their defaults. What is not written in Python, or runs on another
+    machine, has no digest.
 
     Returns
     -------
@@ -126,7 +127,22 @@ def _digest(package: str) -> str:
         for path in sorted(folder.rglob("*.py")):
             digest.update(path.relative_to(folder).as_posix().encode() + path.read_bytes())
             found = True
+        if package == OWN_PACKAGE:
+            # It ships studies, each of which has a digest of its own.
+            continue
+        config = _config(folder.resolve(), package)
+        for path in sorted(p for p in config.rglob("*") if p.is_file()):
+            digest.update(path.relative_to(config).as_posix().encode() + path.read_bytes())
     if spec.submodule_search_locations is None and spec.origin and Path(spec.origin).is_file():
         digest.update(Path(spec.origin).read_bytes())
         found = True
     return digest.hexdigest() if found else ""
+
+
+def _config(package: Path, name: str) -> Path:
+    """Return the folder of what a package ships beside its code, whether it is there or not."""
+    if (package.parent / "package.xml").is_file():
+        return package.parent / "config"
+    # From lib/pythonX.Y/site-packages on.
+    prefix = package.parents[3] if len(package.parents) > 3 else package
+    return prefix / "share" / name / "config"

@@ -71,7 +71,9 @@ class ParameterClient:
         with a list that is empty, which they need not expect.
         """
         for kind in self._clients:
-            while kind is not SetParametersAtomically:
+            if kind is SetParametersAtomically:
+                continue
+            while True:
                 try:
                     self._tuner.complete([self._calling(kind, kind.Request())], ATTEMPT)
                     break

@@ -60,9 +60,8 @@ def to_messages(
     messages = []
     for name, value in values.items():
         had = (present or {}).get(name)
-        kind = Parameter.Type.from_parameter_value(value)
-        if isinstance(had, Sequence) and not isinstance(value, str) and value == []:
-            kind = Parameter.Type.from_parameter_value(had)
+        like = had if value == [] and isinstance(had, list) else value
+        kind = Parameter.Type.from_parameter_value(like)
         messages.append(Parameter(name, kind, value).to_parameter_msg())
     return messages
 
