@@ -24,7 +24,7 @@ from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK
 from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.recording.bag import Message
-from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.replay.replay import (
     BEST,
     WORST,
@@ -165,7 +165,7 @@ def _run_both(
 ) -> tuple[Replay, Evaluation, Inbox, dict[str, list[Message]]]:
     """Run the evaluation, then with the default parameters; return both with their messages."""
     inbox = Inbox()
-    listener = TopicListener(ros.context, ros.nodes, ros.topics, inbox)
+    listener = listen_to(ros, inbox)
     try:
         inbox.collect(listener.take)
         result = replay(record, recorded, ros)

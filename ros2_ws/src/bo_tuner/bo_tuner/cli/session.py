@@ -23,7 +23,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.optimizers.ranking import Candidate, incumbent
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
-from bo_tuner.recording.topic_listener import TopicListener
+from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
@@ -306,7 +306,7 @@ class Session:
             self._folder.path,
             self._study,
             self._options.record,
-            None if ros is None else partial(TopicListener, ros.context, ros.nodes, ros.topics),
+            None if ros is None else partial(listen_to, ros),
             self._display.warn,
             *(() if ros is None else (lambda: ros.recording,)),
         )

@@ -11,6 +11,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_or_service_is_hidden import topic_or_service_is_hidden
 
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.lost_messages import LostMessages
 from bo_tuner.backends.ros.messages import interface_class
 from bo_tuner.errors import StudyError
@@ -149,6 +150,13 @@ class TopicListener:
     def _run(self) -> None:
         while not self._stop.wait(PERIOD):
             self.take()
+
+
+def listen_to(backend: RosBackend, sink: Sink) -> TopicListener:
+    """Return a listener to the nodes of an open backend, which know its subscriptions by now."""
+    listener = TopicListener(backend.context, backend.nodes, backend.topics, sink)
+    backend.meet_nodes()
+    return listener
 
 
 @dataclass

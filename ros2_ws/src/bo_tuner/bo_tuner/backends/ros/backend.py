@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -30,7 +31,7 @@ from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.take_over import take_over
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
@@ -196,6 +197,13 @@ class RosBackend(SequentialBackend):
     def context(self) -> Context:
         """ROS context of the tuner; there while the backend is open."""
         return self._opened.tuner.context
+
+    def meet_nodes(self) -> None:
+        """Wait until the nodes send here all that this process has subscribed to so far."""
+        for key in self._study.nodes:
+            # One that is silent is lost in the next evaluation.
+            with contextlib.suppress(LostError):
+                self._opened.client.presence.meet(key, time.monotonic() + CALL_TIMEOUT)
 
     def park(self) -> list[str]:
         """Set the safe parameters on all nodes and read them back.
