@@ -17,6 +17,7 @@ from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
 from bo_tuner.deploy.apply import ApplyError, set_values
 from bo_tuner.deploy.live_parameters import LiveParameters
@@ -243,7 +244,7 @@ def test_two_controllers(record, now, start_node, peer, capsys, monkeypatch, rol
     code, out, err = apply(capsys, record, "--yes", *["--rollback"][:rollback])
     assert (code, out) == (2, "")
     domain = os.environ["ROS_DOMAIN_ID"]
-    expected = f"mpc_controller runs more than once in ROS domain {domain}; end all but one"
+    expected = f"mpc_controller runs more than once in ROS domain {domain}; {END_OTHERS}"
     assert err == f"error: {expected}\n"
     twin.end()
     peer.spin_until(lambda: peer.node.count_services(service) == 1, "one")
@@ -259,7 +260,7 @@ def test_a_second_node_that_comes_before_anything_is_set_has_changed_nothing():
         wait_until(lambda: live._clients["servo"].servers() == 2, "both")
         with pytest.raises(ApplyError) as caught:
             set_values(live, {"servo": {"gain": 0.5}}, {"servo": {"gain": 0.75}})
-        assert str(caught.value).endswith("; end all but one; nothing was changed")
+        assert str(caught.value).endswith(f"; {END_OTHERS}; nothing was changed")
         assert caught.value.restored
         assert servo.get_parameter("gain").value == 0.5
 

@@ -1,28 +1,39 @@
 """`tune --init` on running nodes: what it sees, what it asks, and what it writes."""
 
 import errno
+import math
 import os
 import re
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 from commands import environment, run
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from in_process import call
 from node_threads import at_work
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action import ActionServer
 from rclpy.node import Node
-from sensor_msgs.msg import JointState, LaserScan
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image, JointState, LaserScan, PointCloud2
 from servo import System, study
 from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
 from test_msgs.action import Fibonacci
 from waiting import DEADLINE
 
+from bo_tuner.backends.ros.graph import _described
 from bo_tuner.backends.ros.isolation import DomainClaim
-from bo_tuner.backends.ros.messages import number_fields, number_reader
-from bo_tuner.backends.ros.survey import _look
+from bo_tuner.backends.ros.messages import (
+    has_numbers_in_arrays,
+    interface_class,
+    is_bulky,
+    number_fields,
+    number_reader,
+)
+from bo_tuner.backends.ros.survey import _ends, _look
 from bo_tuner.cli import tune
 from bo_tuner.cli.init import numbers
 from bo_tuner.errors import StudyError
@@ -309,6 +320,68 @@ def test_the_numbers_in_a_message(message, expected):
     assert {key: found.get(key) for key in expected} == expected
     for key, value in found.items():
         assert number_reader(type(message), field_path(key))(message) == value
+
+
+def test_images_are_not_listened_to():
+    """To send them costs a system that is at work."""
+    assert [is_bulky(cls) for cls in (Image, PointCloud2, JointState, LaserScan)] == [
+        True, True, False, False,
+    ]  # fmt: skip
+    assert has_numbers_in_arrays(Float64MultiArray)
+    assert not has_numbers_in_arrays(Float64)
+
+
+@pytest.mark.parametrize(
+    ("given", "value", "expected"),
+    [
+        (FloatingPointRange(from_value=0.0, to_value=sys.float_info.max), 1.0, (0.0, math.inf)),
+        (FloatingPointRange(from_value=-sys.float_info.max, to_value=2.0), 1.0, (-math.inf, 2.0)),
+        (IntegerRange(from_value=1, to_value=2**63 - 1), 3, (1.0, math.inf)),
+        (IntegerRange(from_value=-(2**63), to_value=9), 3, (-math.inf, 9.0)),
+        (FloatingPointRange(from_value=0.0, to_value=1e6), 1.0, (0.0, 1e6)),
+    ],
+)
+def test_the_largest_number_is_no_end_of_a_range(given, value, expected):
+    """As of a limit on one side alone, which a descriptor cannot tell otherwise."""
+    kind = "integer" if isinstance(given, IntegerRange) else "floating_point"
+    descriptor = ParameterDescriptor(**{f"{kind}_range": [given]})
+    found = _described(descriptor, Parameter("kp", value=value).to_parameter_msg().value)
+    assert (found.lower, found.upper) == expected
+    assert found.has_range == all(map(math.isfinite, expected))
+
+
+def test_a_node_of_another_namespace_has_it_in_its_name():
+    """Each robot of a fleet has a controller."""
+    tuner = SimpleNamespace(node=SimpleNamespace(get_namespace=lambda: "/robot1"))
+    ends = [
+        SimpleNamespace(node_name="controller", node_namespace=namespace)
+        for namespace in ("/robot1", "/robot2")
+    ]
+    assert _ends(tuner, ends) == ("/robot2/controller", "controller")
+
+
+def test_a_type_that_is_here_and_cannot_be_used(monkeypatch):
+    """As one that was built for another Python."""
+
+    class Broken(type):
+        _TYPE_SUPPORT = None
+
+        @classmethod
+        def __import_type_support__(cls):
+            raise RuntimeError("no C extension\nfor this Python")
+
+    module = ModuleType("broken_msgs.msg")
+    module.Load = Broken("Load", (), {})
+    monkeypatch.setitem(sys.modules, "broken_msgs", ModuleType("broken_msgs"))
+    monkeypatch.setitem(sys.modules, "broken_msgs.msg", module)
+    with pytest.raises(StudyError) as caught:
+        interface_class("broken_msgs/msg/Load")
+    assert str(caught.value).startswith(
+        "type broken_msgs/msg/Load cannot be loaded: RuntimeError: "
+    )
+    assert "\n" not in str(caught.value)
+    with pytest.raises(StudyError, match="type Load is not installed"):
+        interface_class("Load")
 
 
 def test_stamps_and_long_arrays_are_no_numbers_to_follow():

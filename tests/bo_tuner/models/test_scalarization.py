@@ -71,3 +71,10 @@ def test_every_point_of_a_concave_front_is_the_best_for_some_weights():
         chebyshev = Chebyshev(np.array([share, 1.0 - share]), np.zeros(2), np.ones(2))
         found.add(int(np.argmin(chebyshev(costs))))
     assert found == set(range(21))
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1.7e18, -1e60])
+def test_one_point_of_any_size_has_a_scale(size):
+    """Of large numbers, 1 more is the same."""
+    found = Chebyshev.between(np.full((1, 2), size), np.array([True]), np.array([0.5, 0.5]))
+    assert np.isfinite(found(np.full((1, 2), size))).all()

@@ -1,6 +1,7 @@
 """Constraints: an upper limit, a lower one, or both."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from scipy.stats import norm
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.references import check_constraint
+from bo_tuner.study.signals import SignalMetric
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 
 BOTH = {"kind": "worst_case", "metric": "peak", "lower": 0.2, "upper": 1.0}
@@ -123,3 +126,15 @@ class TestRefusals:
             "constraints.peak: is split into 'peak_upper' and another, but there is such a "
             "constraint"
         )
+
+
+@pytest.mark.parametrize(
+    ("upper", "why"),
+    [(-1.0, "no run keeps it"), (0.0, "nothing could show that it is kept")],
+)
+def test_a_limit_at_the_least_value_of_a_measure(upper, why):
+    metric = SignalMetric(name="over", of="x", measure="overshoot", target=1.0)
+    limit = Constraint(name="over", kind="worst_case", metric="over", upper=upper)
+    with pytest.raises(StudyError, match=f"{why}: overshoot is at least 0; expected a limit above"):
+        check_constraint(limit, {"over": metric})
+    check_constraint(replace(limit, upper=1e-3), {"over": metric})

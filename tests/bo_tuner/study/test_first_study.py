@@ -84,6 +84,23 @@ class TestParameters:
         assert offer.fields.get("scale") == scale
         assert "CHECK" in offer.remark
 
+    @pytest.mark.parametrize(
+        ("kind", "value", "lower", "upper", "bounds", "told"),
+        [
+            ("double", 0.5, 0.0, math.inf, [0.05, 5.0], "gives no range but from 0"),
+            ("double", 0.5, 0.25, math.inf, [0.25, 5.0], "gives no range but from 0.25"),
+            ("double", 0.5, -math.inf, 1.0, [0.05, 1.0], "gives no range but to 1"),
+            ("integer", 8, 4.0, math.inf, [4, 32], "gives no range but from 4"),
+        ],
+    )
+    def test_of_a_limit_on_one_side_the_other_bound_is_a_guess(
+        self, kind, value, lower, upper, bounds, told
+    ):
+        """The range in a descriptor has two ends, of which one may be the largest number."""
+        offer = offers(kp=Described(kind, value, lower, upper))[0]["kp"]
+        assert offer.fields["bounds"] == bounds
+        assert offer.remark == f"CHECK: a guess; the node {told}"
+
     def test_a_range_of_decades_is_searched_by_its_logarithm(self):
         found, _ = offers(
             wide=Described("double", 1.0, 0.01, 1.0), narrow=Described("double", 1.0, 0.02, 1.0)
@@ -241,6 +258,23 @@ class TestStudy:
         (step,) = parse_study(text).run.start
         assert step.send_goal.action == "/turn"
         assert "# x_msgs/action/Turn: angle (double)" in text
+
+    def test_nodes_in_simulated_time_have_runs_in_simulated_time(self):
+        text, study = written([pid(use_sim_time=Described("boolean", True))], [STATES])
+        assert study.run.clock == "sim"
+        assert "CHECK: the nodes use simulated time" in text
+        _, study = written([pid(use_sim_time=Described("boolean", False))], [STATES])
+        assert study.run.clock == "wall"
+
+    def test_what_is_not_finite_is_not_suggested(self):
+        """As of a joint without a sensor of its effort: it would fail every run."""
+        fields = {"position[a]": 0.1, "effort[a]": math.nan}
+        states = SeenTopic("/joint_states", "sensor_msgs/msg/JointState", fields, ("motor",))
+        text, study = written([pid()], [states])
+        assert [signal.field for signal in study.signals.values()] == ["position[a]"]
+        assert "effort[a]" in text
+        (_, effort) = signal_offers(states)
+        assert effort.remark == "from motor; not finite now"
 
     def test_a_seed_is_not_tuned(self):
         """Uncommented, it is the study's."""

@@ -9,6 +9,8 @@ The compromise with equal weights has slope 0.374: with u = slope - 0.2 the scal
 u^2 / 0.09 = ((0.6 - u)^2 - 0.09) / 0.27.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -178,3 +180,18 @@ def test_the_verdict_knows_the_direction_of_each(study):
     }
     assert found["near"] is Change.BETTER
     assert found["far"] is Change.WORSE
+
+
+def test_trials_of_one_parameter_set_are_one_point(study, run):
+    """In a space smaller than the budget; alone, the luckiest of them would be on the front."""
+    trials, _ = run
+    ranked = rank(study, trials, ALGORITHMS["IV"].models)
+    on_front = {point.trial: point for point in pareto_front(study, ranked)}
+    found = next(c for c in ranked if c.trial.number in on_front)
+    twin = replace(found, trial=replace(found.trial, number=99))
+    (point,) = pareto_front(study, [found, twin])
+    assert point.trial == found.trial.number
+    alone = on_front[found.trial.number].means
+    for metric, mean in point.means.items():
+        assert mean.count == 2 * alone[metric].count
+        assert mean.value == pytest.approx(alone[metric].value)

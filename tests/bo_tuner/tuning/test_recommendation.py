@@ -186,3 +186,22 @@ def test_what_crashed_in_its_check_is_not_the_answer_where_others_did_not(
     assert not answer.feasible
     assert answer.checked[0] == trials[-1].number
     assert not answer.candidate.trial.failed_again
+
+
+def test_a_set_that_was_run_in_several_trials_has_one_check(
+    study, make_trial, function_backend, failed
+):
+    """Of several, one would pass by luck, though the first has crashed."""
+    trials = flattering(make_trial)[:4]
+    best = trials[-1]
+    trials += [replace(best, number=number) for number in (4, 5, 6)]
+
+    def axis_that_crashes_once(x, load, seed):
+        calls.append(x)
+        first = x == best.parameters["x"] and calls.count(x) == 1
+        return failed("axis: stalled") if first else {"error": 1.0, "peak": 0.1}
+
+    calls = []
+    answer = recommend(study, function_backend(study, axis_that_crashes_once), trials)
+    assert answer.candidate.trial.parameters != best.parameters
+    assert len({number for number in answer.checked if number >= 3}) == 1

@@ -238,6 +238,11 @@ class Trial:
         return DISTURBED if self.disturbed else str(EvaluationState.LOST)
 
     @property
+    def parameter_set(self) -> tuple[tuple[str, Value], ...]:
+        """The parameters as a hashable key, which trials of equal ones share."""
+        return tuple(sorted(self.parameters.items()))
+
+    @property
     def failed_again(self) -> bool:
         """Whether it failed for its parameters when it was checked or run again."""
         outcomes = [e.outcome for e in self.evaluations if e.stage in CHECKS]
@@ -275,7 +280,7 @@ def pooled(trials: Iterable[Trial]) -> list[Trial]:
     """
     sets: dict[tuple[tuple[str, Value], ...], list[Trial]] = {}
     for trial in trials:
-        sets.setdefault(tuple(sorted(trial.parameters.items())), []).append(trial)
+        sets.setdefault(trial.parameter_set, []).append(trial)
     return [_joint(of_set) for of_set in sets.values()]
 
 

@@ -46,6 +46,7 @@ class PlantNode(Node):
         self._settings = self._parameter_table.settings
         self._cut: Cut | None = None
         self._start = 0
+        self._lacks_clock = False
         self._next_start = 1  # a reference stamped zero would start with any measurement
         self._ignored = 0
         self._resent = 0
@@ -69,9 +70,14 @@ class PlantNode(Node):
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         settings = self._parameter_table.settings
-        # Simulated time that nobody publishes is 0, and a plant that is started anew would repeat
-        # its identifiers.
-        now = self.get_clock().now().nanoseconds or time_ns()
+        now = self.get_clock().now().nanoseconds
+        if not now and not self._start:
+            # Simulated time that nobody publishes: a plant that is started anew would repeat its
+            # identifiers.
+            now, self._lacks_clock = time_ns(), True
+        elif now and self._lacks_clock:
+            # The time of the machine is none to go on from.
+            self._next_start, self._lacks_clock = 1, False
         start = max(now, self._next_start)
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False

@@ -30,6 +30,8 @@ from mpc_controller.settings import ControllerSettings, default_settings
 
 PHASE_SHARE = 0.1
 """Share of a new measurement in the phase of the samples: it follows a clock that drifts."""
+JITTER = 0.3
+"""Largest distance of the first measurement from its sample [samples] that is taken for jitter."""
 LONGEST_GAP = 200
 """Most measurements in a row that can be lost; one from further ahead is not of this cut."""
 
@@ -107,9 +109,9 @@ class ControllerNode(Node):
         one index, and the next none.
         """
         phase = self._periods(time) - k
-        self._phase = (
-            phase if self._phase is None else (self._phase + PHASE_SHARE * (phase - self._phase))
-        )
+        if self._phase is None:
+            self._phase = phase if abs(phase) > JITTER else 0.0
+        self._phase += PHASE_SHARE * (phase - self._phase)
 
     def _on_measurement(self, message: JointState) -> None:
         settings = self._settings if self._running else self._parameter_table.settings
@@ -129,6 +131,8 @@ class ControllerNode(Node):
             return
         if k < controller.samples_done:
             if k == controller.samples_done - 1:
+                # A drive may measure more often, too.
+                self._follow(from_stamp(message.header.stamp), k)
                 self._command.repeat()
             else:
                 self._early = message

@@ -64,7 +64,7 @@ class TestInterruption:
         unfinished.write_text(unfinished.read_text()[:-9])
         code, _, err = here(folder)
         assert code == 0
-        assert "continuing an interrupted certificate after 58 evaluations" in err
+        assert f"certificate of trial {expected['trial']} after 58 evaluations" in err
         assert (folder / "certificates" / "0001_evaluations.csv").read_bytes() == whole
         found = certificate(folder)
         assert found["tuned"] == expected["tuned"]
@@ -164,7 +164,7 @@ class TestInterruption:
             assert here(folder, "--trial", str(other), "--draws", "200")[0] == 1
         code, _, err = here(folder, "--until-pass", "3")
         assert code == 0
-        assert "continuing an interrupted certificate after 4 evaluations" in err
+        assert f"continuing the interrupted certificate of trial {other} after 4 evaluations" in err
         found = certificate(folder, 2)
         assert (found["attempt"], found["trial"]) == (2, other)
 
@@ -214,7 +214,7 @@ class TestFaults:
         # Nothing is run again, and the attempt keeps its share of the error probability.
         code, _, err = here(folder)
         assert code == 0
-        assert "continuing an interrupted certificate" in err
+        assert "continuing the interrupted certificate" in err
         assert certificate(folder, 2)["attempt"] == 2
 
 

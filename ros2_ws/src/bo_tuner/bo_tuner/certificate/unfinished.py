@@ -6,7 +6,7 @@ the columns of the journal. It goes when the certificate is written.
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,17 +24,27 @@ from bo_tuner.tuning.observer import RunObserver
 UNFINISHED = "unfinished.jsonl"
 
 
-def evaluations_begun(folder: Path, study: Study, trial: Trial, backend: str = "") -> int:
+def evaluations_begun(folder: Path, study: Study, trial: Trial) -> int:
     """Return how many evaluations of an unfinished certificate of a trial `validate` goes on with.
 
-    Those of anything else, or of other code, it makes anew; and those by another backend than the
-    one that is named, if any is.
+    Those of anything else, or of other code, it makes anew.
     """
     begun = _begun(folder)
     if begun is None or begun.attempt < next_attempt(folder):
         return 0
-    is_same = begun.is_of(study, trial.parameters, backend or begun.backend)
-    return begun.evaluations if is_same else 0
+    return begun.evaluations if begun.is_of(study, trial.parameters, begun.backend) else 0
+
+
+def trial_begun(folder: Path, study: Study, trials: Iterable[Trial], backend: str) -> Trial | None:
+    """Return the trial whose unfinished certificate `validate` goes on with, if there is one."""
+    begun = _begun(folder)
+    if begun is None or begun.attempt < next_attempt(folder):
+        return None
+    for trial in trials:
+        # The head has digests of all code, which take their time.
+        if parameters_sha256(trial.parameters) in begun.head:
+            return trial if begun.is_of(study, trial.parameters, backend) else None
+    return None
 
 
 def attempt_for(folder: Path, study: Study, parameters: Mapping[str, Value], backend: str) -> int:

@@ -91,7 +91,9 @@ class Certifier:
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
-            self.console.print(f"continuing an interrupted certificate after {done}")
+            self.console.print(
+                f"continuing the interrupted certificate of trial {trial.number} after {done}"
+            )
         backend = RecordedEvaluations(nodes, study, unfinished.evaluations)
         try:
             bar, observers = _Bar(self.console), Observers()

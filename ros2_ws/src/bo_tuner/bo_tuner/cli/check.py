@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -31,7 +31,9 @@ from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.descriptors import node_problems
+from bo_tuner.study.descriptors import Described, node_problems
+from bo_tuner.study.offers import USE_SIM_TIME
+from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown
@@ -69,7 +71,8 @@ def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interr
         If the nodes cannot be had.
     """
     with opened_node(ros_arguments, interruption.check) as tuner:
-        problems, notes = _look(study, tuner)
+        heard = _heard(study, tuner)
+        problems, notes = _look(study, tuner, heard)
     for note in notes:
         say(f"note: {note}")
     for text in problems:
@@ -81,11 +84,17 @@ def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interr
         f"the nodes match the study: {counted(len(study.parameters), 'parameter')} and "
         f"{counted(len(study.signals), 'signal')}"
     )
-    return _try(study, ros_arguments, interruption)
+    return _try(study, heard, ros_arguments, interruption)
 
 
-def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
-    """Hold parameters, signals and steps against the graph; problems and notes, a line each."""
+def _look(
+    study: Study, tuner: TunerNode, heard: Mapping[str, Signal]
+) -> tuple[list[str], list[str]]:
+    """Hold parameters, signals and steps against the graph; problems and notes, a line each.
+
+    What a run itself publishes has no publisher yet, so of signals only those are looked for that
+    are `heard` from others.
+    """
     problems: list[str] = []
     notes = [study.budget.warning] if study.budget.warning else []
     defaults = study.search_space().defaults
@@ -97,6 +106,8 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
             problems.append(f"nodes.{key}: {error}")
             absent += 1
             continue
+        if note := _other_clock(study, key, known):
+            notes.append(note)
         errors = node_problems(study, key, known)
         problems += [str(error) for error in errors]
         refused = {error.path for error in errors}
@@ -117,20 +128,40 @@ def _look(study: Study, tuner: TunerNode) -> tuple[list[str], list[str]]:
         return problems, notes
     if study.run is not None and not study.run.start:
         notes.append("run.start: missing, so nothing sends a reference when a run starts")
-    # What a run itself publishes has no publisher yet.
-    problems += [str(error) for error in signal_problems(tuner, _heard(study))]
+    problems += [str(error) for error in signal_problems(tuner, heard)]
     problems += [str(error) for error in run_problems(study, tuner)]
     return problems, notes
 
 
-def _heard(study: Study) -> dict[str, Signal]:
+def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
+    """Tell in a line that a node has another clock than the run; empty if it has the same."""
+    described = known.get(USE_SIM_TIME)
+    if study.run is None or described is None:
+        return ""
+    simulated = described.value is True
+    if simulated == (study.run.clock == SIM):
+        return ""
+    time = "simulated time" if simulated else "the time of the machine"
+    return (
+        f"nodes.{key}: uses {time}, but the clock of the run is {study.run.clock}: times and "
+        "integrals would be by another clock than the node's (run.clock, docs/procedure.md)"
+    )
+
+
+def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
     """Return the signals that the run does not publish itself."""
     steps = () if study.run is None else study.run.steps
-    own = {step.publish.topic.lstrip("/") for _, step in steps if step.publish is not None}
-    return {n: spec for n, spec in study.signals.items() if spec.topic.lstrip("/") not in own}
+    name = tuner.node.resolve_topic_name
+    own = {name(step.publish.topic) for _, step in steps if step.publish is not None}
+    return {n: spec for n, spec in study.signals.items() if name(spec.topic) not in own}
 
 
-def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
+def _try(
+    study: Study,
+    heard: Collection[str],
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> int:
     """Run the default a few times; shows signals and metrics, and how long a study will take."""
     contexts = study.context_space()
     nominal = contexts.to_dict(contexts.nominal())
@@ -154,12 +185,13 @@ def _try(study: Study, ros_arguments: Sequence[str], interruption: Interruption)
                 recording = backend.recording
                 held.append({n for n, s in recording.signals.items() if np.any(s.time < 0.0)})
     _plot(study, recording)
-    for name in sorted((held[-1] - held[0]) & _heard(study).keys()):
+    failed = [e for e in done if not e.outcome.complete]
+    # Of a run that failed, nothing may be known.
+    for name in sorted((held[-1] - held[0]).intersection(heard)) if not failed else ():
         say(
             f"note: {name}: has a value at the start of run {RUNS} and none at that of run 1: it "
             "is published in runs only (docs/procedure.md, signals at the start)"
         )
-    failed = [e for e in done if not e.outcome.complete]
     for evaluation in failed:
         say_error(
             f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"

@@ -279,8 +279,10 @@ def _parameter_names(node: str, name: str) -> list[str]:
 
 
 def _signal_names(offer: SignalOffer) -> list[str]:
-    """Return what an option may call a signal."""
-    return [str(offer), offer.topic.name]
+    """Return what an option may call a signal: its topic tells those that have a value."""
+    of_topic = signal_offers(offer.topic)
+    is_taken = offer.is_finite or not any(other.is_finite for other in of_topic)
+    return [str(offer), offer.topic.name] if is_taken else [str(offer)]
 
 
 def _check_path(path: Path) -> None:

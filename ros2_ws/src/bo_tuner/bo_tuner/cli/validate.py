@@ -22,7 +22,7 @@ from bo_tuner.certificate.store import (
     shortfall,
 )
 from bo_tuner.certificate.table import certificate_lines, certificate_table
-from bo_tuner.certificate.unfinished import attempt_for, evaluations_begun
+from bo_tuner.certificate.unfinished import attempt_for, trial_begun
 from bo_tuner.cli.certifier import Certifier
 from bo_tuner.cli.common import (
     Parser,
@@ -158,9 +158,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
     trial, is_result = _trial(record, arguments.trial)
-    if most > 1 and latest_certificate(record, trial) is not None:
+    if most > 1 and arguments.trial is None and latest_certificate(record, trial) is not None:
         # Those ahead of one that was interrupted have theirs, too.
-        trial = _begun(record, backend) or trial
+        trial = trial_begun(record.path, record.study, record.trials, backend) or trial
         is_result = record.is_result(trial)
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
@@ -254,14 +254,6 @@ def _draws(
     return draws
 
 
-def _begun(record: RunRecord, backend: str) -> Trial | None:
-    """Return the trial whose certificate an interrupted call has begun, if there is one."""
-    for trial in record.trials:
-        if evaluations_begun(record.path, record.study, trial, backend):
-            return trial
-    return None
-
-
 def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     """Yield a trial, then those next in rank that are believed feasible, without a certificate."""
     yield trial
@@ -274,12 +266,14 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     # What failed its check, or when it was run again, is no candidate.
     trials = with_checks(record.study, record.trials, record.evaluations, options)
     ranked = rank(record.study, trials, options)
-    others = [
-        c.trial.number
-        for c in ranked
-        if c.believed_feasible and not c.trial.failed_again and c.trial.number not in known
-    ]
-    yield from (trial_of(record, number) for number in others[: count - 1])
+    # Trials of one parameter set are one candidate.
+    refused = {other.parameter_set for other in record.trials if other.number in known}
+    refused |= {c.trial.parameter_set for c in ranked if c.trial.failed_again}
+    others: dict[object, int] = {}
+    for c in ranked:
+        if c.believed_feasible and c.trial.parameter_set not in refused:
+            others.setdefault(c.trial.parameter_set, c.trial.number)
+    yield from (trial_of(record, number) for number in [*others.values()][: count - 1])
 
 
 def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:

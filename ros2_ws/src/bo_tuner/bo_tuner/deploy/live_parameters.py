@@ -10,7 +10,12 @@ from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
-from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, LOOK_AROUND, TunerNode
+from bo_tuner.backends.ros.tuner_node import (
+    CALL_TIMEOUT,
+    END_OTHERS,
+    LOOK_AROUND,
+    TunerNode,
+)
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError
 from bo_tuner.text import brief
@@ -75,9 +80,7 @@ class LiveParameters:
         except SilentError as error:
             raise NodeError(str(error)) from error
         values = [to_value(value) for value in found]
-        # An empty array does not tell its type, so that of what it replaces is kept.
-        known = self._present.setdefault(node, {})
-        known |= {name: value for name, value in zip(names, values, strict=True) if value != []}
+        self._keep(node, dict(zip(names, values, strict=True)))
         if missing := [name for name, value in zip(names, values, strict=True) if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
         return dict(zip(names, values, strict=True))
@@ -86,14 +89,20 @@ class LiveParameters:
         """Set parameters of a node, as `Nodes.set`, unless it runs more than once."""
         self._refuse_twins(node)
         try:
-            (result,) = self._tuner.complete(
-                [self._clients[node].set(values, self._present.get(node))]
-            )
+            present = dict(self._present.get(node, {}))
+            # A node may take them and not answer.
+            self._keep(node, values)
+            (result,) = self._tuner.complete([self._clients[node].set(values, present)])
         except SilentError as error:
             raise NodeError(str(error)) from error
         if not result.successful:
             reason = brief(str(result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
+
+    def _keep(self, node: str, values: Mapping[str, object]) -> None:
+        """Keep values of a node: an empty array has the type of what it replaces."""
+        known = self._present.setdefault(node, {})
+        known |= {name: value for name, value in values.items() if value != []}
 
     def _refuse_twins(self, node: str) -> None:
         """Refuse a node that runs more than once, ahead of asking it for anything.
@@ -101,7 +110,7 @@ class LiveParameters:
         Who answers would not tell of the other.
         """
         if self._clients[node].servers() > 1:
-            raise RefusedError(f"{self._tuner.repeated(node)}; end all but one")
+            raise RefusedError(f"{self._tuner.repeated(node)}; {END_OTHERS}")
 
     def _wait_for_nodes(self) -> None:
         def missing() -> list[str]:

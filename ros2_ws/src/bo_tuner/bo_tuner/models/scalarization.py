@@ -79,7 +79,9 @@ class Chebyshev:
         ideal, nadir = front.min(axis=0), front.max(axis=0)
         for further in (known, means):
             nadir = np.where(nadir > ideal, nadir, further.max(axis=0))
-        return cls(weights, ideal, np.where(nadir > ideal, nadir, ideal + 1.0))
+        # Of large numbers, 1 more may be the same.
+        wide = ideal + np.maximum(1.0, 1e-9 * np.abs(ideal))
+        return cls(weights, ideal, np.where(nadir > ideal, nadir, wide))
 
     def __call__(self, costs: Array) -> Array:
         """Return f_w (n,) of mean costs (n, k)."""

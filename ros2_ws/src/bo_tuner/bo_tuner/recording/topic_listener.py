@@ -155,7 +155,11 @@ class TopicListener:
 def listen_to(backend: RosBackend, sink: Sink) -> TopicListener:
     """Return a listener to the nodes of an open backend, which know its subscriptions by now."""
     listener = TopicListener(backend.context, backend.nodes, backend.topics, sink)
-    backend.meet_nodes()
+    try:
+        backend.meet_nodes()
+    except BaseException:
+        listener.close()
+        raise
     return listener
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from bo_tuner.errors import ParameterError
 from bo_tuner.metrics.collect import LARGEST_METRIC, metric_problem
+from bo_tuner.models.replicates import LARGEST_RESPONSE
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
@@ -147,7 +148,9 @@ def check_study(study: Study, evaluations: Iterable[Evaluation], trials: Iterabl
             _same_names(trial.worst_cases, searched if complete else (), "worst_cases")
             for found in trial.worst_cases.values():
                 check_context(found.context)
-                _check_size((found.value, found.observed, found.noise), "worst_cases")
+                _check_size((found.observed,), "worst_cases")
+                # Estimates may lie above all metrics.
+                _check_size((found.value, found.noise), "worst_cases", LARGEST_RESPONSE)
             if any(evaluation.parameters != trial.parameters for evaluation in trial.evaluations):
                 raise ValueError("has evaluations of other parameters")
         except ValueError as error:
@@ -237,10 +240,10 @@ def _texts(row: Row, column: str) -> dict[str, str]:
     return {name: _as_text(item, column) for name, item in _object(row, column).items()}
 
 
-def _check_size(values: Iterable[float], what: str) -> None:
+def _check_size(values: Iterable[float], what: str, largest: float = LARGEST_METRIC) -> None:
     for value in values:
-        if not abs(value) <= LARGEST_METRIC:
-            raise ValueError(f"{what}: {value:g} is beyond {LARGEST_METRIC:g}")
+        if not abs(value) <= largest:
+            raise ValueError(f"{what}: {value:g} is beyond {largest:g}")
 
 
 def _same_names(found: Iterable[str], expected: Iterable[str], what: str) -> None:

@@ -88,7 +88,7 @@ def first_study(
         "signals:",
         *_signal_lines(seen.topics, names),
         "",
-        *_run_lines(seen, names, wanted),
+        *_run_lines(seen, tuned, names, wanted),
         "",
         *_metric_lines(names, wanted, {node.name for node in tuned}),
         "",
@@ -186,7 +186,10 @@ def _signal_lines(topics: Iterable[SeenTopic], names: Mapping[SignalOffer, str])
 
 
 def _run_lines(
-    seen: Seen, names: Mapping[SignalOffer, str], wanted: SignalOffer | None
+    seen: Seen,
+    nodes: Sequence[SeenNode],
+    names: Mapping[SignalOffer, str],
+    wanted: SignalOffer | None,
 ) -> Iterator[str]:
     own = list({offer.topic.name: offer for offer in names if not offer.topic.publishers}.values())
     yield "run:"
@@ -214,6 +217,8 @@ def _run_lines(
         yield from (f"  #   {line}" for line in _goals(seen.actions))
     until = ", or result: until a goal of start is done" if seen.actions else ""
     yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]{until}"
+    if any(node.uses_sim_time for node in nodes):
+        yield f"  clock: sim  # {CHECK}: the nodes use simulated time; its seconds are those of end"
     measured = next((name for offer, name in names.items() if offer != wanted), None)
     if measured is not None:
         yield f"  # abort_when: abs({measured}) > 2  # ends a bad run at once"

@@ -12,7 +12,8 @@ from bo_tuner.study.descriptors import Described
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.text import one_line
 
-OF_EVERY_NODE = ("use_sim_time", "start_type_description_service")
+USE_SIM_TIME = "use_sim_time"
+OF_EVERY_NODE = (USE_SIM_TIME, "start_type_description_service")
 """Parameters that say how a node talks, not what it does; so do those below `qos_overrides`."""
 MOST_SUGGESTED = 8
 """Parameters that are suggested; of more, those with a name that tells of tuning."""
@@ -38,6 +39,11 @@ class SeenNode:
 
     name: str
     parameters: Mapping[str, Described]
+
+    @property
+    def uses_sim_time(self) -> bool:
+        """Whether its time is that of ``/clock``."""
+        return USE_SIM_TIME in self.parameters and self.parameters[USE_SIM_TIME].value is True
 
 
 @dataclass(frozen=True)
@@ -125,7 +131,13 @@ class SignalOffer:
         if not self.topic.publishers:
             return "nobody publishes it, so the run will"
         names = " and ".join(self.topic.publishers)
-        return f"from {names}" + (", which would mix" if len(self.topic.publishers) > 1 else "")
+        mixed = ", which would mix" if len(self.topic.publishers) > 1 else ""
+        return f"from {names}{mixed}" + ("" if self.is_finite else "; not finite now")
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether its present value is a number; a run with one that is none fails."""
+        return math.isfinite(self.topic.fields[self.field])
 
 
 def parameter_offers(node: SeenNode) -> tuple[list[ParameterOffer], dict[str, str]]:
@@ -190,7 +202,8 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     """
     single = [topic for topic in topics if len(topic.publishers) == 1]
     near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
-    return [offer for topic in near or single for offer in signal_offers(topic)][: maxima.SIGNALS]
+    offers = [offer for topic in near or single for offer in signal_offers(topic)]
+    return [offer for offer in offers if offer.is_finite][: maxima.SIGNALS]
 
 
 def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
@@ -214,7 +227,16 @@ def _offer(node: str, name: str, described: Described) -> ParameterOffer:
         fields["default"] = described.value
     else:
         fields |= _guessed(described.value)
-        remark = f"{CHECK}: a guess; the node gives no range"
+        kind = int if described.type == "integer" else float
+        ends = (min(max(end, described.lower), described.upper) for end in fields["bounds"])
+        fields["bounds"] = [kind(end) for end in ends]
+        limits = [
+            f"{word} {end:g}"
+            for word, end in (("from", described.lower), ("to", described.upper))
+            if math.isfinite(end)
+        ]
+        known = f"no range but {limits[0]}" if limits else "no range"
+        remark = f"{CHECK}: a guess; the node gives {known}"
     if described.description:
         remark += f"{'; ' if remark else ''}{one_line(described.description)}"
     # Whatever a study would refuse is no offer.

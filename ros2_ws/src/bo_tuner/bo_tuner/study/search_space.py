@@ -341,4 +341,7 @@ class SearchSpace:
                     if self.key(step) not in visited:
                         visited.add(self.key(step))
                         layer.append(step)
+            if not layer and self.discrete.all():
+                # All sets are taken, so that none of the other points can be moved either.
+                return points
         return points

@@ -75,17 +75,25 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     ranked
         As from `rank`, with the evaluations of checks.
     """
-    kept = [c for c in ranked if c.believed_feasible and outcome_in_words(study, c.trial) == WITHIN]
+    sets: dict[object, list[Candidate]] = {}
+    for candidate in ranked:
+        sets.setdefault(candidate.trial.parameter_set, []).append(candidate)
+    # In a space smaller than the budget several trials are of one set.
+    kept = [
+        of_set
+        for of_set in sets.values()
+        if all(c.believed_feasible and outcome_in_words(study, c.trial) == WITHIN for c in of_set)
+    ]
     points = [
         Point(
-            candidate.trial.number,
+            of_set[0].trial.number,
             {
-                item.metric: _mean(candidate.trial.observations(item.metric))
+                item.metric: _mean([v for c in of_set for v in c.trial.observations(item.metric)])
                 for item in study.objectives
             },
-            candidate.feasibility,
+            of_set[0].feasibility,
         )
-        for candidate in kept
+        for of_set in kept
     ]
     if not points:
         return []

@@ -91,6 +91,8 @@ def recommend(
     latest = {trial.number: trial for trial in trials}
     held: set[int] = set()
     checked: list[int] = []
+    # In a space smaller than the budget trials repeat a set, which has one check all the same.
+    sets: set[object] = set()
     while True:
         ranked = rank(study, list(latest.values()), options)
         if not ranked:
@@ -99,7 +101,7 @@ def recommend(
             candidate
             for candidate in ranked
             if candidate.believed_feasible
-            and (candidate.trial.number in held or candidate.trial.number not in checked)
+            and (candidate.trial.number in held or candidate.trial.parameter_set not in sets)
         ]
         if not open_ones:
             break
@@ -111,6 +113,7 @@ def recommend(
         trial, holds = _check(study, backend, best.trial, observer)
         latest[trial.number] = trial
         checked.append(trial.number)
+        sets.add(trial.parameter_set)
         if holds:
             held.add(trial.number)
         observer.advance()
@@ -119,7 +122,8 @@ def recommend(
         return Recommendation(kept, kept.believed_feasible, tuple(checked), tuple(ranked))
     # Among several within the limits the first in rank, not the one with the largest margin: a
     # machine that hardly moves keeps every limit.
-    others = [c for c in ranked if not c.trial.failed_again] or ranked
+    crashed = {c.trial.parameter_set for c in ranked if c.trial.failed_again}
+    others = [c for c in ranked if c.trial.parameter_set not in crashed] or ranked
     least = open_ones[0] if open_ones else min(others, key=lambda c: max(c.violation, 0.0))
     return Recommendation(least, False, tuple(checked), tuple(ranked))
 

@@ -15,6 +15,7 @@ import hmac
 import json
 import logging
 import os
+import secrets
 import socket
 import threading
 from collections.abc import Mapping
@@ -32,6 +33,8 @@ from bo_tuner.web.runs import MOST_COMPARED, Runs
 from bo_tuner.web.sections import LiveSections
 from bo_tuner.web.state import LiveState
 
+PAGE = secrets.token_hex(8)
+"""Tells one run's page from that of the next on the same port."""
 LAST_LOOK = 20.0
 """Longest time [s] after the end of the run in which the page shows the result."""
 LEFT = 2.0
@@ -143,6 +146,7 @@ class State(Page):
         self.write(
             json.dumps(
                 {
+                    "page": PAGE,
                     "version": state.version,
                     "now": state.now,
                     "problem": state.problem,

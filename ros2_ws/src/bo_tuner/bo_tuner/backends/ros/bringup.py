@@ -8,7 +8,7 @@ from bo_tuner.backends.ros.isolation import LEASE
 from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
-from bo_tuner.backends.ros.tuner_node import TunerNode
+from bo_tuner.backends.ros.tuner_node import END_OTHERS, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.study import Study
 
@@ -83,7 +83,7 @@ class Bringup:
             tuner.spin_for(LOOK_AROUND)
         tuner.refuse_other_tuner()
         if twins := presence.twins(LEASE):
-            raise BackendError(f"{twins}; end all but one")
+            raise BackendError(f"{twins}; {END_OTHERS}")
 
     def restart(self, key: str) -> None:
         """Start a node anew that the tuner has started, and tell it what it must have.

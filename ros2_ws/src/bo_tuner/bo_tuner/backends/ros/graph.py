@@ -1,6 +1,8 @@
 """A look at running nodes: their parameters, and the signals of a study."""
 
 import contextlib
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -15,7 +17,7 @@ from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
-from bo_tuner.backends.ros.tuner_node import LOOK_AROUND, TunerNode
+from bo_tuner.backends.ros.tuner_node import END_OTHERS, LOOK_AROUND, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
@@ -25,6 +27,8 @@ DISCOVERY = 5.0
 """Time [s] to find a node or a topic."""
 ANSWER = 2.0
 """Time [s] for the answer of a node."""
+LARGEST = (1e30, 2.0**62)
+"""Ends of a range of doubles, and of integers, from which on it is open."""
 TYPES = {
     ParameterType.PARAMETER_BOOL: "boolean",
     ParameterType.PARAMETER_INTEGER: "integer",
@@ -82,10 +86,12 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
             raise BackendError(others.absent([node], tuner.node))
         # One that was killed is in the graph until its lease has ended.
         if not tuner.wait_until(lambda: client.servers() <= 1, LEASE):
-            raise BackendError(f"{tuner.repeated(node)}; end all but one")
-        (names,) = tuner.complete([client.names()], ANSWER)
+            raise BackendError(f"{tuner.repeated(node)}; {END_OTHERS}")
+        client.expect_answers(time.monotonic() + ANSWER)
+        (names,) = tuner.complete([client.names()])
+        # A node with one that is not set may be asked for each of hundreds.
         asked = [client.descriptors(names), client.values(names)]
-        descriptors, values = tuner.complete(asked, ANSWER)
+        descriptors, values = tuner.complete(asked)
     except SilentError as error:
         raise BackendError(str(error)) from error
     finally:
@@ -125,11 +131,14 @@ def _described(descriptor: ParameterDescriptor, value: Any) -> Described:
             kind, found, read_only=descriptor.read_only, description=descriptor.description
         )
     (given,) = ranges[:1]
+    lower, upper = float(given.from_value), float(given.to_value)
+    # A range has two ends. Of a limit on one side alone, the other is the largest number that
+    # there is: nobody means to try it.
     return Described(
         kind,
         found,
-        float(given.from_value),
-        float(given.to_value),
+        -math.inf if lower <= -LARGEST[kind == "integer"] else lower,
+        math.inf if upper >= LARGEST[kind == "integer"] else upper,
         float(given.step),
         descriptor.read_only,
         descriptor.description,

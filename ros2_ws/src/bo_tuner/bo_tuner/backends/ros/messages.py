@@ -5,6 +5,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from rclpy.type_support import check_for_type_support
 from rosidl_parser.definition import (
     AbstractGenericString,
     AbstractNestedType,
@@ -12,6 +13,7 @@ from rosidl_parser.definition import (
     Array,
     BasicType,
     NamespacedType,
+    UnboundedSequence,
 )
 
 from bo_tuner.errors import StudyError
@@ -19,10 +21,11 @@ from bo_tuner.study import checks
 from bo_tuner.study.building import under
 from bo_tuner.study.offers import MOST_ITEMS
 from bo_tuner.study.signals import FieldPart
-from bo_tuner.text import brief
+from bo_tuner.text import brief, one_line
 
 FLOATS = ("float", "double", "long double")
 OCTET = "octet"
+BYTES = (OCTET, "uint8", "int8", "char")
 HEADER_TYPE = "std_msgs/msg/Header"
 NO_SIGNALS = (
     HEADER_TYPE,
@@ -57,11 +60,41 @@ def interface_class(name: str) -> Any:
     StudyError
         If it is not installed.
     """
-    package, kind, interface = name.split("/")
     try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), interface)
-    except (ImportError, AttributeError):
+        package, kind, interface = name.split("/")
+        cls = getattr(importlib.import_module(f"{package}.{kind}"), interface)
+    except (ImportError, AttributeError, ValueError):
         raise StudyError(f"type {name} is not installed") from None
+    # It may be one for another Python, or lack another package, which shows only in use; by
+    # exceptions of any kind.
+    try:
+        check_for_type_support(cls)
+        if kind == "msg":
+            cls()
+    except Exception as error:
+        cause = one_line(f"{type(error).__name__}: {error}")
+        raise StudyError(f"type {name} cannot be loaded: {cause}") from None
+    return cls
+
+
+def is_bulky(cls: Any) -> bool:
+    """Whether messages hold raw bytes in any number, as images and point clouds do."""
+    return any(
+        isinstance(kind, UnboundedSequence)
+        and isinstance(kind.value_type, BasicType)
+        and kind.value_type.typename in BYTES
+        for kind in _types(cls).values()
+    )
+
+
+def has_numbers_in_arrays(cls: Any) -> bool:
+    """Whether messages have arrays of numbers."""
+    return any(
+        isinstance(kind, AbstractNestedType)
+        and isinstance(kind.value_type, BasicType)
+        and kind.value_type.typename != OCTET
+        for kind in _types(cls).values()
+    )
 
 
 def type_name(cls: Any) -> str:

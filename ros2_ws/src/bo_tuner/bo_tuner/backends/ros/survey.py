@@ -5,12 +5,18 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
-from bo_tuner.backends.ros.messages import interface_class, number_fields, type_name
+from bo_tuner.backends.ros.messages import (
+    has_numbers_in_arrays,
+    interface_class,
+    is_bulky,
+    number_fields,
+    type_name,
+)
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
@@ -129,15 +135,26 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
     for name, types in sorted(tuner.node.get_topic_names_and_types()):
         if name in OF_ROS or is_hidden(name):
             continue
+        first = tuner.node.get_publishers_info_by_topic(name)[:1]
         try:
-            classes[name] = interface_class(types[0])
+            classes[name] = interface_class(first[0].topic_type if first else types[0])
         except StudyError as error:
             notes.append(f"{name}: {error.problem}")
             continue
-        for publisher in tuner.node.get_publishers_info_by_topic(name)[:1]:
-            offered = publisher.qos_profile
+        if is_bulky(classes[name]):
+            # To send an image or a point cloud costs a system that is at work.
+            continue
+        for publisher in first:
+            latched = publisher.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+            # A publisher waits for no reader who only tries; what is latched comes in no other way.
             qos = QoSProfile(
-                depth=1, reliability=offered.reliability, durability=offered.durability
+                depth=1,
+                reliability=(
+                    publisher.qos_profile.reliability
+                    if latched
+                    else QoSReliabilityPolicy.BEST_EFFORT
+                ),
+                durability=publisher.qos_profile.durability,
             )
             listened[name] = tuner.node.create_subscription(
                 classes[name], name, _keep(heard, name), qos, raw=True
@@ -157,6 +174,11 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
             found.append(SeenTopic(name, type_name(cls), fields, publishers, listeners))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
+        elif has_numbers_in_arrays(cls) and not is_bulky(cls):
+            why = (
+                "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
+            )
+            notes.append(f"{name}: {why}; to record an item, name it in the study, such as data[0]")
     return found, notes
 
 
@@ -164,7 +186,9 @@ def _ends(tuner: TunerNode, found: Sequence[TopicEndpointInfo]) -> tuple[str, ..
     """Return the names of the nodes at one end of a topic, one for each publisher or listener."""
     return tuple(
         sorted(
-            relative(tuner.node, end.node_name, end.node_namespace) or end.node_name
+            # One of another namespace may have the name of a node in this one.
+            relative(tuner.node, end.node_name, end.node_namespace)
+            or full_name(end.node_namespace, end.node_name)
             for end in found
         )
     )

@@ -23,6 +23,7 @@ NODE_NAME = "bo_tuner"
 NAMESPACE = re.compile(r"/|(/[A-Za-z_]\w*)+/?", re.ASCII)
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""
+END_OTHERS = "end all but one (one that was killed counts for up to 20 s)"
 CALL_TIMEOUT = 5.0
 SPIN_PERIOD = 0.1
 POLL_PERIOD = 0.01

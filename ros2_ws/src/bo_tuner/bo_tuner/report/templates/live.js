@@ -166,6 +166,7 @@
   }, 0));
 
   async function follow() {
+    let page = "";
     let version = -1;
     let failures = 0;
     let ended = false;
@@ -174,6 +175,9 @@
         const answer = await fetch(`state?after=${version}`, { cache: "no-store" });
         if (!answer.ok) throw new Error(answer.statusText);
         const news = await answer.json();
+        // Another run has taken the port, and its sections are no sections of this one.
+        if (page && news.page !== page) return location.reload();
+        page = news.page;
         showNow(news.now, news.problem);
         for (const [name, html] of Object.entries(news.sections)) {
           waiting.delete(name);
