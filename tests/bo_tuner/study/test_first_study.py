@@ -101,6 +101,14 @@ class TestParameters:
         assert offer.fields["bounds"] == bounds
         assert offer.remark == f"CHECK: a guess; the node {told}"
 
+    def test_of_an_open_range_with_steps_the_bounds_are_on_them(self):
+        stepped = Described("double", 0.5, 0.0, math.inf, 0.1)
+        fields = offers(kp=stepped)[0]["kp"].fields
+        assert (fields["bounds"], fields["step"]) == ([0.1, 5.0], 0.1)
+        count = Described("integer", 8, 4.0, math.inf, 4.0)
+        fields = offers(n=count)[0]["n"].fields
+        assert (fields["bounds"], fields["step"]) == ([4, 32], 4)
+
     def test_a_range_of_decades_is_searched_by_its_logarithm(self):
         found, _ = offers(
             wide=Described("double", 1.0, 0.01, 1.0), narrow=Described("double", 1.0, 0.02, 1.0)
@@ -275,6 +283,9 @@ class TestStudy:
         assert "effort[a]" in text
         (_, effort) = signal_offers(states)
         assert effort.remark == "from motor; not finite now"
+        # Where that is nothing, others may do.
+        silent = SeenTopic("/pid/state", "std_msgs/msg/Float64", {"data": math.nan}, ("pid",))
+        assert [str(o) for o in suggested_signals([silent, CAMERA], ["pid"])] == ["/exposure:data"]
 
     def test_a_seed_is_not_tuned(self):
         """Uncommented, it is the study's."""

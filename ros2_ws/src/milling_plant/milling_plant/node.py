@@ -70,15 +70,7 @@ class PlantNode(Node):
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         settings = self._parameter_table.settings
-        now = self.get_clock().now().nanoseconds
-        if not now and not self._start:
-            # Simulated time that nobody publishes: a plant that is started anew would repeat its
-            # identifiers.
-            now, self._lacks_clock = time_ns(), True
-        elif now and self._lacks_clock:
-            # The time of the machine is none to go on from.
-            self._next_start, self._lacks_clock = 1, False
-        start = max(now, self._next_start)
+        start = self._next_time()
         samples = len(settings.reference_levels) * settings.samples_per_level
         response.success = False
         if self._running is not None:
@@ -93,6 +85,18 @@ class PlantNode(Node):
             response.success = True
             response.message = cut_identifier(self._start)
         return response
+
+    def _next_time(self) -> int:
+        """Time [ns] at which the next cut may start."""
+        now = self.get_clock().now().nanoseconds
+        if not now and not self._start:
+            # Simulated time that nobody publishes: a plant that is started anew would repeat its
+            # identifiers.
+            now, self._lacks_clock = time_ns(), True
+        elif now and self._lacks_clock and self._running is None:
+            # The time of the machine is none to go on from.
+            self._next_start, self._lacks_clock = 1, False
+        return max(now, self._next_start)
 
     def _on_abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         cut = self._running

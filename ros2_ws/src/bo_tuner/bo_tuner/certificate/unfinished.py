@@ -18,7 +18,7 @@ from bo_tuner.storage.provenance import sources, study_sha256
 from bo_tuner.storage.rows import evaluation_of
 from bo_tuner.storage.run_files import open_file
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Trial, Value
+from bo_tuner.trials import Evaluation, Trial, TrialState, Value
 from bo_tuner.tuning.observer import RunObserver
 
 UNFINISHED = "unfinished.jsonl"
@@ -41,6 +41,9 @@ def trial_begun(folder: Path, study: Study, trials: Iterable[Trial], backend: st
     if begun is None or begun.attempt < next_attempt(folder):
         return None
     for trial in trials:
+        # One that was lost may have had the same parameters before.
+        if trial.state is not TrialState.COMPLETE:
+            continue
         # The head has digests of all code, which take their time.
         if parameters_sha256(trial.parameters) in begun.head:
             return trial if begun.is_of(study, trial.parameters, backend) else None

@@ -138,7 +138,7 @@ def _other_clock(study: Study, key: str, known: Mapping[str, Described]) -> str:
     described = known.get(USE_SIM_TIME)
     if study.run is None or described is None:
         return ""
-    simulated = described.value is True
+    simulated = study.nodes[key].parameters.get(USE_SIM_TIME, described.value) is True
     if simulated == (study.run.clock == SIM):
         return ""
     time = "simulated time" if simulated else "the time of the machine"

@@ -158,20 +158,22 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
         parser.error(f"--until-pass: expected {bound}, found {most}")
     trial, is_result = _trial(record, arguments.trial)
-    if most > 1 and arguments.trial is None and latest_certificate(record, trial) is not None:
-        # Those ahead of one that was interrupted have theirs, too.
-        trial = trial_begun(record.path, record.study, record.trials, backend) or trial
-        is_result = record.is_result(trial)
-    # Each attempt takes more draws than the one before, so the last one needs the most.
-    attempt = attempt_for(record.path, record.study, trial.parameters, backend)
-    last = attempt + min(most, len(record.trials)) - 1
-    _draws(arguments, parser, record, confidence, last)
-    allow_programs(record, trusted=arguments.trust, attach=attach)
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
         console.print(text, soft_wrap=True)
 
+    if most > 1 and latest_certificate(record, trial) is not None:
+        # Those ahead of one that was interrupted have theirs, too.
+        begun = trial_begun(record.path, record.study, record.trials, backend)
+        if begun is not None and begun.parameter_set != trial.parameter_set:
+            tell(f"trial {begun.number} comes first, whose certificate was interrupted")
+            trial, is_result = begun, record.is_result(begun)
+    # Each attempt takes more draws than the one before, so the last one needs the most.
+    attempt = attempt_for(record.path, record.study, trial.parameters, backend)
+    last = attempt + min(most, len(record.trials)) - 1
+    _draws(arguments, parser, record, confidence, last)
+    allow_programs(record, trusted=arguments.trust, attach=attach)
     folder = RunFolder(record.path.resolve())
     # `latest` may be another run by then.
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]

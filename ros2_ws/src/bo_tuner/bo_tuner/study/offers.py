@@ -202,8 +202,11 @@ def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> li
     """
     single = [topic for topic in topics if len(topic.publishers) == 1]
     near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
-    offers = [offer for topic in near or single for offer in signal_offers(topic)]
-    return [offer for offer in offers if offer.is_finite][: maxima.SIGNALS]
+    first, further = (
+        [offer for topic in found for offer in signal_offers(topic) if offer.is_finite]
+        for found in (near, single)
+    )
+    return (first or further)[: maxima.SIGNALS]
 
 
 def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
@@ -230,6 +233,12 @@ def _offer(node: str, name: str, described: Described) -> ParameterOffer:
         kind = int if described.type == "integer" else float
         ends = (min(max(end, described.lower), described.upper) for end in fields["bounds"])
         fields["bounds"] = [kind(end) for end in ends]
+        if described.step > (1 if kind is int else 0) and math.isfinite(described.lower):
+            fields["step"] = kind(described.step)
+            low = math.ceil((fields["bounds"][0] - described.lower) / described.step - 1e-9)
+            fields["bounds"][0] = kind(described.lower + low * described.step)
+            if not fields["bounds"][0] > 0:
+                fields.pop("scale", None)
         limits = [
             f"{word} {end:g}"
             for word, end in (("from", described.lower), ("to", described.upper))

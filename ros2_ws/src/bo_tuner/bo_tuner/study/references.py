@@ -48,12 +48,10 @@ def check_constraint(
         isinstance(metric, SignalMetric)
         and metric.measure in NEVER_NEGATIVE
         and constraint.upper is not None
-        and constraint.upper <= 0.0
+        and constraint.upper < 0.0
     ):
-        why = "no run keeps it" if constraint.upper < 0.0 else "nothing could show that it is kept"
         raise StudyError(
-            f"{why}: {metric.measure} is at least 0; expected a limit above 0, found "
-            f"{constraint.upper:g}",
+            f"no run keeps it: {metric.measure} is at least 0, found {constraint.upper:g}",
             ("upper",),
         )
 

@@ -15,6 +15,7 @@ from scipy.special import stdtrit
 from bo_tuner.numerics.pareto import nondominated
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.study.study import Study
+from bo_tuner.trials import pooled
 from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 
 CONFIDENCE = 0.95
@@ -79,21 +80,15 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     for candidate in ranked:
         sets.setdefault(candidate.trial.parameter_set, []).append(candidate)
     # In a space smaller than the budget several trials are of one set.
-    kept = [
-        of_set
-        for of_set in sets.values()
-        if all(c.believed_feasible and outcome_in_words(study, c.trial) == WITHIN for c in of_set)
-    ]
+    joint = [(of_set[0], pooled([c.trial for c in of_set])[0]) for of_set in sets.values()]
     points = [
         Point(
-            of_set[0].trial.number,
-            {
-                item.metric: _mean([v for c in of_set for v in c.trial.observations(item.metric)])
-                for item in study.objectives
-            },
-            of_set[0].feasibility,
+            first.trial.number,
+            {item.metric: _mean(trial.observations(item.metric)) for item in study.objectives},
+            first.feasibility,
         )
-        for of_set in kept
+        for first, trial in joint
+        if first.believed_feasible and outcome_in_words(study, trial) == WITHIN
     ]
     if not points:
         return []

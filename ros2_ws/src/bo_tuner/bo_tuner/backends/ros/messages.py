@@ -78,12 +78,14 @@ def interface_class(name: str) -> Any:
 
 
 def is_bulky(cls: Any) -> bool:
-    """Whether messages hold raw bytes in any number, as images and point clouds do."""
-    return any(
-        isinstance(kind, UnboundedSequence)
-        and isinstance(kind.value_type, BasicType)
-        and kind.value_type.typename in BYTES
+    """Whether messages are raw bytes in any number, as images and point clouds are."""
+    arrays = [
+        kind
         for kind in _types(cls).values()
+        if isinstance(kind, AbstractNestedType) and isinstance(kind.value_type, BasicType)
+    ]
+    return bool(arrays) and all(
+        isinstance(kind, UnboundedSequence) and kind.value_type.typename in BYTES for kind in arrays
     )
 
 

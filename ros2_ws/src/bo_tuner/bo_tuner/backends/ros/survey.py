@@ -132,6 +132,7 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
     heard: dict[str, bytes] = {}
     listened = {}
     classes = {}
+    bulky = []
     for name, types in sorted(tuner.node.get_topic_names_and_types()):
         if name in OF_ROS or is_hidden(name):
             continue
@@ -143,6 +144,7 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
             continue
         if is_bulky(classes[name]):
             # To send an image or a point cloud costs a system that is at work.
+            bulky.append(name)
             continue
         for publisher in first:
             latched = publisher.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
@@ -179,6 +181,10 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )
             notes.append(f"{name}: {why}; to record an item, name it in the study, such as data[0]")
+    if bulky:
+        notes.append(
+            f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
+        )
     return found, notes
 
 
