@@ -174,7 +174,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     last = attempt + min(most, len(record.trials)) - 1
     _draws(arguments, parser, record, confidence, last)
     allow_programs(record, trusted=arguments.trust, attach=attach)
-    folder = RunFolder(record.path.resolve())
+    folder = RunFolder(record.path)
     # `latest` may be another run by then.
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
     again = f"continue with: {shlex.join(['validate', *same])}"

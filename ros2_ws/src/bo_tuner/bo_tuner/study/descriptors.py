@@ -42,6 +42,11 @@ class Described:
         """Whether the value is bounded on both sides."""
         return math.isfinite(self.lower) and math.isfinite(self.upper)
 
+    @property
+    def has_steps(self) -> bool:
+        """Whether it leaves out values between its steps, which of an integer are larger than 1."""
+        return self.step > (1.0 if self.type == "integer" else 0.0)
+
 
 Descriptions = Mapping[str, Mapping[str, Described]]
 """By the node's key in the study, then by the name of the parameter in the node."""
@@ -124,7 +129,7 @@ def complete(mapping: dict[str, object], nodes: Descriptions) -> None:
                         f"missing; node {key} gives no range for it", (*path, "bounds")
                     )
                 item["bounds"] = [kind(described.lower), kind(described.upper)]
-            if described.step > (1 if kind is int else 0) and not array:
+            if described.has_steps and not array:
                 item.setdefault("step", kind(described.step))
 
 

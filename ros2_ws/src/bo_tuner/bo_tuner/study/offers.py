@@ -217,11 +217,11 @@ def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
 def _offer(node: str, name: str, described: Described) -> ParameterOffer:
     fields: dict[str, Any] = {"type": described.type}
     remark, has_range = "", described.has_range and described.type != "boolean"
+    kind = int if described.type == "integer" else float
     if has_range:
-        kind = int if described.type == "integer" else float
         lower, upper = kind(described.lower), kind(described.upper)
         fields |= {"bounds": [lower, upper], "default": described.value}
-        if described.step > (1 if kind is int else 0):
+        if described.has_steps:
             fields["step"] = kind(described.step)
         if lower > 0 and upper >= DECADES * lower:
             fields["scale"] = "log"
@@ -230,10 +230,9 @@ def _offer(node: str, name: str, described: Described) -> ParameterOffer:
         fields["default"] = described.value
     else:
         fields |= _guessed(described.value)
-        kind = int if described.type == "integer" else float
         ends = (min(max(end, described.lower), described.upper) for end in fields["bounds"])
         fields["bounds"] = [kind(end) for end in ends]
-        if described.step > (1 if kind is int else 0) and math.isfinite(described.lower):
+        if described.has_steps and math.isfinite(described.lower):
             fields["step"] = kind(described.step)
             low = math.ceil((fields["bounds"][0] - described.lower) / described.step - 1e-9)
             fields["bounds"][0] = kind(described.lower + low * described.step)

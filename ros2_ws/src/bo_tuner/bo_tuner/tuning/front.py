@@ -76,11 +76,11 @@ def pareto_front(study: Study, ranked: Sequence[Candidate]) -> list[Point]:
     ranked
         As from `rank`, with the evaluations of checks.
     """
-    sets: dict[object, list[Candidate]] = {}
-    for candidate in ranked:
-        sets.setdefault(candidate.trial.parameter_set, []).append(candidate)
     # In a space smaller than the budget several trials are of one set.
-    joint = [(of_set[0], pooled([c.trial for c in of_set])[0]) for of_set in sets.values()]
+    firsts: dict[object, Candidate] = {}
+    for candidate in ranked:
+        firsts.setdefault(candidate.trial.parameter_set, candidate)
+    joint = zip(firsts.values(), pooled(c.trial for c in ranked), strict=True)
     points = [
         Point(
             first.trial.number,

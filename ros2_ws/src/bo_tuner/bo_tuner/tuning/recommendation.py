@@ -91,12 +91,12 @@ def recommend(
     latest = {trial.number: trial for trial in trials}
     held: set[int] = set()
     checked: list[int] = []
-    # In a space smaller than the budget trials repeat a set, which has one check all the same.
-    sets: set[object] = set()
     while True:
         ranked = rank(study, list(latest.values()), options)
         if not ranked:
             return None
+        # In a space smaller than the budget trials repeat a set, which has one check all the same.
+        sets = {latest[number].parameter_set for number in checked}
         open_ones = [
             candidate
             for candidate in ranked
@@ -113,7 +113,6 @@ def recommend(
         trial, holds = _check(study, backend, best.trial, observer)
         latest[trial.number] = trial
         checked.append(trial.number)
-        sets.add(trial.parameter_set)
         if holds:
             held.add(trial.number)
         observer.advance()

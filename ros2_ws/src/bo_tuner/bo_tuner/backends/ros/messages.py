@@ -79,11 +79,7 @@ def interface_class(name: str) -> Any:
 
 def is_bulky(cls: Any) -> bool:
     """Whether messages are raw bytes in any number, as images and point clouds are."""
-    arrays = [
-        kind
-        for kind in _types(cls).values()
-        if isinstance(kind, AbstractNestedType) and isinstance(kind.value_type, BasicType)
-    ]
+    arrays = _arrays(cls)
     return bool(arrays) and all(
         isinstance(kind, UnboundedSequence) and kind.value_type.typename in BYTES for kind in arrays
     )
@@ -91,12 +87,16 @@ def is_bulky(cls: Any) -> bool:
 
 def has_numbers_in_arrays(cls: Any) -> bool:
     """Whether messages have arrays of numbers."""
-    return any(
-        isinstance(kind, AbstractNestedType)
-        and isinstance(kind.value_type, BasicType)
-        and kind.value_type.typename != OCTET
+    return any(kind.value_type.typename != OCTET for kind in _arrays(cls))
+
+
+def _arrays(cls: Any) -> list[AbstractNestedType]:
+    """Return the types of the fields that are arrays of numbers, truth values or bytes."""
+    return [
+        kind
         for kind in _types(cls).values()
-    )
+        if isinstance(kind, AbstractNestedType) and isinstance(kind.value_type, BasicType)
+    ]
 
 
 def type_name(cls: Any) -> str:

@@ -176,7 +176,7 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
             found.append(SeenTopic(name, type_name(cls), fields, publishers, listeners))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
-        elif has_numbers_in_arrays(cls) and not is_bulky(cls):
+        elif has_numbers_in_arrays(cls) and name not in bulky:
             why = (
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )

@@ -106,7 +106,7 @@ def _objective(analysis: Analysis) -> Figure:
     line = "the posterior mean of the surrogate, which a single lucky sample hardly changes"
     if len(study.objectives) > 1:
         line = "the mean of its evaluations; it may rise where another objective gains more"
-    shown = _from_above(_within_sight(analysis, _from_above(means, y, study), y.scale), y, study)
+    shown = _within_sight(analysis, means, y.scale, study.objective.sign)
     edge = "top" if study.objective.sign > 0 else "bottom"
     worst = float(np.nanmax(shown) if study.objective.sign > 0 else np.nanmin(shown))
     evaluations = np.cumsum([len(trial.evaluations) for trial in analysis.record.trials])
@@ -143,7 +143,7 @@ def _worst_case(analysis: Analysis, constraint: Constraint, name: str) -> Figure
     metric = study.metrics[constraint.metric]
     estimates = [t.worst_cases.get(constraint.name) for t in analysis.trials]
     found = np.array([math.nan if worst is None else worst.value for worst in estimates])
-    shown = sign * _within_sight(analysis, sign * found, Scale.LINEAR)
+    shown = _within_sight(analysis, found, Scale.LINEAR, sign)
     within = sum(worst is not None and worst_case_holds(constraint, worst) for worst in estimates)
     edge, kept = ("top", "Below") if sign > 0.0 else ("bottom", "Above")
     side = f"{kept} the line the limit is kept"
@@ -277,13 +277,6 @@ def _incumbent(analysis: Analysis, count: int) -> Candidate | None:
     return first_by(models, study, trials, algorithm.models)
 
 
-def _from_above(values: Array, axis: Axis, study: Study) -> Array:
-    """Return values (n,) of the objective as if it were minimized, or such values as they were."""
-    if study.objective.sign > 0:
-        return values
-    return 1.0 / values if axis.scale is Scale.LOG else -values
-
-
 def _incumbent_lines(
     found: Sequence[tuple[int, Candidate]], x: Array, worst: float, study: Study
 ) -> list[Element]:
@@ -322,8 +315,16 @@ def _default_line(analysis: Analysis) -> list[Element]:
     return [Limit(value=values[0], name="default", color=Color.INK, dash=Dash.DASH_DOT)]
 
 
-def _within_sight(analysis: Analysis, seen: Array, scale: Scale) -> Array:
-    """Return the values (n,) with NaN and values far above the feasible ones moved to the top."""
+def _within_sight(analysis: Analysis, seen: Array, scale: Scale, sign: float) -> Array:
+    """Return the values (n,) with NaN and values far worse than the feasible ones at the edge.
+
+    Large values are the worse ones, and the edge is the top; with a negative sign, the bottom.
+    """
+    if sign < 0:
+        # Either is its own inverse.
+        turned = np.reciprocal if scale is Scale.LOG else np.negative
+        turned_back: Array = turned(_within_sight(analysis, turned(seen), scale, -sign))
+        return turned_back
     good = [analysis.outcome(trial) == TrialOutcome.WITHIN for trial in analysis.trials]
     finite = np.isfinite(seen)
     if not finite.any():
