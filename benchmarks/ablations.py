@@ -24,7 +24,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1")
 
 from common import provenance, read_result, result_parser, table, write_result
 
-from bo_tuner.models import fitting, joint_process
+from bo_tuner.models import fitting, pooled_process
 from bo_tuner.models.compression import Compression
 from bo_tuner.optimizers import boundary, repetition
 from bo_tuner.optimizers.boundary import BoundaryOptimization
@@ -75,10 +75,10 @@ VARIANTS = (
     Variant("points to be shown feasible by 2 runs, not 8", ((boundary, "AHEAD", 2),)),
     Variant(
         "equal noise everywhere",
-        ((joint_process, "WIDTH", 1e3),),
+        ((pooled_process, "WIDTH", 1e3),),
         cases=("mean", "single-run"),
     ),
-    Variant("fits continue only, never start anew", ((joint_process, "RESTARTED", 0),)),
+    Variant("fits continue only, never start anew", ((pooled_process, "RESTARTED", 0),)),
     Variant(
         "worst contexts at the corners and the hypercube only",
         ((fitting, "searched_contexts", lambda _: ()),),

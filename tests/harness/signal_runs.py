@@ -1,7 +1,7 @@
 """Runs whose metrics are those of recorded signals: a study of them, and their record."""
 
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import signal_sources
+from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.recorder import Recorder
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.storage.journal import Journal

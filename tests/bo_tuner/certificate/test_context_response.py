@@ -43,7 +43,7 @@ def test_the_hyperparameters_are_averaged_over(monkeypatch):
     monkeypatch.setattr(context_response, "KEPT", 1500)
     # Equal noise everywhere, so that the reference need not know of local noise.
     monkeypatch.setattr(
-        context_response.JointProcess,
+        context_response.PooledProcess,
         "noise",
         lambda self, x, c, which: (np.full(len(x), self.noise_variance), None),
     )

@@ -5,7 +5,8 @@ import pytest
 from signal_runs import outcome_of, signal_study
 
 from bo_tuner.errors import StudyError
-from bo_tuner.metrics.recording import RecordedSignal, Recording, signal_sources
+from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
 

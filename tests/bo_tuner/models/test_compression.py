@@ -8,8 +8,8 @@ from scipy.stats import norm
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import EveryContext
 
 LIMIT = 5.0
 KNOWN = np.array([1.0, 3.0, 6.0, 405.0])
@@ -100,7 +100,7 @@ class TestWithRunsThatExplodeNowAndThen:
         x, c = np.repeat([[0.0], [0.5], [1.0]], 20, axis=0), np.empty((60, 0))
         y = sign * np.where(np.arange(60) % 10 == 7, 50.0, 0.5)
         compression = Compression.of(y, sign, sign)
-        process = JointProcess.fit(
+        process = PooledProcess.fit(
             x, c, compression.apply(y), coding=Coding((0,)), rng=np.random.default_rng(0)
         )
         return EveryContext(process, sign, np.empty((1, 0)), sign=sign, compression=compression)
@@ -125,7 +125,7 @@ class TestWithOneValueThatExplodes:
         x, c = np.repeat(self.x, 3, axis=0), np.empty((33, 0))
         y = np.exp(16.0 * (x[:, 0] - 0.5)) * (1.0 + 0.05 * rng.standard_normal(33))
         compression = Compression.of(y, 1.0) if compressed else NO_COMPRESSION
-        process = JointProcess.fit(
+        process = PooledProcess.fit(
             x, c, compression.apply(y), coding=Coding((0,)), rng=np.random.default_rng(0)
         )
         return EveryContext(process, 1.0, np.empty((1, 0)), compression=compression)

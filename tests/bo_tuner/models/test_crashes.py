@@ -1,7 +1,7 @@
 """The probability that a run fails."""
 
 import numpy as np
-from joint_data import CORNERS, PLAIN, scattered
+from pooled_data import CORNERS, PLAIN, scattered
 
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier

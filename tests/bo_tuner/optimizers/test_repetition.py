@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext, PooledResponse
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, next_repetition
 from bo_tuner.trials import Stage
@@ -79,7 +79,7 @@ def constraint(study):
     contexts = study.context_space()
     x, c = rng.random((60, 1)), rng.random((60, contexts.dimension))
     y = x[:, 0] + rng.normal(0.0, 0.1, 60)
-    process = JointProcess.fit(x, c, y, coding=Coding((0,)), rng=rng)
+    process = PooledProcess.fit(x, c, y, coding=Coding((0,)), rng=rng)
     return EveryContext(process, 5.0, contexts.candidates())
 
 
@@ -136,7 +136,7 @@ def test_many_corners_are_not_run(make_study, candidate, variables, corners):
     )
     rng = np.random.default_rng(0)
     x, c = rng.random((80, 1)), rng.random((80, variables))
-    process = JointProcess.fit(x, c, c[:, 0], coding=Coding((0,)), rng=rng)
+    process = PooledProcess.fit(x, c, c[:, 0], coding=Coding((0,)), rng=rng)
     # The most doubtful context is no corner.
     inside = np.full((1, variables), 0.6)
     constraint = EveryContext(process, 5.0, inside)
@@ -156,7 +156,7 @@ def test_without_contexts_there_are_no_corners(make_study, candidate, constraint
         contexts={},
     )
     everywhere = replace(constraint, contexts=np.empty((1, 0)))
-    process = JointProcess.fit(
+    process = PooledProcess.fit(
         np.linspace(0.0, 1.0, 9)[:, None], np.empty((9, 0)), np.linspace(0.0, 1.0, 9),
         coding=Coding((0,)), rng=np.random.default_rng(0),
     )  # fmt: skip

@@ -9,8 +9,8 @@ from scipy.stats import norm
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.references import check_constraint
-from bo_tuner.study.signals import SignalMetric
 from bo_tuner.study.study_file import parse_study, study_to_yaml
 
 BOTH = {"kind": "worst_case", "metric": "peak", "lower": 0.2, "upper": 1.0}

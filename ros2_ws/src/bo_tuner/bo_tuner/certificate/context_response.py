@@ -5,7 +5,7 @@ changes and how large its noise is, and with the squared-exponential kernel also
 derivatives. Here the hyperparameters φ are sampled from their posterior, one after the other, by
 slice sampling (Neal 2003, Murray and Adams 2010), and the kernel is the Matérn kernel with the
 smoothness 3/2, which assumes one derivative. The noise is local: its ratio to the common variance
-is that of `bo_tuner.models.joint_process`.
+is that of `bo_tuner.models.pooled_process`.
 
 Notation: n distinct contexts in the unit cube with r_i observations each and their mean ȳ_i; noise
 variances σ² ρ_i; K the prior covariance, C = K + σ² diag(ρ / r) = L Lᵀ, α = C⁻¹ ȳ.
@@ -25,8 +25,8 @@ from scipy.linalg import lapack, solve_triangular
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors, LogNormal
-from bo_tuner.models.joint_process import JointProcess
 from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky, scaled_squared_distances
+from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 
 PRIORS = Hyperpriors(
@@ -71,7 +71,7 @@ class ContextResponse:
     """
 
     def __init__(self, points: Array, values: Array, rng: np.random.Generator) -> None:
-        fitted = JointProcess.fit(
+        fitted = PooledProcess.fit(
             np.empty((len(points), 0)), points, values, coding=Coding(()), rng=rng, priors=PRIORS
         )
         self._standardisation, self._data = fitted.standardisation, fitted.data

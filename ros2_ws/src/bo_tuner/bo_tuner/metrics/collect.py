@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from math import isfinite
 
-from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, sources_of
+from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
 from bo_tuner.study import maxima
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.parts import LOG, ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
+from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
@@ -33,7 +34,7 @@ class Collector:
 
     def __init__(self, study: Study, sources: Mapping[str, MetricSource] | None = None) -> None:
         self._study = study
-        self._sources = sources_of(study) | dict(sources or {})
+        self._sources = reported_sources(study) | dict(sources or {})
 
     def outcome(self, results: Results, assigned: Results | None = None) -> Outcome:
         """Judge an evaluation.

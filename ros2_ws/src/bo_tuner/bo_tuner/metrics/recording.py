@@ -1,24 +1,14 @@
-"""The signals of one run, and the metrics that are computed from them."""
+"""The signals of one run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.errors import StudyError
-from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
+from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
-from bo_tuner.numerics.signal_metrics import (
-    FROM_START,
-    MEASURES,
-    UndefinedMetricError,
-    options_of,
-)
-from bo_tuner.study import checks, named_code
-from bo_tuner.study.signals import TIME, PythonMetric, Signal, SignalMetric, expression
-from bo_tuner.study.study import Study
-from bo_tuner.text import one_line
+from bo_tuner.study.signals import TIME, Signal
 
 
 class FailedRunError(Exception):
@@ -206,127 +196,3 @@ def _gap(where: str, length: float, since: float, largest: float) -> FailedRunEr
         f"{where} has no message for {length:.3g} s from {since:.3f} s on, "
         f"expected one at least every {largest:g} s"
     )
-
-
-class SignalSource:
-    """Computes a metric of the signals of the last run.
-
-    Parameters
-    ----------
-    metric
-        The metric.
-    study
-        The study, for its signals.
-    recording
-        Returns what was recorded in the last run.
-    """
-
-    def __init__(
-        self, metric: SignalMetric, study: Study, recording: Callable[[], Recording]
-    ) -> None:
-        self._metric = metric
-        self._recording = recording
-        self._of = expression(metric.of, study.signals)
-        self._target = (
-            expression(metric.target, study.signals) if isinstance(metric.target, str) else None
-        )
-
-    def value(self, results: Results) -> float:
-        """Return the value; of `results` nothing is needed."""
-        recording = self._recording()
-        metric = self._metric
-        options = {key: getattr(metric, key) for key in options_of(metric.measure)}
-        if self._target is not None:
-            target = float(recording.sample(self._target)[1][-1])
-            if not np.isfinite(target):
-                # No step to nowhere overshoots.
-                raise MissingMetricError(
-                    f"metric {metric.name}: its target, {metric.target}, is undefined at the end"
-                )
-            options["target"] = target
-        # What holds at the start came before it: its change would look too steep.
-        time, value = recording.sample(self._of, held=metric.measure != "largest_rate")
-        if not np.isfinite(value).all():
-            when = time[np.flatnonzero(~np.isfinite(value))[0]]
-            raise MissingMetricError(
-                f"metric {metric.name}: {metric.of} is undefined at {when:.3f} s"
-            )
-        if metric.measure in FROM_START and time[0] > 0.0:
-            time, value = np.append(0.0, time), np.append(0.0, value)
-        try:
-            given = {key: item for key, item in options.items() if item is not None}
-            return MEASURES[metric.measure](time, value, **given)
-        except UndefinedMetricError as error:
-            raise MissingMetricError(f"metric {metric.name}: {metric.of} {error}") from None
-
-
-class PythonSource:
-    """Computes a metric of the signals of the last run by a function of the user.
-
-    The function is passed, by their names, the times (n,) [s] and values (n,) of all signals that
-    have messages, and returns the value. As for the other measures the first time is 0, or that of
-    the first message, the last one is the end of the run, and a value holds until the next one.
-
-    Parameters
-    ----------
-    metric
-        The metric.
-    recording
-        Returns what was recorded in the last run.
-
-    Raises
-    ------
-    StudyError
-        If the function cannot be imported.
-    """
-
-    def __init__(self, metric: PythonMetric, recording: Callable[[], Recording]) -> None:
-        self._metric = metric
-        self._recording = recording
-        # Foreign code, which may raise anything; here and below.
-        try:
-            self._function = named_code.load(metric.python)
-        except Exception as error:
-            raise StudyError(
-                f"cannot import {metric.python}: {one_line(f'{type(error).__name__}: {error}')}",
-                ("metrics", metric.name, "python"),
-            ) from error
-        if not callable(self._function):
-            raise StudyError(
-                f"expected a function, found {checks.show(self._function)}",
-                ("metrics", metric.name, "python"),
-            )
-
-    def value(self, results: Results) -> object:
-        """Return the value; of `results` nothing is needed."""
-        recording = self._recording()
-        signals = {
-            name: recording.sample(Expression(name, (name,)))
-            for name, seen in recording.signals.items()
-            if len(seen.time)
-        }
-        where = f"metric {self._metric.name}: {self._metric.python}"
-        try:
-            found = self._function(signals)
-        except Exception as error:
-            raise MissingMetricError(f"{where} raised {type(error).__name__}: {error}") from None
-        if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
-            raise MissingMetricError(f"{where} returned {checks.show(found)}, expected a number")
-        return found
-
-
-def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str, MetricSource]:
-    """Make the source of each metric of a study that is computed from signals, by its name.
-
-    Raises
-    ------
-    StudyError
-        If a function that the study names cannot be imported.
-    """
-    sources: dict[str, MetricSource] = {}
-    for name, metric in study.metrics.items():
-        if isinstance(metric, SignalMetric):
-            sources[name] = SignalSource(metric, study, recording)
-        elif isinstance(metric, PythonMetric):
-            sources[name] = PythonSource(metric, recording)
-    return sources

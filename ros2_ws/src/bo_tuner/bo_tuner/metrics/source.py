@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from bo_tuner.study import checks
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 
 Results = Mapping[str, Mapping[str, object]]
@@ -54,7 +54,7 @@ class ResultMessage:
         return found
 
 
-def sources_of(study: Study) -> dict[str, MetricSource]:
+def reported_sources(study: Study) -> dict[str, MetricSource]:
     """Make the source of each metric that nodes report, by the metric's name."""
     return {
         name: ResultMessage(metric.node, metric.key)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.hyperpriors import Hyperpriors, LogNormal
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 
 # An indicator that steps from -1 to 1 looks like noise, or like structure of no extent, to a
@@ -83,7 +83,7 @@ class CrashModel:
         if not labels.any():
             return cls(labels, None, neighbours)
         indicator = np.where(labels, 1.0, -1.0)
-        process = JointProcess.fit(
+        process = PooledProcess.fit(
             x, c, indicator, coding=coding, rng=rng, priors=PRIORS, start=start, keep=True
         )
         return cls(labels, EveryContext(process, 0.0, contexts), neighbours)

@@ -20,14 +20,14 @@ from bo_tuner.models.constraints import (
 )
 from bo_tuner.models.crashes import CrashModel
 from bo_tuner.models.gaussian_process import GaussianProcess
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext, ExpectedObjective, OverContexts
 from bo_tuner.models.nearest_neighbours import NeighbourClassifier
 from bo_tuner.models.observations import (
     joint_observations,
     searched_contexts,
     single_evaluation_worst_cases,
 )
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import EveryContext, ExpectedObjective, OverContexts
 from bo_tuner.models.protocol import FitModel, Fitted, Model
 from bo_tuner.models.scalarization import Chebyshev
 from bo_tuner.models.student_t import find_outliers
@@ -272,7 +272,7 @@ class Fitting:
 
     def _limited(
         self, trials: Sequence[Trial], constraint: Constraint
-    ) -> tuple[JointProcess, Compression]:
+    ) -> tuple[PooledProcess, Compression]:
         x, c, y = self._joint_observations(trials, constraint.metric)
         compression = Compression.of(y, constraint.limit, constraint.sign)
         return self._process(constraint.name, x, c, compression.apply(y)), compression
@@ -283,8 +283,8 @@ class Fitting:
         contexts = self._study.context_space()
         return joint_observations(self._points(trials), contexts, trials, metric)
 
-    def _process(self, name: str, x: Array, c: Array, y: Array) -> JointProcess:
-        process = JointProcess.fit(
+    def _process(self, name: str, x: Array, c: Array, y: Array) -> PooledProcess:
+        process = PooledProcess.fit(
             x,
             c,
             y,

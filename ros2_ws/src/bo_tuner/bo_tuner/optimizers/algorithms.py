@@ -114,60 +114,75 @@ class Algorithm:
         self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
     ) -> WorstCaseSearch:
         """Make the search for one constraint, which is told `Constraint.sign` times its metric."""
-        contexts, sign = study.context_space(), constraint.sign
-        limit = sign * constraint.limit
+        if self.models.pooled:
+            return self._pooled_search(study, constraint, proposal, trials)
+        if self.models.joint:
+            return self._joint_search(study, constraint, proposal, trials)
+        return self._reinterpolation_search(study, constraint, proposal, trials)
+
+    def _pooled_search(
+        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
+    ) -> PooledSearch:
+        contexts, space = study.context_space(), study.search_space()
+        kept = [t for t in trials if t.number not in proposal.outliers]
+        points = space.cube_of(t.parameters for t in kept)
+        x, c, y = joint_observations(points, contexts, kept, constraint.metric)
+        # Without context variables, drawn evaluations are those in the worst context.
+        idle = contexts.dimension == 0 and proposal.protocol is None
+        return PooledSearch(
+            contexts,
+            constraint.sign * constraint.limit,
+            constraint.deviations,
+            0 if idle else self.protocol(study, proposal)[1],
+            space.to_cube(proposal.parameters),
+            x,
+            c,
+            constraint.sign * y,
+            Coding(space.levels),
+            proposal.hyperparameters.get(constraint.name) or None,
+            until_clear=proposal.protocol is None,
+        )
+
+    def _joint_search(
+        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
+    ) -> JointSearch:
+        contexts, space = study.context_space(), study.search_space()
+        coding = Coding(space.levels)
+        kept = [
+            t
+            for t in trials
+            if t.state is TrialState.COMPLETE and t.number not in proposal.outliers
+        ]
+        points = space.cube_of(t.parameters for t in kept)
+        x, c, y = joint_observations(points, contexts, kept, constraint.metric)
+        return JointSearch(
+            contexts,
+            constraint.sign * constraint.limit,
+            constraint.level,
+            self.protocol(study, proposal)[1],
+            coding.encode(space.to_cube(proposal.parameters)[None])[0],
+            coding.encode(np.hstack([x, c])),
+            constraint.sign * y,
+            proposal.hyperparameters.get(constraint.name) or None,
+        )
+
+    def _reinterpolation_search(
+        self, study: Study, constraint: Constraint, proposal: Proposal, trials: Sequence[Trial]
+    ) -> ReinterpolationSearch:
+        contexts, space = study.context_space(), study.search_space()
+        limit = constraint.sign * constraint.limit
         if self.nominal:
             return ReinterpolationSearch(contexts, limit, 0, OBSERVED)
-        _, searched = self.protocol(study, proposal)
-        space = study.search_space()
         coding = Coding(space.levels)
-        point = coding.encode(space.to_cube(proposal.parameters)[None])[0]
-        if self.models.pooled:
-            kept = [t for t in trials if t.number not in proposal.outliers]
-            points = space.cube_of(t.parameters for t in kept)
-            x, c, y = joint_observations(points, contexts, kept, constraint.metric)
-            # Without context variables, drawn evaluations are those in the worst context.
-            idle = contexts.dimension == 0 and proposal.protocol is None
-            return PooledSearch(
-                contexts,
-                limit,
-                constraint.deviations,
-                0 if idle else searched,
-                space.to_cube(proposal.parameters),
-                x,
-                c,
-                sign * y,
-                coding,
-                proposal.hyperparameters.get(constraint.name) or None,
-                until_clear=proposal.protocol is None,
-            )
-        if self.models.joint:
-            kept = [
-                t
-                for t in trials
-                if t.state is TrialState.COMPLETE and t.number not in proposal.outliers
-            ]
-            points = space.cube_of(t.parameters for t in kept)
-            x, c, y = joint_observations(points, contexts, kept, constraint.metric)
-            return JointSearch(
-                contexts,
-                limit,
-                constraint.level,
-                searched,
-                point,
-                coding.encode(np.hstack([x, c])),
-                sign * y,
-                proposal.hyperparameters.get(constraint.name) or None,
-            )
         name = constraint.name
         known = [(t.parameters, t.worst_cases[name]) for t in trials if name in t.worst_cases]
         return ReinterpolationSearch(
             contexts,
             limit,
-            searched,
+            self.protocol(study, proposal)[1],
             self.worst_case,
             worst_contexts_nearby(
-                point,
+                coding.encode(space.to_cube(proposal.parameters)[None])[0],
                 coding.encode(space.cube_of(p for p, _ in known)),
                 [worst for _, worst in known],
                 contexts,
@@ -204,7 +219,7 @@ ALGORITHMS = {
 
 
 def default_algorithm(study: Study) -> str:
-    """Return the algorithm for a study of which nobody says by which it is to be run."""
+    """Return the algorithm for a study when none is chosen."""
     return SEVERAL_OBJECTIVES if len(study.objectives) > 1 else DEFAULT_ALGORITHM
 
 

@@ -11,7 +11,7 @@ is most doubtful that they keep their limits; `bo_tuner.optimizers.repetition` d
 when that is settled.
 
 All evaluations are pooled in the processes over parameter set and context
-(`bo_tuner.models.joint_process`). The answer is the parameter set with the lowest predicted cost
+(`bo_tuner.models.pooled_process`). The answer is the parameter set with the lowest predicted cost
 among those that are shown to keep all limits.
 
 References
@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from bo_tuner.models.constraints import CONFIDENT
-from bo_tuner.models.joint_responses import FutureBound, PooledResponse
+from bo_tuner.models.pooled_responses import FutureBound, PooledResponse
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.base import ACQUISITION, Proposal

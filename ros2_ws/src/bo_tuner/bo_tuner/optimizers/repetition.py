@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bo_tuner.models.joint_responses import EveryContext, PooledResponse, bound_after
+from bo_tuner.models.pooled_responses import EveryContext, PooledResponse, bound_after
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement

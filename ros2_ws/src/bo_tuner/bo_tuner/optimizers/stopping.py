@@ -36,7 +36,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bo_tuner.models.joint_responses import ExpectedObjective
+from bo_tuner.models.pooled_responses import ExpectedObjective
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.algorithms import Algorithm

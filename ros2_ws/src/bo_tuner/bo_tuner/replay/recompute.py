@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import FailedRunError, signal_sources
+from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.retention import is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import BAGS
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 from bo_tuner.trials import EvaluationState, Outcome
 

@@ -11,7 +11,8 @@ from bo_tuner.optimizers.ranking import incumbent
 from bo_tuner.recording.retention import badness, evaluation_badness
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
-from bo_tuner.study.parts import IN_PROCESS, Metric
+from bo_tuner.study.metrics import Metric
+from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY

@@ -15,8 +15,8 @@ from pathlib import Path
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.state import state_folder
+from bo_tuner.study.metrics import PythonMetric
 from bo_tuner.study.nodes import NodeSpec
-from bo_tuner.study.signals import PythonMetric
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import shipped_nodes, study_to_mapping
 

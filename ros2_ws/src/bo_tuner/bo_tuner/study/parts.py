@@ -4,7 +4,6 @@ A violated rule raises a `StudyError` with the key path from the object to the v
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,65 +98,6 @@ class Trigger:
             self.service, checks.TOPIC_NAME, "a service name such as ~/run_cut", "service"
         )
         object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
-
-
-class Metric(Protocol):
-    """A number that an evaluation has as its result, wherever it comes from."""
-
-    @property
-    def name(self) -> str:
-        """Name in the study."""
-
-    @property
-    def unit(self) -> str:
-        """Unit, for display only."""
-
-    @property
-    def reproducible(self) -> bool:
-        """Whether the same evaluation gives the same number again."""
-
-    @property
-    def measures_time(self) -> bool:
-        """Whether it is a measured time, which other load on the machine makes longer."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReportedMetric:
-    """A number that a node reports after an evaluation.
-
-    Attributes
-    ----------
-    name : str
-        Name in the study.
-    node : str
-        Node of the study.
-    key : str
-        Key of the number in what the node reports; the metric's name unless given.
-    unit : str
-        Unit, for display only.
-    reproducible : bool
-        Whether a repeated evaluation gives the same number. One that depends on measured time
-        differs over ROS, and `replay` does not judge it.
-    """
-
-    name: str
-    node: str
-    key: str = ""
-    unit: str = ""
-    reproducible: bool = True
-
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        checks.text(self.node, "node")
-        checks.text(self.unit, "unit")
-        checks.boolean(self.reproducible, "reproducible")
-        if not checks.text(self.key, "key"):
-            object.__setattr__(self, "key", self.name)
-
-    @property
-    def measures_time(self) -> bool:
-        """Whether it depends on measured time."""
-        return not self.reproducible
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,12 @@ from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.building import under
 from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.metrics import PythonMetric, ReportedMetric, SignalMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
+from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.run import Run
-from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.study.signals import Signal
 
 
 def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) -> None:
@@ -38,9 +39,7 @@ def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) 
         taken.append(item.metric)
 
 
-def check_constraint(
-    constraint: Constraint, metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric]
-) -> None:
+def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric]) -> None:
     """Refuse a limit on a metric that is not there, and one that no run can keep."""
     checks.reference(constraint.metric, "metric", metrics, "metric")
     metric = metrics[constraint.metric]
@@ -59,7 +58,7 @@ def check_constraint(
 def check_run(
     trigger: Trigger | None,
     run: Run | None,
-    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric],
+    metrics: Mapping[str, StudyMetric],
     signals: Mapping[str, Signal],
     nodes: Mapping[str, NodeSpec],
 ) -> None:

@@ -19,11 +19,12 @@ from typing import Any
 
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import DISTRIBUTIONS
+from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
-from bo_tuner.study.parts import ContextVariable, ReportedMetric
+from bo_tuner.study.parts import ContextVariable
 from bo_tuner.study.run import End
-from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
 Schema = dict[str, Any]
@@ -34,7 +35,7 @@ NAMED = {
     "parameters": (Parameter,),
     "contexts": (ContextVariable,),
     "signals": (Signal,),
-    "metrics": (ReportedMetric, SignalMetric, PythonMetric),
+    "metrics": typing.get_args(StudyMetric),
     "constraints": (Constraint,),
 }
 """Sections of objects by name, with the kinds of these."""

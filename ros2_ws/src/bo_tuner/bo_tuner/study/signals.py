@@ -1,4 +1,4 @@
-"""What a study records of a system's topics, and the metrics that are computed from it."""
+"""What a study records of a system's topics, and expressions of it."""
 
 import keyword
 import re
@@ -12,7 +12,6 @@ from bo_tuner.numerics.expressions import (
     ExpressionError,
     UnknownNameError,
 )
-from bo_tuner.numerics.signal_metrics import MEASURES, options_of
 from bo_tuner.study import checks
 
 HEADER, RECEPTION = "header", "reception"
@@ -114,107 +113,6 @@ class Signal:
             object.__setattr__(self, "largest_gap", gap)
         if self.most_lost is not None:
             checks.integer(self.most_lost, "most_lost", at_least=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SignalMetric:
-    """A number that is computed from the signals of a run.
-
-    Attributes
-    ----------
-    name : str
-        Name in the study.
-    of : str
-        A signal, or an expression of several.
-    measure : str
-        What is computed from it, such as `iae` or `overshoot`; docs/interfaces.md lists all.
-    unit : str
-        Unit, for display only.
-    target : float or str, optional
-        Where a step should end: a number, or an expression, whose value at the end counts.
-    percent : float, optional
-        Percentage of the time in which `percentile` is not exceeded, 0 to 100.
-    band : float, optional
-        Distance from `target` within which `settling_time` takes the step as settled, as a share of
-        the step; 0.02 unless given.
-    """
-
-    name: str
-    of: str
-    measure: str
-    unit: str = ""
-    target: float | str | None = None
-    percent: float | None = None
-    band: float | None = None
-
-    reproducible = False
-    """Of measured signals no two runs give the same."""
-
-    measures_time = False
-
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        checks.text(self.of, "of")
-        checks.text(self.unit, "unit")
-        checks.choice(self.measure, tuple(MEASURES), "measure")
-        options = options_of(self.measure)
-        for key in ("target", "percent", "band"):
-            value = getattr(self, key)
-            if value is None and options.get(key):
-                raise StudyError(f"missing; {self.measure} needs one", (key,))
-            if value is not None and key not in options:
-                raise StudyError(f"{self.measure} has none", (key,))
-            if value is not None and not (key == "target" and isinstance(value, str)):
-                object.__setattr__(self, key, checks.number(value, key))
-        if self.percent is not None and not 0.0 <= self.percent <= 100.0:
-            raise StudyError(f"expected 0 to 100, found {self.percent:g}", ("percent",))
-        if self.band is not None:
-            checks.positive(self.band, "band")
-
-    def check_signals(self, signals: Iterable[str]) -> None:
-        """Refuse expressions with signals that the study does not have."""
-        found = expression(self.of, signals, "of").names
-        if not found - {TIME}:
-            raise StudyError("expected an expression with a signal", ("of",))
-        if self.measure == "largest_rate" and len(found) > 1:
-            raise StudyError(
-                "the largest_rate of several signals depends on when their messages come; "
-                "expected one signal",
-                ("of",),
-            )
-        if isinstance(self.target, str):
-            expression(self.target, signals, "target")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PythonMetric:
-    """A number that a function of the user computes from the signals of a run.
-
-    Attributes
-    ----------
-    name : str
-        Name in the study.
-    python : str
-        `module:function`, in a module that can be imported.
-    unit : str
-        Unit, for display only.
-    """
-
-    name: str
-    python: str
-    unit: str = ""
-
-    reproducible = False
-    """Of measured signals no two runs give the same."""
-
-    measures_time = False
-
-    def __post_init__(self) -> None:
-        checks.parameter_name(self.name)
-        checks.matching(
-            self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
-        )
-        checks.text(self.unit, "unit")
 
 
 def expression(text: object, signals: Iterable[str], *path: str | int) -> Expression:

@@ -21,10 +21,11 @@ from bo_tuner.study.constraint import (
     Constraint,
 )
 from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.metrics import ReportedMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
+from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import (
     check_constraint,
     check_objectives,
@@ -33,7 +34,7 @@ from bo_tuner.study.references import (
 )
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
-from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.study.signals import Signal
 from bo_tuner.trials import Value
 
 DEFAULT_SET = "default"
@@ -108,7 +109,7 @@ class Study:
     name: str
     nodes: Mapping[str, NodeSpec]
     parameters: Mapping[str, Parameter]
-    metrics: Mapping[str, ReportedMetric | SignalMetric | PythonMetric]
+    metrics: Mapping[str, StudyMetric]
     objective: Objective
     budget: Budget
     trigger: Trigger | None = None

@@ -13,12 +13,13 @@ from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.metrics import ReportedMetric, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
-from bo_tuner.study.parts import ContextVariable, Objective, ReportedMetric, SeedParameter, Trigger
+from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.run import Run, build_run
-from bo_tuner.study.signals import PythonMetric, Signal, SignalMetric
+from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
 MAX_BYTES = 1_000_000
@@ -244,14 +245,8 @@ def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
         with findings.under(name):
             if cls is ContextVariable:
                 items[name] = _build_context(name, fields)
-            elif (
-                cls is ReportedMetric
-                and isinstance(fields, dict)
-                and {"of", "measure"} & fields.keys()
-            ):
-                items[name] = build(SignalMetric, fields, name=name)
-            elif cls is ReportedMetric and isinstance(fields, dict) and "python" in fields:
-                items[name] = build(PythonMetric, fields, name=name)
+            elif cls is ReportedMetric:
+                items[name] = build(metric_kind(fields), fields, name=name)
             else:
                 items[name] = build(cls, fields, name=name)
     findings.check()

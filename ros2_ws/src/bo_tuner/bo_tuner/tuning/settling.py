@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.models.fitting import ModelOptions
-from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models

@@ -6,8 +6,8 @@ import numpy as np
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.models.compression import Compression
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import EveryContext
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
@@ -35,7 +35,7 @@ class PooledSearch:
     coding
         Of the parameters' columns.
     hyperparameters
-        Of the process, as in `JointProcess.condition`; by default they are fitted to the data.
+        Of the process, as in `PooledProcess.condition`; by default they are fitted to the data.
     until_clear
         Whether the search ends when the decision is clear.
     """
@@ -65,7 +65,7 @@ class PooledSearch:
         self._coding = coding
         self._hyperparameters = hyperparameters
         self._until_clear = until_clear
-        self._process: JointProcess | None = None
+        self._process: PooledProcess | None = None
         self._observed: list[float] = []
         self._asked = 0
 
@@ -103,28 +103,28 @@ class PooledSearch:
         _, mean, noise = there.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
 
-    def _fit(self, rng: np.random.Generator) -> JointProcess:
+    def _fit(self, rng: np.random.Generator) -> PooledProcess:
         if self._process is None:
             if self._hyperparameters is None:
-                self._process = JointProcess.fit(
+                self._process = PooledProcess.fit(
                     self._x, self._c, self._y, coding=self._coding, rng=rng, priors=PRIORS
                 )
             else:
-                self._process = JointProcess.condition(
+                self._process = PooledProcess.condition(
                     self._hyperparameters, self._x, self._c, self._y, coding=self._coding
                 )
         return self._process
 
-    def _quantile(self, process: JointProcess, c: Array) -> tuple[Array, Array]:
+    def _quantile(self, process: PooledProcess, c: Array) -> tuple[Array, Array]:
         points = np.tile(self._point, (len(c), 1))
         return self._everywhere(process, c).predict_in(points, np.arange(len(c)))
 
-    def _everywhere(self, process: JointProcess, c: Array) -> EveryContext:
+    def _everywhere(self, process: PooledProcess, c: Array) -> EveryContext:
         return EveryContext(
             process, self._limit, c, self._deviations, compression=self._compression
         )
 
-    def _upper(self, process: JointProcess) -> Callable[[Array], Array]:
+    def _upper(self, process: PooledProcess) -> Callable[[Array], Array]:
         def upper(c: Array) -> Array:
             mean, variance = self._quantile(process, c)
             return mean + np.sqrt(variance)

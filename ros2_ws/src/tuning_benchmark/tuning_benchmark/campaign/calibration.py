@@ -5,7 +5,7 @@ import itertools
 from typing import Any
 
 from bo_tuner.errors import ParameterError
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.study import Study
 from tuning_benchmark.experiments.experiment import Calibration
 from tuning_benchmark.judging.evaluator import Evaluator

@@ -18,7 +18,8 @@ from bo_tuner.figures.figure import (
     Scale,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.parts import LOG, ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
+from bo_tuner.study.parts import LOG
 from tuning_benchmark.experiments.experiment import Calibration, Case, Cost
 from tuning_benchmark.judging.truth import FEW_REAL_EVALUATIONS, Effort
 from tuning_benchmark.pages.statistics import Mean, Power, mean, power

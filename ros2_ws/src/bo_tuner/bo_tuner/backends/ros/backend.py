@@ -35,13 +35,8 @@ from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import (
-    NOTHING_RECORDED,
-    FailedRunError,
-    Recording,
-    signal_sources,
-)
-from bo_tuner.metrics.source import MetricSource
+from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
+from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -83,8 +78,6 @@ class RosBackend(SequentialBackend):
         for the nodes that it starts.
     interrupted
         Asked while waiting; raises what shall end the wait.
-    sources
-        Where metrics come from, unless as the study says; by name.
     """
 
     name = ROS
@@ -99,11 +92,9 @@ class RosBackend(SequentialBackend):
         run_log: Path | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
-        sources: Mapping[str, MetricSource] | None = None,
     ) -> None:
         self._study = study
-        self._sources = dict(sources or {})
-        self._collector = Collector(study, self._sources)
+        self._collector = Collector(study)
         self._log_directory = log_directory
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
@@ -139,8 +130,8 @@ class RosBackend(SequentialBackend):
             of its run is not there, or a function of its metrics cannot be imported.
         """
         check_wall_clock()
-        signals = signal_sources(self._study, lambda: self.recording)
-        self._collector = Collector(self._study, {**signals, **self._sources})
+        sources = signal_sources(self._study, lambda: self.recording)
+        self._collector = Collector(self._study, sources)
         given = domain_of_environment()
         tuner, client = self._enter(given)
         self._bringup = Bringup(

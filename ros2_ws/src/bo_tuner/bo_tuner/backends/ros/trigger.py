@@ -15,7 +15,7 @@ from bo_tuner.backends.ros.results import RunResults
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError
 from bo_tuner.metrics.collect import STATUS_OK
-from bo_tuner.study.parts import ReportedMetric
+from bo_tuner.study.metrics import ReportedMetric
 from bo_tuner.study.parts import Trigger as TriggerSpec
 from bo_tuner.study.study import Study
 

@@ -23,7 +23,7 @@ from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, numbered, quantity
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.parts import Metric
+from bo_tuner.study.metrics import Metric
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import Evaluation

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from joint_data import CORNERS, PLAIN, fitted, scattered
+from pooled_data import CORNERS, PLAIN, fitted, scattered
 from scipy.stats import norm
 
-from bo_tuner.models.joint_process import JointProcess
-from bo_tuner.models.joint_responses import (
+from bo_tuner.models.pooled_process import PooledProcess
+from bo_tuner.models.pooled_responses import (
     EveryContext,
     ExpectedObjective,
     FutureBound,
@@ -121,7 +121,7 @@ class TestChance:
     def process(self, rng, noise=0.1, slope=1.0):
         x, c = rng.random((150, 1)), rng.random((150, 1))
         y = x[:, 0] + slope * c[:, 0] + rng.normal(0.0, noise, 150)
-        return JointProcess.fit(x, c, y, coding=PLAIN, rng=rng)
+        return PooledProcess.fit(x, c, y, coding=PLAIN, rng=rng)
 
     def constraint(self, process, probability, **changes):
         contexts = (np.arange(64)[:, None] + 0.5) / 64

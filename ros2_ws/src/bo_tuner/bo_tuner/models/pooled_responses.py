@@ -1,4 +1,4 @@
-"""Objective and worst-case constraint of a parameter set, by processes that include the context."""
+"""Objective and limits of a parameter set, by processes that include the context."""
 
 from abc import abstractmethod
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 
 from bo_tuner.models.compression import NO_COMPRESSION, Compression
 from bo_tuner.models.constraints import LimitedResponse
-from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.parts import LOG, Objective
 
@@ -40,7 +40,7 @@ class ExpectedObjective:
         The study's; says the scale.
     """
 
-    process: JointProcess
+    process: PooledProcess
     contexts: Array
     objective: Objective
 
@@ -158,7 +158,7 @@ class EveryContext(PooledResponse):
         Scale of the process.
     """
 
-    process: JointProcess
+    process: PooledProcess
     limit: float
     contexts: Array
     deviations: float = 0.0
@@ -240,7 +240,7 @@ class EveryContext(PooledResponse):
 
 @dataclass(frozen=True, eq=False)
 class OverContexts(PooledResponse):
-    """Limit that a run keeps with a probability over contexts and noise, by the joint process.
+    """Limit that a run keeps with a probability over contexts and noise, by the pooled process.
 
     The quantile q of runs solves mean_c Φ((q - f_c) / σ_c) = `probability`, with the process f_c
     and the local noise σ_c in the context c; it must keep the limit. To first order its error is
@@ -263,7 +263,7 @@ class OverContexts(PooledResponse):
         Scale of the process.
     """
 
-    process: JointProcess
+    process: PooledProcess
     limit: float
     contexts: Array
     probability: float

@@ -5,13 +5,13 @@ import weakref
 
 import numpy as np
 import pytest
-from joint_data import CORNERS, PLAIN, fitted, scattered
+from pooled_data import CORNERS, PLAIN, fitted, scattered
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from bo_tuner.models import conditioning, context_reduction
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.pooled_process import PooledProcess
 
 
 def reference(process):
@@ -144,7 +144,7 @@ class TestPosterior:
     def test_conditioned_on_more_data(self):
         x, c, y = scattered(60)
         process = fitted(x, c, y)
-        again = JointProcess.condition(process.warm_start, x, c, y, coding=PLAIN)
+        again = PooledProcess.condition(process.warm_start, x, c, y, coding=PLAIN)
         assert again.means(x, CORNERS) == pytest.approx(process.means(x, CORNERS))
 
     def test_without_contexts(self):

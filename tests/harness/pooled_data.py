@@ -3,7 +3,7 @@
 import numpy as np
 
 from bo_tuner.models.categories import Coding
-from bo_tuner.models.joint_process import JointProcess
+from bo_tuner.models.pooled_process import PooledProcess
 
 PLAIN = Coding((0,))
 CORNERS = np.array([[0.0], [0.5], [1.0]])
@@ -20,4 +20,4 @@ def scattered(count, seed=0, sd=lambda c: 0.01):
 
 
 def fitted(x, c, y, coding=PLAIN):
-    return JointProcess.fit(x, c, y, coding=coding, rng=np.random.default_rng(0))
+    return PooledProcess.fit(x, c, y, coding=coding, rng=np.random.default_rng(0))

@@ -104,7 +104,7 @@ class _Known:
 
 
 @dataclass(frozen=True, eq=False)
-class JointProcess:
+class PooledProcess:
     """Posterior of a response over parameter set and context; build it by `fit` or `condition`.
 
     Attributes
@@ -227,7 +227,7 @@ class JointProcess:
         # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
         degrees = data.count - equal.leverages
         squares = equal.residuals**2 / error + within / common
-        local = _local_ratio(data.x, data.x, columns, squares, degrees)[0]
+        local = _local_ratio(data.x, data.x, columns, squares, degrees)
         posterior = prior.condition(data.mean, error * local)
         return cls(
             hyperparameters,
@@ -403,17 +403,16 @@ class JointProcess:
         return self.hyperparameters.length_scales[self.columns :]
 
 
-def _local_ratio(
-    z: Array, points: Array, columns: int, squares: Array, degrees: Array
-) -> tuple[Array, Array]:
-    """Return local over common noise variance and degrees of freedom at joint points, (m,) each."""
+def _local_ratio(z: Array, points: Array, columns: int, squares: Array, degrees: Array) -> Array:
+    """Return the local over the common noise variance at joint points, (m,)."""
     contexts = points.shape[1] - columns
     widths = np.append(_parameter_widths(columns), _context_widths(contexts))
     weighted = np.column_stack([squares, degrees])
     # In blocks, lest the kernel between all data takes more memory than anything else.
     blocks = np.array_split(z, 1 + len(z) // BLOCK)
     near = np.vstack([correlation(block, points, widths) @ weighted for block in blocks])
-    return (near[:, 0] + PRIOR_DEGREES) / (near[:, 1] + PRIOR_DEGREES), near[:, 1] + PRIOR_DEGREES
+    ratio: Array = (near[:, 0] + PRIOR_DEGREES) / (near[:, 1] + PRIOR_DEGREES)
+    return ratio
 
 
 def _parameter_widths(columns: int) -> Array:
