@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bo_tuner.cli.common import attached, run_folder
+from bo_tuner.cli.common import attached, in_namespace_of, run_folder
 from bo_tuner.errors import RunRecordError
 
 COMMANDS = ("apply", "recompute", "replay", "report", "tune", "validate")
@@ -77,3 +77,18 @@ def test_nodes_are_attached_as_in_the_run(options, backend, expected):
 def test_a_run_may_be_called_latest(name):
     text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
     assert "or 'latest' for runs/latest" in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("recorded", "given", "expected"),
+    [
+        ("/cell", [], ["--ros-args", "-r", "__ns:=/cell"]),
+        ("/cell", ["--ros-args", "-p", "a:=1"], ["--ros-args", "-p", "a:=1", "-r", "__ns:=/cell"]),
+        ("/cell", ["--ros-args", "--"], ["--ros-args", "-r", "__ns:=/cell"]),
+        ("/cell", ["--ros-args", "-r", "__ns:=/"], ["--ros-args", "-r", "__ns:=/"]),
+        ("/", [], []),
+        ("", [], []),
+    ],
+)
+def test_a_command_on_a_run_is_for_the_nodes_in_its_namespace(recorded, given, expected):
+    assert in_namespace_of(SimpleNamespace(namespace=recorded), given) == expected

@@ -50,6 +50,12 @@ class FakeNodes:
         if node in self.silent and values == NEW[node]:
             raise NodeError(f"{node}: does not answer within 5 s")
 
+    def before_killed(self, node, values):
+        return {}
+
+    def forget_killed(self, node, names):
+        """Nothing is noted."""
+
 
 class TestSetValues:
     def test_all_nodes_run_the_new_values(self):
@@ -334,7 +340,28 @@ class TestBundle:
         nodes.close = lambda: None
         monkeypatch.setattr(command, "LiveParameters", lambda *_: nodes)
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+        self.nodes = nodes
         return lambda: nodes.values["axis"]["gain"]
+
+    def test_does_not_lead_back_to_what_a_killed_run_has_left(self, record, capsys, gain):
+        write_certificate(record, record.trials[1])
+        self.nodes.before_killed = lambda node, values: {"gain": 0.25}
+        code, _, err = call(command, capsys, record.path, "--yes")
+        assert code == 0
+        assert err == (
+            "warning: axis: gain is 0.125, which a run that was killed has left; the previous "
+            "value is 0.25\n"
+        )
+        assert gain() == record.trials[1].parameters["gain"]
+        assert call(command, capsys, record.path, "--rollback", "--yes")[0] == 0
+        assert gain() == 0.25
+
+    def test_leads_back_in_the_namespace_that_was_given(self, record, capsys, gain):
+        write_certificate(record, record.trials[1])
+        options = ("--yes", "--ros-args", "-r", "__ns:=/cell")
+        code, out, _ = call(command, capsys, record.path, *options)
+        assert code == 0
+        assert f"apply {record.path} --rollback --ros-args -r __ns:=/cell\n" in out
 
     def test_is_of_the_result_also_after_another_trial_was_set(self, record, capsys, gain):
         write_certificate(record, record.trials[2])

@@ -285,6 +285,37 @@ class TestRetention:
         assert recording.summary == {"policy": "none"}
         assert list(tmp_path.iterdir()) == []
 
+    def test_what_comes_while_a_trial_is_proposed_belongs_to_none(self, tmp_path, monkeypatch):
+        """As in a pause; but ahead of the first trial are messages that publishers keep."""
+        monkeypatch.setattr(recorder_module, "QUIET", 0.0)
+        size = len(joints(START)[1])
+        monkeypatch.setattr(recorder_module.Recorder.__init__, "__defaults__", (20 * size,))
+        waiting = []
+
+        def listen(recorder):
+            def take():
+                while waiting:
+                    recorder.take(*waiting.pop(0))
+
+            return SimpleNamespace(take=take, refresh=lambda: False, close=take)
+
+        options = RecordOptions(Policy.ALL)
+        with RunRecording(tmp_path, STUDY, options, listen, pytest.fail) as recording:
+            waiting += [joints(START)]
+            recording.proposal()
+            for number in range(2):
+                waiting += [joints(START + 2000 * number + k) for k in range(1, 10)]
+                recording.evaluation(evaluation_of(number, 0))
+                recording.trial(trial_of(number), None)
+                waiting += [joints(START + 2000 * number + 1000 + k) for k in range(100)]
+                recording.proposal()
+        times = [
+            [time - START for _, time, _ in with_rosbags(tmp_path / "bags" / f"trial_000{number}")]
+            for number in range(2)
+        ]
+        assert times == [[*range(10)], [*range(2001, 2010)]]
+        assert recording.summary["dropped_messages"] == 0
+
     def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, tmp_path, monkeypatch):
         """It would fill the memory, so that the messages of the next evaluation were dropped."""
         monkeypatch.setattr(recorder_module, "QUIET", 0.0)

@@ -167,6 +167,12 @@ class TestParameterFile:
             "/**/group/axis": {"ros__parameters": {"mode": "fast", "q": [1.5], "gain": 0.5}}
         }
 
+    def test_the_clock_of_a_simulation_does_not(self, tmp_path, make_study):
+        """A node on the machine would wait for a clock that nobody publishes there."""
+        node = {"node": "axis", "result": "~/r", "parameters": {"use_sim_time": True, "rate": 10.0}}
+        _, content = self.write(tmp_path, make_study(nodes={"axis": node}), {"gain": 0.5})
+        assert content == {"/**/axis": {"ros__parameters": {"rate": 10.0, "gain": 0.5}}}
+
     def test_cannot_be_written(self, tmp_path, make_study):
         folder = RunFolder.create(tmp_path, make_study())
         (folder.path / "best.yaml").mkdir()

@@ -82,6 +82,14 @@ def counter(join):
     made.stop()
 
 
+def test_a_goal_that_is_accepted_only_after_the_end_of_the_run(backend, counter):
+    """What is recorded until then is a machine at rest."""
+    counter.delay = 1.0
+    made = backend(signals=FEW, run=TO_ITS_RESULT | {"end": {"after": 0.3}})
+    late = "run.start[0] comes after the end of the run at 0.3 s"
+    assert failure(run(made)).startswith(late)
+
+
 def test_a_run_ends_at_the_result(backend, counter):
     made = backend(
         run=TO_ITS_RESULT,

@@ -8,6 +8,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from servo import LATCHED, failure, run
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.errors import LostError
@@ -105,6 +106,52 @@ def test_somebody_who_cannot_hear_the_tuner_does_not_keep_it_from_stopping_the_m
     wait_until(lambda: count("/setpoint") == 2, "the tuner knows of the onlooker")
     assert run(made).state is EvaluationState.COMPLETE
     wait_until(lambda: system.setpoint == -0.5, "the steps after the run")
+
+
+class Retiring(Node):
+    """Publishes while it is wanted, as a lifecycle node while it is configured."""
+
+    def __init__(self, context):
+        super().__init__("retiring", context=context)
+        self.publisher = None
+        self.begin()
+        self.create_timer(0.01, self.publish)
+        self.create_service(Trigger, "~/begin", self.on_begin)
+        self.create_service(Trigger, "~/end", self.on_end)
+
+    def begin(self):
+        self.publisher = self.publisher or self.create_publisher(Float64, "sensed", 10)
+
+    def publish(self):
+        if self.publisher is not None:
+            self.publisher.publish(Float64(data=1.0))
+
+    def on_begin(self, request, response):
+        self.begin()
+        response.success = True
+        return response
+
+    def on_end(self, request, response):
+        self.destroy_publisher(self.publisher)
+        self.publisher = None
+        response.success = True
+        return response
+
+
+def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join):
+    join(Retiring)
+    gone = {"wait": 0.5}
+    made = backend(
+        signals={"sensed": {"topic": "sensed", "field": "data", "minimum_messages": 0}},
+        run=ABORTED
+        | {
+            "before": [{"call": {"service": "retiring/begin"}}, {"wait": 0.1}],
+            "after": [{"call": {"service": "retiring/end"}}, gone],
+            "abort_when": "sensed > 0.5",
+        },
+    )
+    for _ in range(2):
+        assert failure(run(made)).startswith("aborted at ")
 
 
 def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(

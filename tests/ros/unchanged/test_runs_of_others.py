@@ -6,10 +6,13 @@ import time
 from functools import partial
 
 import pytest
+from node_threads import at_work
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from servo import Sensor, failure, run, study
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Int32
 from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
 
@@ -117,6 +120,49 @@ def test_a_signal_that_cannot_be_had(refusal, signals, complaint):
 )
 def test_a_step_that_cannot_be_done(refusal, step, complaint):
     assert refusal(run={"before": [step]}).startswith(f"run.before[0].{complaint}")
+
+
+@pytest.fixture
+def of_another_type():
+    """A node, of another process, that takes another message on /setpoint."""
+
+    def make(context):
+        node = Node("monitor", context=context)
+        node.create_subscription(Int32, "setpoint", lambda message: None, 10)
+        return node
+
+    with at_work(make) as node:
+        yield node
+
+
+TO_ALL = {"topic": "setpoint", "message": {"data": 1.0}}
+
+
+@pytest.mark.usefixtures("of_another_type")
+def test_a_topic_with_messages_of_two_types(refusal):
+    assert refusal(run={"start": [{"publish": TO_ALL}]}) == (
+        "run.start[0].publish.type: /setpoint carries std_msgs/msg/Float64 and "
+        "std_msgs/msg/Int32, expected the one that is meant as type"
+    )
+
+
+@pytest.mark.usefixtures("of_another_type")
+def test_of_two_types_the_one_that_is_named(backend, system):
+    typed = {"publish": TO_ALL | {"type": "std_msgs/msg/Float64"}}
+    made = backend(run={"start": [typed], "end": {"when": "angle > 0.9"}})
+    assert run(made).state is EvaluationState.COMPLETE
+    assert system.setpoint == 1.0
+
+
+def test_a_subscriber_that_cannot_hear_is_named(refusal, join):
+    watchdog = join(partial(Node, "watchdog"))
+    qos = QoSProfile(depth=1, deadline=Duration(seconds=0.1))
+    watchdog.create_subscription(Float64, "watched", lambda message: None, qos)
+    reason = refusal(run={"before": [{"publish": {"topic": "watched", "message": {}}}]})
+    assert reason.startswith(
+        "run.before[0].publish.topic: /watchdog cannot hear what is published on /watched: "
+    )
+    assert "deadline" in reason
 
 
 def test_a_signal_that_is_not_a_number(backend, system):

@@ -1,5 +1,6 @@
 """In the end an attached node has what it had, also after a tuner that was killed."""
 
+import contextlib
 import json
 import os
 
@@ -8,7 +9,10 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from servo import SAFE, gain, run
+from waiting import DEADLINE
 
+from bo_tuner.backends.ros.graph import describe, opened_node
+from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.state import state_folder
 from bo_tuner.trials import EvaluationState
@@ -130,6 +134,29 @@ def test_what_a_killed_tuner_has_left_is_not_what_the_node_had(backend, system, 
     assert gain(system) == 0.375
     # That is forgotten then.
     system.set_gain(0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.75
+
+
+def test_nobody_takes_what_a_killed_tuner_has_left_for_the_nodes_own(
+    backend, system, killed, monkeypatch
+):
+    for name in ("backends.ros.graph.DISCOVERY", "backends.ros.graph.ANSWER"):
+        monkeypatch.setattr(f"bo_tuner.{name}", DEADLINE)
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.DISCOVERY_TIMEOUT", DEADLINE)
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    with opened_node([], lambda: None) as tuner:
+        assert describe(tuner, "servo")["gain"].value == 0.375
+    assert gain(system) == 0.75
+    with contextlib.closing(LiveParameters(["servo"], [], lambda: None)) as live:
+        now = live.get("servo", ["gain"])
+        assert now == {"gain": 0.75}
+        assert live.before_killed("servo", now) == {"gain": 0.375}
+        # As somebody who has set just this.
+        live.forget_killed("servo", now)
     backend(run={"before": []}).close()
     assert gain(system) == 0.75
 

@@ -13,6 +13,7 @@ from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
     guarded,
+    in_namespace_of,
     read_result,
     split_ros_arguments,
     trial_of,
@@ -23,7 +24,6 @@ from bo_tuner.cli.streams import ask, say_error
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
-    Nodes,
     read_values,
     set_values,
 )
@@ -142,7 +142,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
-        nodes = LiveParameters(list(new), ros_arguments, interruption.check)
+        nodes = LiveParameters(
+            list(new), in_namespace_of(record, ros_arguments), interruption.check
+        )
         with contextlib.closing(nodes):
             try:
                 now = read_values(nodes, new)
@@ -163,15 +165,16 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                         return _refuse("the nodes' values have changed meanwhile", EXIT_INFEASIBLE)
             except NodeError as error:
                 raise BackendError(str(error)) from error
-            return _set(record, trial, nodes, now, new, interruption)
+            return _set(record, trial, nodes, now, new, ros_arguments, interruption)
 
 
 def _set(
     record: RunRecord,
     trial: Trial | None,
-    nodes: Nodes,
+    nodes: LiveParameters,
     now: NodeValues,
     new: NodeValues,
+    ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
     """Set the values of a trial, or without one those to roll back to."""
@@ -182,7 +185,7 @@ def _set(
     if was_unfinished and trial is not None:
         _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
     elif trial is not None:
-        write_bundle(record, rollback=now)
+        write_bundle(record, rollback=_own(nodes, now))
     interruption.check()
     # From here on it is all or nothing.
     interruption.ignore()
@@ -195,9 +198,11 @@ def _set(
         saved = "" if trial is None else f"; the previous values are in {rollback}"
         return _refuse(f"{error}{saved}", EXIT_FAULT)
     unfinished.unlink()
+    for node, values in new.items():
+        nodes.forget_killed(node, values)
     say(f"set and read back on {', '.join(new)}")
     if trial is not None:
-        command = shlex.join(["apply", str(folder), "--rollback"])
+        command = shlex.join(["apply", str(folder), "--rollback", *ros_arguments])
         say(f"previous values: {rollback}; restore them with: {command}")
         if (result := result_of(record)).number != trial.number:
             say(
@@ -205,6 +210,20 @@ def _set(
                 "next start of the nodes, save what they have now with: ros2 param dump"
             )
     return EXIT_OK
+
+
+def _own(nodes: LiveParameters, now: NodeValues) -> NodeValues:
+    """Return what the nodes have, but for what a run that was killed has left on them."""
+    own = {}
+    for node, values in now.items():
+        left = nodes.before_killed(node, values)
+        for name, value in left.items():
+            _warn(
+                f"{node}: {name} is {brief(str(values[name]))}, which a run that was killed has "
+                f"left; the previous value is {brief(str(value))}"
+            )
+        own[node] = {**values, **left}
+    return own
 
 
 def _show(rows: list[Difference], title: str) -> None:

@@ -32,7 +32,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.descriptors import Described, node_problems
-from bo_tuner.study.offers import USE_SIM_TIME
+from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.run import SIM
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study

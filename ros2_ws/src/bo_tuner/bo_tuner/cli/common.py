@@ -282,6 +282,23 @@ def attached(
     return record.attached and backend == ROS
 
 
+def in_namespace_of(record: RunRecord, ros_arguments: Sequence[str]) -> list[str]:
+    """Return the ``--ros-args`` of a command on a run: in its namespace unless they name another.
+
+    Parameters
+    ----------
+    record
+        The run.
+    ros_arguments
+        ``--ros-args`` of the command line.
+    """
+    names_one = any(argument.startswith("__ns:=") for argument in ros_arguments)
+    if names_one or record.namespace in ("", "/"):
+        return list(ros_arguments)
+    given = [argument for argument in ros_arguments if argument != "--"] or ["--ros-args"]
+    return [*given, "-r", f"__ns:={record.namespace}"]
+
+
 def allow_programs(record: RunRecord, *, trusted: bool, attach: bool) -> None:
     """Refuse to start what the study of a stranger's run names, unless told to.
 

@@ -202,7 +202,7 @@ def write_first_study(
     found = f"{counted(len(chosen), 'parameter')} and {counted(len(recorded), 'signal')}"
     say(f"{path}: {found}; now review it and")
     say("resolve each CHECK in it: bounds, what a run does, what good means; then")
-    say(f"  {shlex.join(['tune', '--check', str(path)])}")
+    say(f"  {shlex.join(['tune', '--check', str(path), *ros_arguments])}")
     return EXIT_OK
 
 

@@ -14,6 +14,7 @@ from bo_tuner.cli.common import (
     attached,
     ended,
     guarded,
+    in_namespace_of,
     opened,
     read_result,
     recorded_backend,
@@ -128,7 +129,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         log,
         attach=attach,
         run_log=record.path / LOGS,
-        ros_arguments=ros_arguments,
+        ros_arguments=in_namespace_of(record, ros_arguments),
         interrupted=interruption.check,
     )
     if isinstance(backend, RosBackend):

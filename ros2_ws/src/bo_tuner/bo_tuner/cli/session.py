@@ -8,6 +8,7 @@ from functools import partial
 from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
@@ -32,6 +33,7 @@ from bo_tuner.storage.journal_repair import salvage
 from bo_tuner.storage.provenance import (
     ATTACHED,
     CARRIED,
+    NAMESPACE,
     RECORD,
     RECORD_LIMIT,
     STOP_EARLY,
@@ -225,6 +227,8 @@ class Session:
         provenance = session_provenance(self._study, options.backend, options.algorithm)
         if options.attach:
             provenance[ATTACHED] = "yes"
+        if self._namespace:
+            provenance[NAMESPACE] = self._namespace
         if options.stop_early:
             provenance[STOP_EARLY] = "yes"
         provenance[RECORD] = str(options.record.policy)
@@ -350,6 +354,12 @@ class Session:
             evaluations=journal.count_evaluations(),
         )
 
+    @property
+    def _namespace(self) -> str:
+        """Namespace of the nodes; empty without any."""
+        options = self._options
+        return namespace_of(options.ros_arguments) if options.backend == ROS else ""
+
     def _verdict(self, summary: Mapping[str, object] | None) -> Verdict:
         """Return what is known of the result; of one that has a certificate this is its verdict."""
         content = read_journal(self._folder.journal)
@@ -361,6 +371,7 @@ class Session:
                 backend=self._options.backend,
                 stop_early=self._options.stop_early,
                 attached=self._options.attach,
+                namespace=self._namespace,
                 record_policy=str(self._options.record.policy),
                 record_limit=self._options.record.limit,
                 provenance=content.sessions[-1],

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from bo_tuner.backends.ros.graph import describe_nodes
+from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.cli.check import check_study
 from bo_tuner.cli.common import (
     RUNS,
@@ -14,6 +15,7 @@ from bo_tuner.cli.common import (
     allow_programs,
     attached,
     guarded,
+    in_namespace_of,
     recorded_backend,
     run_folder,
     split_ros_arguments,
@@ -112,6 +114,8 @@ def _run(
     else:
         plan = _new(arguments, parser, look)
     _check_options(plan, arguments, parser)
+    if plan.resumed is not None:
+        ros_arguments = _resumed_in(plan.resumed, plan.attach, ros_arguments, parser)
     options = RunOptions(
         algorithm=plan.algorithm,
         backend=plan.backend,
@@ -209,6 +213,20 @@ def _given(named: str, attach: bool, arguments: argparse.Namespace, look: Descri
 def _load(named: str, attach: bool, look: Describe) -> Study:
     """Read a study; nodes that run can say what it leaves open."""
     return load_study(named, look if attach else None)
+
+
+def _resumed_in(
+    record: RunRecord, attach: bool, ros_arguments: Sequence[str], parser: Parser
+) -> list[str]:
+    """Return the ``--ros-args`` of the rest of a run, which is on the same nodes."""
+    arguments, recorded = in_namespace_of(record, ros_arguments), record.namespace
+    found = namespace_of(arguments)
+    if attach and recorded and found != recorded:
+        parser.error(
+            f"--resume: the run is of nodes in the namespace {recorded}, not {found}; --from "
+            "begins a new run with its trials"
+        )
+    return arguments
 
 
 def _check_options(plan: Plan, arguments: argparse.Namespace, parser: Parser) -> None:

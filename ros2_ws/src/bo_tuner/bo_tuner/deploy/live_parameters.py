@@ -1,7 +1,8 @@
 """Parameters of running nodes, through the standard services."""
 
+import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
@@ -9,6 +10,7 @@ from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
+from bo_tuner.backends.ros.parameter_note import ParameterNote
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.tuner_node import (
     CALL_TIMEOUT,
@@ -17,7 +19,7 @@ from bo_tuner.backends.ros.tuner_node import (
     TunerNode,
 )
 from bo_tuner.deploy.apply import NodeError, RefusedError
-from bo_tuner.errors import BackendError
+from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
@@ -62,6 +64,7 @@ class LiveParameters:
             with self._tuner.watched_by(watch):
                 self._wait_for_nodes()
             self._tuner.refuse_other_tuner()
+            self._note = ParameterNote(self._tuner.domain, self._tuner.node.get_namespace())
         except BaseException:
             self.close()
             raise
@@ -98,6 +101,17 @@ class LiveParameters:
         if not result.successful:
             reason = brief(str(result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
+
+    def before_killed(self, node: str, values: Mapping[str, object]) -> dict[str, object]:
+        """Return what a node had before a tuner that was killed, of what that has left on it."""
+        return self._note.left_behind(node, values)
+
+    def forget_killed(self, node: str, names: Iterable[str]) -> None:
+        """Let the next tuner take parameters of a node for its own, also if they are as left."""
+        self._note.forget(node, names)
+        # At worst a later run sets back what it would leave.
+        with contextlib.suppress(OutputError):
+            self._note.write()
 
     def _keep(self, node: str, values: Mapping[str, object]) -> None:
         """Keep values of a node: an empty array has the type of what it replaces."""

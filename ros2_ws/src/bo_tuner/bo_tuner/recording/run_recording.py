@@ -70,6 +70,7 @@ class RunRecording(RunObserver):
         self._signals = signals
         self._recorder: Recorder | None = None
         self._listener: Listener | None = None
+        self._has_ended_one = False
         self.summary: dict[str, object] = {"policy": str(Policy.NONE)}
 
     def __enter__(self) -> Self:
@@ -108,10 +109,24 @@ class RunRecording(RunObserver):
             self._recorder.trial(trial, best)
             self._listener.refresh()
             self._pass_news_on()
+            self._has_ended_one = True
+
+    def proposal(self) -> None:
+        """Let go of what came between two trials.
+
+        Ahead of the first one come the messages that publishers keep for those who join late.
+        """
+        if self._has_ended_one:
+            self._forget()
 
     def pause(self, paused: bool) -> None:
-        """Let go of what came in a pause: it would take the memory of the next evaluation."""
-        if not paused and self._recorder is not None and self._listener is not None:
+        """Let go of what came in a pause."""
+        if not paused:
+            self._forget()
+
+    def _forget(self) -> None:
+        """Let go of what belongs to no evaluation: it would take the memory of the next one."""
+        if self._recorder is not None and self._listener is not None:
             self._listener.take()
             self._recorder.forget()
 

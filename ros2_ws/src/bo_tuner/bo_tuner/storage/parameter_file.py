@@ -6,6 +6,7 @@ import yaml
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
+from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
 
@@ -20,12 +21,15 @@ def node_values(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict
     """Return what the tuned nodes are told for a parameter set.
 
     What the study sets once on a tuned node is part of it: the parameter set was judged with it.
+    Only the clock is not: a node that was tuned in a simulation would wait for one on the machine.
     """
     values: dict[str, dict[str, object]] = {}
     for key in dict.fromkeys(study.parameters[name].node for name in parameters):
         spec = study.nodes[key]
         of_node = values.setdefault(spec.node, {})
-        of_node.update({name: _plain(constant) for name, constant in spec.parameters.items()})
+        of_node.update(
+            {name: _plain(item) for name, item in spec.parameters.items() if name != USE_SIM_TIME}
+        )
     typed = {name: study.parameters[name].checked(value) for name, value in parameters.items()}
     for key, of_set in study.node_parameters(typed).items():
         values[study.nodes[key].node].update({name: _plain(v) for name, v in of_set.items()})

@@ -18,7 +18,8 @@ def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
     ----------
     path
         A file of values by name, ``gain: 0.4``, or a parameter file of ROS nodes. Of the latter
-        everything else that the nodes have is ignored. A node counts in any namespace.
+        everything else that the nodes have is ignored. A node counts in any namespace, unless the
+        study names that.
     study
         The study.
 
@@ -50,17 +51,35 @@ def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
 def _of_nodes(document: Mapping[str, object], study: Study) -> dict[str, Value]:
     values: dict[str, Value] = {}
     for name, item in study.parameters.items():
-        node = study.nodes[item.node].node.rpartition("/")[2]
+        found: dict[int, dict[str, Value]] = {}
         for key, section in document.items():
             given = section.get(SECTION) if isinstance(section, dict) else None
-            if isinstance(given, dict) and key.rpartition("/")[2] in (node, "**"):
-                found = _nested(given, item.array or item.parameter)
-                if item.array:
-                    items = found if isinstance(found, list) else []
-                    found = items[item.item] if item.item < len(items) else None
-                if isinstance(found, bool | int | float | str):
-                    values[name] = found
+            match = _match(key, study.nodes[item.node].node)
+            if match is None or not isinstance(given, dict):
+                continue
+            value = _nested(given, item.array or item.parameter)
+            if item.array:
+                items = value if isinstance(value, list) else []
+                value = items[item.item] if item.item < len(items) else None
+            if isinstance(value, bool | int | float | str):
+                found.setdefault(match, {})[key] = value
+        if not found:
+            continue
+        closest = found[max(found)]
+        if len({(type(value), value) for value in closest.values()}) > 1:
+            raise StudyError(f"has several values: of {' and of '.join(closest)}", (name,))
+        values[name] = next(iter(closest.values()))
     return values
+
+
+def _match(key: str, node: str) -> int | None:
+    """Return how well the key of a section names a node, more is better; None if it does not."""
+    parts, wanted = key.strip("/").split("/"), node.strip("/").split("/")
+    if parts[-1] == "**":
+        return 0
+    if parts[-1] != wanted[-1]:
+        return None
+    return 2 if parts[-len(wanted) :] == wanted else 1
 
 
 def _nested(values: Mapping[str, object], name: str) -> object:

@@ -11,6 +11,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.provenance import (
     ATTACHED,
+    NAMESPACE,
     RECORD,
     RECORD_LIMIT,
     STOP_EARLY,
@@ -42,6 +43,8 @@ class RunRecord:
         Whether its last session follows the advice to stop.
     attached
         Whether its last session used running nodes.
+    namespace
+        In which its last session looked for nodes; empty where that is not on record.
     record_policy, record_limit
         Which bags its last session keeps, and their size together [byte]; empty and None where
         that is not on record.
@@ -64,6 +67,7 @@ class RunRecord:
     backend: str
     stop_early: bool
     attached: bool
+    namespace: str
     record_policy: str
     record_limit: int | None
     provenance: Mapping[str, str]
@@ -123,6 +127,7 @@ def read_run(path: Path) -> RunRecord:
         backend=provenance.get("backend", ""),
         stop_early=STOP_EARLY in content.sessions[-1],
         attached=ATTACHED in content.sessions[-1],
+        namespace=content.sessions[-1].get(NAMESPACE, ""),
         record_policy=content.sessions[-1].get(RECORD, ""),
         record_limit=_size(content.sessions[-1].get(RECORD_LIMIT, "")),
         provenance=provenance,

@@ -9,6 +9,8 @@ from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
 
 VARIABLE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+USE_SIM_TIME = "use_sim_time"
+"""Parameter of every node: whether its clock is that of a simulation."""
 
 
 @dataclass(frozen=True, kw_only=True)

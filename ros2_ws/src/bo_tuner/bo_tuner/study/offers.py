@@ -9,10 +9,10 @@ from typing import Any
 from bo_tuner.errors import StudyError
 from bo_tuner.study import maxima
 from bo_tuner.study.descriptors import Described
+from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.text import one_line
 
-USE_SIM_TIME = "use_sim_time"
 OF_EVERY_NODE = (USE_SIM_TIME, "start_type_description_service")
 """Parameters that say how a node talks, not what it does; so do those below `qos_overrides`."""
 MOST_SUGGESTED = 8

@@ -76,7 +76,9 @@ class Tuning:
         while not self._study.budget.is_spent(len(self.trials), count_evaluations(self.trials)):
             begin = time.monotonic()
             proposal = self._optimizer.ask()
-            trial = self._evaluate(len(self.trials), proposal, time.monotonic() - begin)
+            seconds = time.monotonic() - begin
+            self._observer.proposal()
+            trial = self._evaluate(len(self.trials), proposal, seconds)
             self._take(trial)
             yield trial
             self._losses.check()

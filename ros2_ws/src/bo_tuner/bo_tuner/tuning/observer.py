@@ -28,6 +28,9 @@ class RunObserver:
     def recall(self, trials: Sequence[Trial], incumbent: Candidate | None) -> None:
         """Handle the recorded trials of a resumed run, each a step, and their incumbent."""
 
+    def proposal(self) -> None:
+        """Handle that the next trial has been proposed; its evaluations follow."""
+
     def evaluation(self, evaluation: Evaluation) -> None:
         """Handle a finished evaluation, before its result is used."""
 
@@ -72,6 +75,11 @@ class Observers(RunObserver):
         """Pass on the recorded trials."""
         for observer in self._observers:
             observer.recall(trials, incumbent)
+
+    def proposal(self) -> None:
+        """Pass on that a trial has been proposed."""
+        for observer in self._observers:
+            observer.proposal()
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Pass on an evaluation."""

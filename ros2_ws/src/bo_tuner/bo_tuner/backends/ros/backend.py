@@ -330,6 +330,7 @@ class RosBackend(SequentialBackend):
         client, safe_state = self._opened.client, self._opened.safe_state
         # Parking overlooks what others have changed.
         disturbance = client.parameters.disturbance()
+        unpublished = procedure.unpublished
         # First the machine, then the reason: a node that does not answer is waited for.
         safe_state.stop()
         if disturbance is not None:
@@ -339,7 +340,8 @@ class RosBackend(SequentialBackend):
         # A run may have failed for want of a node.
         for key in self._study.nodes:
             client.parameters.expect_answer(key)
-        procedure.expect_publishers()
+        if unpublished := unpublished or procedure.unpublished_since:
+            raise LostError(unpublished)
 
     def _park_between(self) -> None:
         if self._study.park.between_runs:

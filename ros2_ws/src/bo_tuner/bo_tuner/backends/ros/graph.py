@@ -4,6 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,12 +16,14 @@ from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
+from bo_tuner.backends.ros.parameter_note import ParameterNote
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import END_OTHERS, LOOK_AROUND, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.signals import Signal
+from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_look"
 DISCOVERY = 5.0
@@ -75,6 +78,8 @@ def opened_node(
 def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     """Return all parameters of a node, by name.
 
+    Those that a tuner which was killed has left on it have the values from before.
+
     Raises
     ------
     BackendError
@@ -96,10 +101,19 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
         raise BackendError(str(error)) from error
     finally:
         client.destroy()
-    return {
+    found = {
         name: _described(descriptor, value)
         for name, descriptor, value in zip(names, descriptors, values, strict=False)
     }
+    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
+    left = note.left_behind(node, {name: item.value for name, item in found.items()})
+    for name, value in left.items():
+        tuner.warn(
+            f"{node}: {name} is {brief(str(found[name].value))}, which a run that was killed has "
+            f"left; taken for its own: {brief(str(value))}, as before"
+        )
+        found[name] = replace(found[name], value=value)
+    return found
 
 
 def describe_nodes(

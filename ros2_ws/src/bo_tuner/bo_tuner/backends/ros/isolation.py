@@ -4,6 +4,7 @@ import fcntl
 import os
 import socket
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
@@ -111,7 +112,7 @@ def domain_of_environment() -> int | None:
     return int(given)
 
 
-def namespace_of(ros_arguments: list[str]) -> str:
+def namespace_of(ros_arguments: Sequence[str]) -> str:
     """Return the namespace that ``--ros-args`` give."""
     for argument in reversed(ros_arguments):
         if argument.startswith("__ns:="):

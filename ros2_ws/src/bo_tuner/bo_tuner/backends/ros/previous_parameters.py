@@ -1,25 +1,11 @@
-"""What attached nodes had before a tuner came, and have again in the end.
-
-It is on disk meanwhile. A tuner that is killed leaves nodes with the parameters of its last
-evaluation, and the next one that is attached to them must not take these for the nodes' own.
-"""
-
-import contextlib
-import json
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+"""What attached nodes had before a tuner came, and have again in the end."""
 
 from bo_tuner.backends.ros.errors import RefusedError
 from bo_tuner.backends.ros.held_parameters import left_parked, named_safe
-from bo_tuner.backends.ros.isolation import place_name
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
+from bo_tuner.backends.ros.parameter_note import ParameterNote
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, OutputError
-from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.run_files import read_text
-from bo_tuner.storage.state import state_folder
-from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 
@@ -41,7 +27,7 @@ class PreviousParameters:
         self._study = study
         self._tuner = tuner
         self._parameters = parameters
-        self._note = _Note(tuner.domain, tuner.node.get_namespace())
+        self._note = ParameterNote(tuner.domain, tuner.node.get_namespace())
         self._previous: dict[str, dict[str, object]] = {}
         self._safe: Values = {}
 
@@ -64,7 +50,7 @@ class PreviousParameters:
             If it does not answer.
         """
         for key, spec in self._study.nodes.items():
-            left = _left_behind(self._note.content.get(spec.node, {}), found[key])
+            left = self._note.left_behind(spec.node, found[key])
             if not left:
                 continue
             changes = ", ".join(
@@ -151,52 +137,3 @@ class PreviousParameters:
             self._note.write()
         except OutputError as error:
             self._tuner.warn(f"{error}; after a kill the nodes cannot be restored")
-
-
-class _Note:
-    """The file of one domain and namespace, in which one tuner works at a time.
-
-    Attributes
-    ----------
-    content : dict
-        By the nodes' names what they had before, and by parameter the values that a tuner has told
-        them last. Nodes of other studies stay in it.
-    """
-
-    def __init__(self, domain: int, namespace: str) -> None:
-        self._name = f"{place_name(domain, namespace)}.json"
-        self.content: dict[str, Any] = {}
-        # What cannot be read is of no use, and replaced.
-        with contextlib.suppress(
-            OutputError, OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
-        ):
-            self.content = {
-                node: {"previous": dict(item["previous"]), "told": dict(item["told"])}
-                for node, item in json.loads(read_text(self._path())).items()
-            }
-
-    def write(self) -> None:
-        """Write the content down, or no file of none; raises `OutputError`."""
-        path = self._path()
-        try:
-            if not self.content:
-                path.unlink(missing_ok=True)
-                return
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-        write_atomically(path, json.dumps(self.content, default=str))
-
-    def _path(self) -> Path:
-        return state_folder() / "attached" / self._name
-
-
-def _left_behind(noted: Mapping[str, Any], now: Mapping[str, object]) -> dict[str, object]:
-    """Return what a node had before, of what it still has as a tuner has told it."""
-    found = {}
-    for name, value in noted.get("previous", {}).items():
-        told = noted["told"].get(name, [])
-        is_told = name in now and any(same_value(now[name], item) for item in told)
-        if is_told and not same_value(now[name], value):
-            found[name] = value
-    return found

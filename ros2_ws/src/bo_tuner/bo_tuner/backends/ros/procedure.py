@@ -122,7 +122,7 @@ class Procedure:
         self._due = self._all_after
         self._perform("before")
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
-        self.expect_publishers()
+        self._recorder.expect_publishers()
 
     def perform(self) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
@@ -140,7 +140,7 @@ class Procedure:
             If the clock is set in the run, the stamps of a signal do not go on, or another node
             publishes it, too.
         """
-        self.expect_publishers()
+        self._recorder.expect_publishers()
         self.recording = self._record()
         if problems := self._cancel():
             raise FailedRunError(problems[0])
@@ -150,9 +150,20 @@ class Procedure:
             raise DisturbedError(mixed)
         self.recording.check(self._study.signals)
 
-    def expect_publishers(self) -> None:
-        """Raise `LostError` if nothing publishes a signal any more."""
-        self._recorder.expect_publishers()
+    @property
+    def unpublished(self) -> str:
+        """Tell in a line of a signal that nothing publishes any more; empty if none."""
+        return self._recorder.unpublished
+
+    @property
+    def unpublished_since(self) -> str:
+        """Tell as `unpublished`, once steps of `after` were performed.
+
+        Those that do more than publish and wait may have ended the publisher themselves, as by the
+        cleanup of a lifecycle node.
+        """
+        acts = any(not (step.publish or step.waits) for step in self._run.after)
+        return "" if acts else self.unpublished
 
     def request_cancel(self) -> None:
         """Ask for the end of the goals that are active, and do not wait for it."""
@@ -253,6 +264,9 @@ class Procedure:
             if self._is_recording and not step.waits:
                 self._expect_time(index)
             self._perform_step(("run", phase, index), step)
+            if self._is_recording and (step.publish is not None or step.send_goal is not None):
+                # It may have had to wait for a subscriber, or for the answer of a server.
+                self._expect_time(index)
 
     def _expect_time(self, index: int) -> None:
         """Raise `FailedRunError` if a run is over before it has performed a step of `start`.

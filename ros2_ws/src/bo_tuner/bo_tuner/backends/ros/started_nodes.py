@@ -92,13 +92,8 @@ class StartedNodes:
 
     def _start(self, key: str, command: list[str]) -> None:
         spec = self._study.nodes[key]
-        environment = {
-            # A node computes small matrices: more threads would only get in each other's way.
-            "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-            "ROS_LOG_DIR": str(self._log_directory),
-            **spec.env,
-        }
+        # Nothing else: a node is to run as it will with its result.
+        environment = {"ROS_LOG_DIR": str(self._log_directory), **spec.env}
         name = spec.executable or spec.node
         log = self._log_directory / f"{key}.log"
         self.processes[key] = NodeProcess(name, command, environment, log)

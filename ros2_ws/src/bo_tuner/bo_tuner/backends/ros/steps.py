@@ -14,11 +14,12 @@ from rclpy.qos import (
     QoSProfile,
     qos_check_compatible,
 )
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, to_stamp
-from bo_tuner.backends.ros.messages import interface_class, make_message
-from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
+from bo_tuner.backends.ros.messages import interface_class, make_message, type_name
+from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode, full_name
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
@@ -127,22 +128,26 @@ class Publication:
         node = tuner.node
         topic = node.resolve_topic_name(publish.topic)
 
-        def subscribers() -> list[Any]:
+        def subscribers() -> list[TopicEndpointInfo]:
             found = node.get_subscriptions_info_by_topic(topic)
             # The tuner's own nodes, which record the topic, do not count.
             return [info for info in found if not info.node_name.startswith(NODE_NAME)]
 
-        if not tuner.wait_until(lambda: bool(subscribers()), CONNECT_TIMEOUT):
+        def of_type() -> list[TopicEndpointInfo]:
+            return [i for i in subscribers() if publish.type in ("", i.topic_type)]
+
+        if not tuner.wait_until(lambda: bool(of_type()), CONNECT_TIMEOUT) and not subscribers():
             near = others.instead(topic, others.topics(node), node)
             raise StudyError(f"nothing subscribes to {topic}; {near}", ("publish", "topic"))
-        found = subscribers()
-        if publish.type not in ("", found[0].topic_type):
+        found = of_type()
+        types = sorted({info.topic_type for info in found or subscribers()})
+        if not found or len(types) > 1:
+            expected = publish.type or "the one that is meant as type"
             raise StudyError(
-                f"{topic} carries {found[0].topic_type}, expected {publish.type}",
-                ("publish", "type"),
+                f"{topic} carries {' and '.join(types)}, expected {expected}", ("publish", "type")
             )
         with under("publish", "topic"):
-            kind = interface_class(found[0].topic_type)
+            kind = interface_class(types[0])
         with under("publish", "message"):
             make_message(kind, publish.message)
         if topic not in publishers:
@@ -176,14 +181,32 @@ class Publication:
 
     @property
     def _unheard(self) -> str:
-        return f"nothing subscribes to {self.publisher.topic_name}"
+        """Tell that nobody hears it: why somebody who subscribes does not, if there is one."""
+        for info in self._endpoints():
+            if not info.node_name.startswith(NODE_NAME) and (reason := self._obstacle(info)):
+                name = full_name(info.node_namespace, info.node_name)
+                return f"{name} cannot hear what is published on {self._topic}: {reason}"
+        return f"nothing subscribes to {self._topic}"
+
+    @property
+    def _topic(self) -> str:
+        return str(self.publisher.topic_name)
+
+    def _endpoints(self) -> list[TopicEndpointInfo]:
+        """Return the subscribers of the topic whose messages have this type."""
+        found = self.tuner.node.get_subscriptions_info_by_topic(self._topic)
+        return [info for info in found if info.topic_type == type_name(self.kind)]
+
+    def _obstacle(self, info: TopicEndpointInfo) -> str:
+        """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
+        compatible, reason = qos_check_compatible(self.publisher.qos_profile, info.qos_profile)
+        return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""
 
     def _subscribers(self) -> tuple[int, int]:
         """Count the subscribers that can hear the publisher: the tuner's own, and others."""
         own = others = 0
-        for info in self.tuner.node.get_subscriptions_info_by_topic(self.publisher.topic_name):
-            offered, asked = self.publisher.qos_profile, info.qos_profile
-            if qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR:
+        for info in self._endpoints():
+            if not self._obstacle(info):
                 is_own = info.node_name.startswith(NODE_NAME)
                 own, others = own + is_own, others + (not is_own)
         return own, others

@@ -1,0 +1,40 @@
+"""Parameter sets from files, above all from those of several nodes."""
+
+import pytest
+
+from bo_tuner.errors import StudyError
+from bo_tuner.storage.parameter_set_file import read_parameter_set
+
+
+@pytest.fixture
+def read(tmp_path, make_study):
+    """Function that reads the gain of a node from a file of sections, each with a gain."""
+
+    def gain(node, sections):
+        lines = [f"{key}: {{ros__parameters: {{gain: {g}}}}}" for key, g in sections.items()]
+        path = tmp_path / "nodes.yaml"
+        path.write_text("\n".join(lines))
+        study = make_study(nodes={"axis": {"node": node, "result": "~/r"}})
+        return read_parameter_set(path, study)["gain"]
+
+    return gain
+
+
+def test_a_node_counts_in_any_namespace(read):
+    assert read("axis", {"/cell/axis": 0.25, "/cell/other": 0.75}) == 0.25
+
+
+def test_of_several_robots_the_one_in_the_study_counts(read):
+    assert read("cell/axis", {"/cell/axis": 0.25, "/hall/axis": 0.75}) == 0.25
+
+
+def test_of_several_robots_none_of_which_is_meant(read):
+    problem = "gain: has several values: of /cell/axis and of /hall/axis"
+    with pytest.raises(StudyError, match=problem):
+        read("axis", {"/cell/axis": 0.25, "/hall/axis": 0.75})
+    assert read("axis", {"/cell/axis": 0.25, "/hall/axis": 0.25}) == 0.25
+
+
+def test_what_is_for_all_nodes_yields_to_the_node(read):
+    assert read("axis", {"axis": 0.25, "/**": 0.75}) == 0.25
+    assert read("axis", {"/**": 0.75}) == 0.75
