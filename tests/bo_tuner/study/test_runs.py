@@ -83,6 +83,20 @@ def test_what_is_written_reads_back_equal():
     assert parse_study(study_to_yaml(nested)) == nested
 
 
+def test_a_tuned_node_is_not_configured_with_its_safe_parameters():
+    """It would read them then, and keep them in the run."""
+    configure = {"lifecycle": {"node": "/pid", "transition": "configure"}}
+    parked = put([configure], "run", "before") | {"park": {"between_runs": True}}
+    with pytest.raises(StudyError, match=r"^park\.between_runs: a step of run\.before"):
+        study_from_mapping(parked)
+    other = {"lifecycle": {"node": "/camera", "transition": "configure"}}
+    for allowed in (
+        put([configure], "run", "before"),
+        put([other], "run", "before") | {"park": {"between_runs": True}},
+    ):
+        study_from_mapping(allowed)
+
+
 def test_all_steps_and_sections_are_written_and_read_back():
     changed = put(ALL_STEPS, "run", "recover")
     changed["run"] |= {"start": [{"send_goal": {"action": "/go"}}], "end": "result", "clock": "sim"}

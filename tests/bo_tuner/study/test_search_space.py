@@ -290,6 +290,18 @@ class TestLengthScalesAndNeighbours:
         space = SPACES["twelve"]
         assert space.integer_neighbours(space.defaults) == []
 
+    def test_of_a_step_on_a_logarithmic_scale(self):
+        """Near the lower bound a step is far on that scale, near the upper one it is not."""
+        space = SearchSpace([double("k", (1.0, 1001.0), 1.0, step=10.0, scale="log")])
+        around = {
+            at: [n["k"] for n in space.neighbours({"k": at})] for at in (1.0, 11.0, 21.0, 1001.0)
+        }
+        assert around[1.0] == [11.0]
+        assert around[11.0] == [1.0, 21.0]
+        assert around[21.0] == [11.0, 31.0]
+        (below,) = around[1001.0]
+        assert below < 1001.0
+
     def test_steps_of_doubles_are_a_part_of_the_range_on_its_scale(self):
         space = SearchSpace([double("a", (-5, 1)), double("b", (1e-3, 1e1), scale="log")])
         at = {"a": 0.123456789, "b": 0.3}

@@ -24,6 +24,8 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 
 STEADY_SHARE = 0.1
+ROUNDING = 1e-12
+"""Relative error that sums of times may have."""
 """Share of the run, at its end, whose mean is the steady state."""
 
 
@@ -75,8 +77,9 @@ def percentile(time: Array, value: Array, *, percent: float) -> float:
     widths = np.diff(time)
     order = np.argsort(value[:-1])
     elapsed = np.cumsum(widths[order])
-    # The rounding error of the sum must not make 100 % unreachable.
-    wanted = min(percent / 100.0 * _positive_duration(time), float(elapsed[-1]))
+    # The rounding error of the sums must not make it the next value, nor 100 % unreachable.
+    share = percent / 100.0 * (1.0 - ROUNDING)
+    wanted = min(share * _positive_duration(time), float(elapsed[-1]))
     return float(value[order[np.searchsorted(elapsed, wanted)]])
 
 

@@ -281,14 +281,17 @@ class SearchSpace:
         row = self._space.row(parameters)
         at = self.repair(self.to_cube(parameters)[None])
         for column in np.flatnonzero(~self.discrete):
-            size = max(STEP, float(self._tuned[column].step or 0.0) / self._width[column])
-            for step in (-size, size):
+            for sign in (-1.0, 1.0):
                 moved = at.copy()
-                moved[0, column] += step
+                moved[0, column] += sign * STEP
                 moved = self.repair(moved)
-                if np.any(moved != at):
-                    # Values that do not move are kept bit for bit.
-                    values = np.where(moved == at, row, self._values(moved))
+                # Values that do not move are kept bit for bit.
+                values = np.where(moved == at, row, self._values(moved))
+                if column in self._stepped and not np.any(moved != at):
+                    values = row[None].copy()
+                    values[0, column] += sign * float(self._tuned[column].step or 0.0)
+                    values = self._values_of(values)
+                if np.any(values != row):
                     found.append(self._space.complete(values[0]))
         return found
 

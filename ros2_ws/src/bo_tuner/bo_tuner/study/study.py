@@ -171,6 +171,8 @@ class Study:
             with findings.under():
                 self._check_park()
             with findings.under():
+                self._check_parked_configuration()
+            with findings.under():
                 self.starting_sets()
         findings.check()
 
@@ -399,6 +401,23 @@ class Study:
             _ = self.safe_parameters
         except ParameterError as error:
             raise StudyError(str(error), path) from None
+
+    def _check_parked_configuration(self) -> None:
+        """Refuse to have a tuned node configured in `before` with its safe parameters.
+
+        It would keep them in the run if it reads them only then, and nobody would notice.
+        """
+        if self.run is None or not self.park.between_runs:
+            return
+        tuned = {self.nodes[item.node].node.strip("/") for item in self.parameters.values()}
+        for step in self.run.before:
+            change = step.lifecycle
+            if change and change.transition == "configure" and change.node.strip("/") in tuned:
+                raise StudyError(
+                    f"a step of run.before configures {change.node}, which has the safe parameters "
+                    "then and may keep them in the run; expected false",
+                    ("park", "between_runs"),
+                )
 
 
 def _one_limit_each(
