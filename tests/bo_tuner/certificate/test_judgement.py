@@ -81,6 +81,9 @@ class TestChance:
         assert f"{DRAWS_NEEDED} draws without any are needed" in found.reasons[0]
         assert most_draws_needed(make_study(**CHANCE), 0.95) == (DRAWS_NEEDED, "peak")
         assert most_draws_needed(make_study(), 0.95) == (1, "")
+        # In every context as many runs are needed, and there are no more than draws.
+        worst = {"peak": CHANCE["constraints"]["peak"] | {"kind": "worst_case"}}
+        assert most_draws_needed(make_study(constraints=worst), 0.95) == (DRAWS_NEEDED, "peak")
 
 
 class TestWorstCase:
@@ -341,7 +344,7 @@ class TestUnvisitedContexts:
             for k in range(40)
         ]
         drawn = (evaluation(0.5, error=0.1),)
-        found = Evidence({"gain": 0.5}, drawn, repeated=(tuple(runs),), unvisited=3)
+        found = Evidence({"gain": 0.5}, drawn, repeated=(tuple(runs),), unvisited={"error": 3})
         by_name = {c.name: c for c in judge(study, found, 0.95).constraints}
         assert not by_name["peak"].passed
         assert "it is not kept" in by_name["peak"].reason or "may be" in by_name["peak"].reason
@@ -349,8 +352,13 @@ class TestUnvisitedContexts:
         assert by_name["error"].reason == (
             "3 contexts that may be the worst had no run, as another one had decided"
         )
-        visited = dataclasses.replace(found, unvisited=0)
-        assert {c.name: c for c in judge(study, visited, 0.95).constraints}["error"].passed
+        # The context that was run is the worst one of the other limit.
+        assert by_name["error"].worst == ()
+        assert by_name["peak"].worst[0].evaluations == 40
+        visited = dataclasses.replace(found, unvisited={})
+        by_name = {c.name: c for c in judge(study, visited, 0.95).constraints}
+        assert by_name["error"].passed
+        assert by_name["error"].worst[0].evaluations == 40
 
     def test_they_are_counted(self, make_study, function_backend):
         """The peak is beyond its limit for large loads, the error for small ones alone."""
@@ -363,5 +371,9 @@ class TestUnvisitedContexts:
         (found,) = collect(study, function_backend(study, axis), 400, tuned=0.5)
         assert found.repeated
         assert not judge(study, found, 0.95).passed
-        assert found.unvisited > 0
-        assert not any(c.passed for c in judge(study, found, 0.95).constraints)
+        assert found.unvisited
+        by_name = {c.name: c for c in judge(study, found, 0.95).constraints}
+        for name, count in found.unvisited.items():
+            assert count > 0
+            assert not by_name[name].passed
+            assert bool(by_name[name].worst) is ("it is not kept" in by_name[name].reason)

@@ -201,14 +201,15 @@ class Certification:
         )
         rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
         candidates: list[dict[str, float]] = []
+        found_by: dict[str, list[int]] = {}
         try:
             for index, constraint in enumerate(constraints):
                 known = [*search, *drawn]
                 # Not all of them may fit among the candidates; the constraint's own does.
                 suspected = [*subject.suspected[index:], *subject.suspected[:index]]
-                for context in self._find(constraint, evaluated, known, suspected, rng):
-                    if context not in candidates:
-                        candidates.append(context)
+                worst = self._find(constraint, evaluated, known, suspected, rng)
+                candidates += [context for context in worst if context not in candidates]
+                found_by[constraint.name] = [candidates.index(context) for context in worst]
         except _FailedError:
             return Evidence(subject.parameters, tuple(drawn), tuple(search))
         found = Evidence(
@@ -221,8 +222,13 @@ class Certification:
                 found,
                 repeated=(*found.repeated[:place], (*here, new), *found.repeated[place + 1 :]),
             )
+        unvisited = {
+            name: count
+            for name, places in found_by.items()
+            if (count := sum(not found.repeated[place] for place in places))
+        }
         visited = tuple(here for here in found.repeated if here)
-        return replace(found, repeated=visited, unvisited=len(candidates) - len(visited))
+        return replace(found, repeated=visited, unvisited=unvisited)
 
     def _open_context(self, found: Evidence, most: int) -> int | None:
         """Return the first context that takes more evaluations; None if the verdict is clear.

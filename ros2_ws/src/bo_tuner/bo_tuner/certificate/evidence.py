@@ -1,7 +1,7 @@
 """The evidence for a certificate: the evaluations, and what they show for each constraint."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.study.constraint import UPPER
@@ -39,14 +39,15 @@ class Evidence:
     repeated
         For each context that the search found, evaluations there with fresh noise.
     unvisited
-        How many more contexts the search found, in which nothing was run as another had decided.
+        By the constraint whose search found them, numbers of more contexts in which nothing was
+        run, as another one had decided.
     """
 
     parameters: Mapping[str, Value]
     drawn: tuple[Evaluation, ...]
     search: tuple[Evaluation, ...] = ()
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
-    unvisited: int = 0
+    unvisited: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:

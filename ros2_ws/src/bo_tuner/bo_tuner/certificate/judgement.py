@@ -42,7 +42,7 @@ from bo_tuner.certificate.sequential import (
     probability_bounds,
 )
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import EXPECTATION, SINGLE_RUN, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation
 
@@ -54,9 +54,14 @@ runs that agree tell nothing of rare large values."""
 def most_draws_needed(study: Study, confidence: float) -> tuple[int, str]:
     """Return the smallest number of draws for a PASS, and the constraint that requires it.
 
-    With fewer, even a sample without any violation cannot show a chance constraint.
+    With fewer, even a sample without any violation cannot show a limit on single runs. One in every
+    context takes as many runs in each, of which there are at most as many as draws.
     """
-    needed = {c.name: draws_needed(c.allowed, confidence) for c in study.chance_constraints}
+    needed = {
+        c.name: draws_needed(c.allowed, confidence)
+        for c in study.constraints.values()
+        if c.statistic == SINGLE_RUN
+    }
     if not needed:
         return 1, ""
     name = max(needed, key=lambda key: needed[key])
@@ -204,8 +209,11 @@ def _judge(
             unit,
             refuted_by_draws=_refuted(constraint, events, values, confidence),
             refuting=refuting,
-            unvisited=evidence.unvisited,
+            unvisited=evidence.unvisited.get(constraint.name, 0),
         )
+        if constraint.name in evidence.unvisited and not refuting:
+            # Those that were run are the worst ones of another limit.
+            worst = ()
     else:
         passed, reason = _chance(constraint, events, confidence)
     return ConstraintVerdict(
@@ -261,11 +269,10 @@ def _worst_case(
     if failures := sum(w.failures for w in worst):
         failed = text.counted(failures, "evaluation")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
-    passed = all(w.shown for w in worst)
-    if passed and unvisited:
-        # Which limit those are the worst contexts of is not told apart: one context may be of all.
+    if unvisited and not refuting:
         contexts = text.counted(unvisited, "context")
         return False, f"{contexts} that may be the worst had no run, as another one had decided"
+    passed = all(w.shown for w in worst)
     if constraint.statistic == EXPECTATION:
         return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
     top = max(worst, key=lambda w: w.violation_bound)
