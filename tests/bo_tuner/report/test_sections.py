@@ -201,6 +201,31 @@ def test_the_slice_is_the_surrogate(analysis):
     assert named(peak, "limit", Limit).value == 1.0
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "kind", "label"),
+    [
+        ("boundary", "chance", "0.9 quantile of peak"),
+        ("boundary", "worst_case", "worst 0.9 quantile of peak"),
+        ("IV", "chance", "mean peak"),
+        ("IV", "worst_case", "worst 0.9 quantile of peak"),
+    ],
+)
+def test_a_slice_names_what_is_held_against_a_limit_on_single_runs(
+    analysis, algorithm, kind, label
+):
+    """Either a quantile of them is modelled, or the limit is moved by a margin for their noise."""
+    constraint = replace(analysis.study.constraints["peak"], kind=kind, probability=0.9)
+    study = replace(analysis.study, constraints={"peak": constraint})
+    found = Analysis(replace(analysis.record, study=study, algorithm=algorithm))
+    figure = slices(found, analysis.answer)
+    panel = figure.panels[1]
+    assert panel.y.label == label
+    moved = "quantile" not in label
+    assert (named(panel, "limit", Limit).value < 1.0) is moved
+    assert ("is drawn stricter" in figure.caption) is moved
+    assert "quantile" in figure.caption
+
+
 def two_parameters():
     from report_runs import NODE, axis_study
 

@@ -23,7 +23,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import quantity
 from bo_tuner.report.grid import FINE, ParameterGrid, parameter_grid, permitted
 from bo_tuner.report.sections.convergence import describe, predicted_axis
-from bo_tuner.study.constraint import CHANCE, Constraint
+from bo_tuner.study.constraint import SINGLE_RUN, WORST_CASE, Constraint
 from bo_tuner.trials import Trial
 
 NEARBY = 0.1
@@ -51,8 +51,7 @@ def slices(analysis: Analysis, answer: Trial) -> Figure:
         title=f"Slices through the {analysis.answer_set}",
         caption="Each row varies one parameter and keeps the others. Line: posterior mean; band: "
         "two standard deviations of the posterior, without the noise of an evaluation. Where the "
-        "line ends, the values would violate the order of the parameters. A limit with a "
-        "probability is drawn stricter, by a margin for the noise of single evaluations.",
+        "line ends, the values would violate the order of the parameters." + _of_noise(limited),
         alternative=_ranges(analysis, grids, answer),
         panels=panels,
         columns=columns,
@@ -97,15 +96,41 @@ def _constraint_slice(
         np.where(allowed, value, math.nan) for value in model.band(points, TWO_SIGMA)
     )
     metric = analysis.study.metrics[constraint.metric]
-    kind = "mean" if constraint.kind == CHANCE else "worst"
     return Panel(
         x=grid.axis,
-        y=Axis(label=f"{kind} {metric.name}", unit=metric.unit),
+        y=Axis(label=_label(constraint, model), unit=metric.unit),
         elements=[
             *_curve(grid, line, low, high),
             Limit(value=model.limit, name="limit"),
             *_markers(analysis, answer, grid),
         ],
+    )
+
+
+def _is_of_quantile(constraint: Constraint, model: LimitedResponse) -> bool:
+    """Whether a limit with a probability is on a quantile, and not moved by a margin instead."""
+    return constraint.statistic == SINGLE_RUN and model.limit == constraint.limit
+
+
+def _label(constraint: Constraint, model: LimitedResponse) -> str:
+    """Name what the model predicts, which is held against its limit."""
+    worst = constraint.kind == WORST_CASE
+    if _is_of_quantile(constraint, model):
+        level = constraint.level if constraint.sign > 0.0 else constraint.allowed
+        return f"{'worst ' if worst else ''}{level:.4g} quantile of {constraint.metric}"
+    return f"{'worst' if worst else 'mean'} {constraint.metric}"
+
+
+def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
+    """Say how the panels allow for the noise of limits with a probability; empty without any."""
+    of_single_runs = [pair for pair in limited if pair[0].statistic == SINGLE_RUN]
+    if not of_single_runs:
+        return ""
+    if all(_is_of_quantile(*pair) for pair in of_single_runs):
+        return " Of a limit with a probability the quantile of single evaluations is drawn."
+    return (
+        " A limit with a probability is drawn stricter, by a margin for the noise of single "
+        "evaluations, unless a quantile of these is drawn."
     )
 
 
