@@ -11,7 +11,8 @@ from scipy import stats
 from bo_tuner.certificate.context_tolerance import CREDIBLE, MOST_CONTEXTS, context_tolerances
 from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.optimizers.ranking import TOLERABLE
+from bo_tuner.optimizers.algorithms import ALGORITHMS
+from bo_tuner.optimizers.ranking import TOLERABLE, ranked_by, ranking_models
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
     Evaluation,
@@ -22,6 +23,7 @@ from bo_tuner.trials import (
     TrialState,
     WorstCase,
 )
+from bo_tuner.tuning.loop import Tuning
 
 LIMIT = 1.0
 NODE = {"node": "axis"}
@@ -309,6 +311,24 @@ class TestNeighbourhood:
         assert losses == pytest.approx([-sign * 0.2 / 12.0, sign * 0.2 / 12.0], rel=0.05)
         changes = [n.objective / around.optimum.objective - 1.0 for n in around.neighbours]
         assert losses == pytest.approx([sign * change for change in changes])
+
+    def test_it_is_believed_feasible_as_in_the_ranking(self, make_study, function_backend, failed):
+        """Where runs fail, not to fail is one of the limits."""
+
+        def axis(gain, load, seed):
+            if gain * load > 0.6:
+                return failed("stalled")
+            return {"error": 1.0 + (gain - 1.0) ** 2, "peak": 0.5}
+
+        study = make_study().replace(trials=12)
+        algorithm = ALGORITHMS["boundary"]
+        trials = list(Tuning(study, function_backend(study, axis), algorithm))
+        models = ranking_models(study, trials, algorithm.models)
+        ranked = ranked_by(models, study, trials, algorithm.models)
+        assert min(found.feasibility for found in ranked) < 0.9
+        for found in ranked:
+            around = parameter_sensitivity(study, found.trial.parameters, models)
+            assert around.optimum.feasibility == pytest.approx(found.feasibility)
 
     def test_no_model(self, make_study, make_trial):
         study = make_study()

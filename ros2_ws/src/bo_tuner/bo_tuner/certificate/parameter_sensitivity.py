@@ -13,8 +13,6 @@ than they could decide.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess
@@ -131,7 +129,7 @@ def parameter_sensitivity(
     else:
         loss = (cost - cost[0]) / models.objective.scale
     excess = relative_excess(models, points)
-    feasibility = np.exp(models.log_feasibility(points))
+    feasibility = models.feasibility(points)
     optimum, *others = (
         Neighbour(
             parameters=item,

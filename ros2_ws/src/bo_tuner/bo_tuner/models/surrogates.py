@@ -146,6 +146,11 @@ class Surrogates:
         """Return the log probability (m,) that all constraints hold at x (m, d)."""
         return log_feasibility(self.constraints.values(), x)
 
+    def feasibility(self, x: Array) -> Array:
+        """Return the probability (m,) that counts: by which x (m, d) are ranked as feasible."""
+        pooled = isinstance(self.failures, CrashModel)
+        return np.exp(self.log_confidence(x) if pooled else self.log_feasibility(x))
+
     def log_confidence(self, x: Array) -> Array:
         """Return `log_feasibility` in the most doubtful context of each limit, without failures."""
         total = np.zeros(len(x))

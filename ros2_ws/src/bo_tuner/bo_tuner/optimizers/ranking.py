@@ -238,9 +238,7 @@ class _Ranking:
 
     def feasibility(self, trials: Sequence[Trial]) -> Array:
         """Return the probability (n,) that trials keep all constraints."""
-        models, x = self._models, self._points(trials)
-        logarithm = models.log_confidence(x) if self._pooled else models.log_feasibility(x)
-        return np.exp(logarithm)
+        return self._models.feasibility(self._points(trials))
 
     def required(self, trial: Trial) -> float:
         """Return the lowest probability with which a trial counts as feasible."""

@@ -74,7 +74,7 @@ def _field(analysis: Analysis, answer: Trial, a: ParameterGrid, b: ParameterGrid
     shape = len(b.cube), len(a.cube)
     allowed = permitted(study, points)
     objective = study.from_predicted_cost(models.objective.predict_mean(points))
-    feasible = np.exp(models.log_feasibility(points))
+    feasible = models.feasibility(points)
     good = np.exp(np.sum([c.log_complement(points) for c in models.classifiers], axis=0))
     objective, feasible, bad = (
         np.where(allowed, values, math.nan).reshape(shape)
