@@ -71,7 +71,7 @@ class TestSecondTuner:
             (["--attach"], {}, f"another tuner is running in ROS domain {domain}, namespace /; "),
             ([], {}, f"another tuner is running in ROS domain {domain}, namespace /; "),
             (["--attach"], foreign, "another tuner is running as /bo_tuner; "),
-            ([], foreign, f"axis: runs already in ROS domain {domain}; use --attach, or "),
+            ([], foreign, f"axis: is already running in ROS domain {domain}; use --attach, or "),
         ]:
             second = tune(*arguments, folder=elsewhere, ROS_DOMAIN_ID=domain, **environment)
             assert second.refusal().startswith(complaint)

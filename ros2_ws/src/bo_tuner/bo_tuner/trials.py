@@ -1,6 +1,6 @@
 """Evaluations and trials: the record of a run."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -54,7 +54,7 @@ class TrialState(StrEnum):
 
 
 DISTURBED = "disturbed"
-"""Key of an outcome's details: who ran the evaluation was not alone with its nodes."""
+"""Key of an outcome's details: somebody else acted on the nodes during the evaluation."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class Trial:
 
     @property
     def disturbed(self) -> bool:
-        """Whether it is spoilt, and not because its nodes were lost, as by what they crashed of."""
+        """Whether it is spoilt although no node was lost, which may have died of the parameters."""
         return self.spoilt and all(
             evaluation.outcome.state is not EvaluationState.LOST for evaluation in self.evaluations
         )
@@ -265,6 +265,20 @@ def count_evaluations(trials: Iterable[Trial]) -> int:
 def count_checks(trials: Iterable[Trial]) -> int:
     """Return how many evaluations check the trials as candidates."""
     return sum(e.stage in CHECKS for trial in trials for e in trial.evaluations)
+
+
+def latest_by_place(
+    evaluations: Iterable[Evaluation], stages: Container[Stage]
+) -> dict[int, dict[int, Evaluation]]:
+    """Return evaluations of some stages by number of their trial, then by index in it.
+
+    A later one of the same place replaces one that a kill left behind.
+    """
+    found: dict[int, dict[int, Evaluation]] = {}
+    for evaluation in evaluations:
+        if evaluation.stage in stages:
+            found.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    return found
 
 
 def pooled(trials: Iterable[Trial]) -> list[Trial]:

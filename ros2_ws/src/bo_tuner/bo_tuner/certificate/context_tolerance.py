@@ -229,9 +229,7 @@ def _tolerance(
     """Return the tolerance of one constraint. The metric is modelled times the side's sign."""
     space, sign = study.context_space(), constraint.sign
     rng = generator(study.seed, Stream.ROBUSTNESS)
-    points = space.to_cube(
-        [[evaluation.context[name] for name in space.names] for evaluation in complete]
-    )
+    points = space.cube_of([evaluation.context for evaluation in complete])
     values = sign * np.array(
         [evaluation.outcome.metrics[constraint.metric] for evaluation in complete]
     )

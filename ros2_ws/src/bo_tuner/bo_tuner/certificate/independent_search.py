@@ -105,7 +105,7 @@ def find_worst_contexts(
         return [{}]
     tried = _Tried(space, drawn[:MOST_MODELLED])
     spread = latin_hypercube(SPREAD_EVALUATIONS, space.dimension, rng)
-    known_points = _points(space, known)
+    known_points = space.cube_of(known)
     for point in np.vstack([known_points, space.corners()]):
         tried.evaluate(point, evaluate)
     model = tried.fit(rng)
@@ -127,7 +127,7 @@ def find_worst_contexts(
             tried.evaluate(point, evaluate)
     model = tried.fit(rng)
     for context, value in drawn[MOST_MODELLED:]:
-        tried.add(_points(space, [context])[0], value)
+        tried.add(space.cube_of([context])[0], value)
     return [space.to_dict(row) for row in tried.candidates(known_points, model, rng)]
 
 
@@ -138,7 +138,7 @@ class _Tried:
         self, space: ContextSpace, drawn: Sequence[tuple[Mapping[str, float], float]]
     ) -> None:
         self._space = space
-        self._points = list(_points(space, [context for context, _ in drawn]))
+        self._points = list(space.cube_of([context for context, _ in drawn]))
         self._values = [value for _, value in drawn]
 
     def add(self, point: Array, value: float) -> None:
@@ -236,8 +236,3 @@ def _distinct(points: Sequence[Array] | Array, distance: float = DISTINCT) -> Ar
         if all(np.abs(point - other).max() > distance for other in kept):
             kept.append(point)
     return np.array(kept)
-
-
-def _points(space: ContextSpace, contexts: Sequence[Mapping[str, float]]) -> Array:
-    rows = np.array([[context[name] for name in space.names] for context in contexts])
-    return space.to_cube(rows.reshape(-1, space.dimension))

@@ -31,7 +31,7 @@ from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.storage.trust import trust
-from bo_tuner.study.changes import comparable, summarized
+from bo_tuner.study.changes import incomparable_changes, summarized
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import Describe, load_study
@@ -261,7 +261,7 @@ def _check_comparable(
     for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
         if getattr(arguments, name) not in (None, found):
             parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
-    if differences := comparable(record.study, study):
+    if differences := incomparable_changes(record.study, study):
         raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
     if not record.trials:
         raise RunRecordError(f"{record.path}: has no whole trial to begin with")

@@ -1,4 +1,4 @@
-"""Setting the result of a run on live nodes: certified, all or nothing, read back."""
+"""Setting values on live nodes: on all of them or none, and read back."""
 
 from collections.abc import Mapping
 from typing import Protocol

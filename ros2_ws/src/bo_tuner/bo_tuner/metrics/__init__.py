@@ -1,1 +1,1 @@
-"""From what the nodes report of an evaluation to the metrics of the study."""
+"""From what nodes report, or from recorded signals, to the metrics of the study."""

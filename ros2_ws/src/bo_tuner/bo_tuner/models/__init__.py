@@ -1,1 +1,1 @@
-"""Surrogate models: Gaussian process, Student-t process and nearest-neighbour classifiers."""
+"""Surrogate models: Gaussian processes of trials or of all evaluations, and classifiers."""

@@ -1,8 +1,8 @@
 """The surrogates of stage one, fitted to all trials (Sec. 4.1).
 
-One Gaussian process for the objective, one for each constrained response, and two
-nearest-neighbour classifiers. A failed trial has no values; only the classifier of failures uses
-it.
+One process for the objective, one for each constrained response, and classifiers of failures and
+of outliers. A failed trial tells of failures; where all evaluations are pooled, those of it that
+are complete tell of the responses, too, and not to fail is one more limit.
 """
 
 from collections.abc import Mapping, Sequence

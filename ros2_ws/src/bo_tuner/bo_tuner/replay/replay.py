@@ -13,7 +13,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study import checks
 from bo_tuner.study.metrics import Metric
 from bo_tuner.study.parts import IN_PROCESS
-from bo_tuner.trials import TUNING, Evaluation, Stage, TrialState
+from bo_tuner.trials import CHECKS, TUNING, Evaluation, TrialState, latest_by_place
 from bo_tuner.tuning.evaluation import evaluate
 from bo_tuner.tuning.observer import NOBODY
 from bo_tuner.tuning.settling import with_checks
@@ -154,7 +154,8 @@ def find_trial(record: RunRecord, which: str) -> int:
         if not complete:
             raise RunRecordError(f"{record.path}: no trial is complete yet, so none is worst")
         return max(complete, key=lambda trial: badness(record.study, trial)).number
-    numbers = {str(item.trial): item.trial for item in record.evaluations if _is_of_trial(item)}
+    of_trials = latest_by_place(record.evaluations, (*TUNING, *CHECKS))
+    numbers = {str(number): number for number in of_trials}
     if which not in numbers:
         there = numbers.values()
         trials = f"trials {min(there)} to {max(there)}" if there else "no trials yet"
@@ -183,12 +184,7 @@ def find_evaluation(record: RunRecord, trial: int, index: int | None) -> Evaluat
     RunRecordError
         If there is no such evaluation.
     """
-    # With the same index the later one counts; a killed process may have left the earlier one.
-    evaluations = {
-        item.index: item
-        for item in record.evaluations
-        if item.trial == trial and _is_of_trial(item)
-    }
+    evaluations = latest_by_place(record.evaluations, (*TUNING, *CHECKS))[trial]
     if index is None:
         return max(evaluations.values(), key=lambda item: evaluation_badness(record.study, item))
     if index not in evaluations:
@@ -207,7 +203,3 @@ def changed_provenance(record: RunRecord, now: Mapping[str, str]) -> list[str]:
         for name, then in record.provenance.items()
         if name in now and name not in of_the_moment and now[name] != then
     ]
-
-
-def _is_of_trial(item: Evaluation) -> bool:
-    return item.stage in (*TUNING, Stage.CHECK_DRAWN, Stage.CHECK_WORST)

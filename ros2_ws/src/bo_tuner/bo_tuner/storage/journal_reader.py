@@ -23,7 +23,7 @@ from bo_tuner.storage.journal import (
 )
 from bo_tuner.study import maxima
 from bo_tuner.text import one_line
-from bo_tuner.trials import TUNING, Evaluation, Trial
+from bo_tuner.trials import TUNING, Evaluation, Trial, latest_by_place
 
 # With page size and number of pages, see https://www.sqlite.org/fileformat.html.
 _SQLITE = b"SQLite format 3\0"
@@ -145,11 +145,7 @@ def _rows(db: sqlite3.Connection, table: str) -> tuple[list[dict[str, object]], 
 
 def _trials(found: list[dict[str, object]], evaluations: tuple[Evaluation, ...]) -> Iterator[Trial]:
     """Put trials together, from 0 on, until one is missing or lacks an evaluation."""
-    by_trial: dict[int, dict[int, Evaluation]] = {}
-    for evaluation in evaluations:
-        if evaluation.stage in TUNING:
-            # A later one of the same place takes the place of one that a kill left behind.
-            by_trial.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    by_trial = latest_by_place(evaluations, TUNING)
     for number, row in enumerate(sorted(found, key=rows.number_of)):
         of_trial = by_trial.get(number, {})
         count = rows.evaluations_of(row)

@@ -23,7 +23,7 @@ def changes(then: Study, now: Study) -> list[str]:
     ]
 
 
-def comparable(then: Study, now: Study) -> list[str]:
+def incomparable_changes(then: Study, now: Study) -> list[str]:
     """Return the `changes` after which trials cannot be compared with the earlier ones."""
     return [
         change for change in changes(then, now) if change.split()[0].split(".")[0] not in OF_A_RUN

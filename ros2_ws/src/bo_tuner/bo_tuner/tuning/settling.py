@@ -26,6 +26,7 @@ from bo_tuner.trials import (
     Trial,
     TrialState,
     WorstCase,
+    latest_by_place,
 )
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
@@ -190,11 +191,7 @@ def with_checks(
 
 def repetitions_of(evaluations: Iterable[Evaluation]) -> dict[int, list[Evaluation]]:
     """Return the evaluations on record that checked trials, by number of the trial."""
-    found: dict[int, dict[int, Evaluation]] = {}
-    for evaluation in evaluations:
-        if evaluation.stage in CHECKS:
-            # A later one of the same place replaces one that a kill left behind.
-            found.setdefault(evaluation.trial, {})[evaluation.index] = evaluation
+    found = latest_by_place(evaluations, CHECKS)
     return {trial: list(checks.values()) for trial, checks in found.items()}
 
 

@@ -53,14 +53,15 @@ class Quantity:
     change
         The difference in words.
     limit
-        Upper limit of the study; NaN without one.
+        Limit of the study, upper or lower; NaN without one.
     bound
-        Upper confidence bound of the tuned value by a certificate; NaN without one.
+        Confidence bound of the tuned value on the side of the limit, by a certificate; NaN without
+        one.
     holds
         Whether the tuned parameter set is shown to keep the limit, or kept it in the validation;
         None without a limit.
     remark
-        What else to know, such as the number of draws above the limit.
+        What else to know, such as the number of draws beyond the limit.
     draws
         How many draws each number is from, if they are not the same; else empty.
     objective
@@ -145,7 +146,7 @@ class Verdict:
     default_reasons
         The same for the default; None if nothing is known of it.
     quantities
-        The numbers, those with a limit first, then recorded ones, then the objective.
+        The numbers, as `ordered` has them.
     choice
         How the result was chosen among those of several objectives; empty for one objective.
     remarks

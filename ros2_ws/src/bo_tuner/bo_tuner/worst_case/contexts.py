@@ -108,5 +108,5 @@ def worst_contexts_nearby(
 
 
 def _distance(a: Mapping[str, float], b: Mapping[str, float], space: ContextSpace) -> float:
-    rows = space.to_cube([[c[name] for name in space.names] for c in (a, b)])
+    rows = space.cube_of([a, b])
     return float(np.abs(rows[0] - rows[1]).max())

@@ -141,6 +141,6 @@ class Bringup:
         running = [spec.node for key, spec in self._study.nodes.items() if key not in absent]
         if running:
             raise BackendError(
-                f"{running[0]}: runs already in ROS domain {os.environ['ROS_DOMAIN_ID']}; "
+                f"{running[0]}: is already running in ROS domain {os.environ['ROS_DOMAIN_ID']}; "
                 "use --attach, or leave ROS_DOMAIN_ID unset"
             )

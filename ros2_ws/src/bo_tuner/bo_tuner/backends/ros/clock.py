@@ -40,7 +40,7 @@ class RunClock(Protocol):
 
     @property
     def steady(self) -> int:
-        """Time [ns] since whenever that nobody sets, as far as there is one."""
+        """Monotonic time [ns] from an arbitrary origin, which nobody sets as far as there is one."""
 
     def begin(self) -> None:
         """Start a run: from now on the clock must neither jump nor stand still."""
@@ -63,7 +63,7 @@ class RunClock(Protocol):
         """
 
     def at(self, received: int) -> int:
-        """Return the time [ns] at which a message came in, for its reception by the machine's."""
+        """Return the time [ns] of the run at which a message was received, by that of the machine."""
 
 
 class WallClock:
@@ -83,7 +83,7 @@ class WallClock:
 
     @property
     def steady(self) -> int:
-        """Time [ns] since whenever."""
+        """Monotonic time [ns] from an arbitrary origin."""
         return time.monotonic_ns()
 
     def begin(self) -> None:
@@ -96,7 +96,7 @@ class WallClock:
         self._is_running = False
 
     def update(self) -> None:
-        """Do nothing: `now` is."""
+        """Do nothing: `now` is always current."""
 
     def look(self) -> None:
         """Refuse a clock that was set in a run."""

@@ -111,7 +111,7 @@ class Goal:
                 self.request_cancel()
 
     def check(self) -> None:
-        """Look how it is.
+        """Check how the goal is going.
 
         Raises
         ------

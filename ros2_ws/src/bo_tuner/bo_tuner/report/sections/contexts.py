@@ -198,9 +198,7 @@ def _field(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Axes and posterior mean (rows, columns) of the metric over two context variables."""
     space = study.context_space()
-    points = space.to_cube(
-        [[evaluation.context[name] for name in space.names] for evaluation in evaluations]
-    )
+    points = space.cube_of([evaluation.context for evaluation in evaluations])
     seen = [evaluation.outcome.metrics[metric.name] for evaluation in evaluations]
     model = GaussianProcess.fit(points, seen, rng=generator(study.seed, Stream.SEARCH, 2**31))
     unit = np.linspace(0.0, 1.0, FIELD_POINTS)
