@@ -40,7 +40,7 @@ class RunClock(Protocol):
 
     @property
     def steady(self) -> int:
-        """Monotonic time [ns] from an arbitrary origin, which nobody sets as far as there is one."""
+        """Monotonic time [ns] from an arbitrary origin; nobody sets it, as far as possible."""
 
     def begin(self) -> None:
         """Start a run: from now on the clock must neither jump nor stand still."""
@@ -63,7 +63,7 @@ class RunClock(Protocol):
         """
 
     def at(self, received: int) -> int:
-        """Return the time [ns] of the run at which a message was received, by that of the machine."""
+        """Return the time [ns] of the run for the machine's at which a message was received."""
 
 
 class WallClock:
