@@ -89,6 +89,10 @@ def test_a_tuned_node_is_not_configured_with_its_safe_parameters():
     parked = put([configure], "run", "before") | {"park": {"between_runs": True}}
     with pytest.raises(StudyError, match=r"^park\.between_runs: a step of run\.before"):
         study_from_mapping(parked)
+    astray = put([configure], "run", "before") | {"park": {"between_runs": True}}
+    astray["parameters"]["kp"]["node"] = "pdi"
+    with pytest.raises(StudyError, match="there is no node 'pdi'"):
+        study_from_mapping(astray)
     other = {"lifecycle": {"node": "/camera", "transition": "configure"}}
     for allowed in (
         put([configure], "run", "before"),

@@ -114,6 +114,7 @@ class Retiring(Node):
     def __init__(self, context):
         super().__init__("retiring", context=context)
         self.publisher = None
+        self.refuses = False
         self.begin()
         self.create_timer(0.01, self.publish)
         self.create_service(Trigger, "~/begin", self.on_begin)
@@ -127,8 +128,9 @@ class Retiring(Node):
             self.publisher.publish(Float64(data=1.0))
 
     def on_begin(self, request, response):
-        self.begin()
-        response.success = True
+        response.success = not self.refuses
+        if response.success:
+            self.begin()
         return response
 
     def on_end(self, request, response):
@@ -139,7 +141,7 @@ class Retiring(Node):
 
 
 def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join):
-    join(Retiring)
+    node = join(Retiring)
     gone = {"wait": 0.5}
     made = backend(
         signals={"sensed": {"topic": "sensed", "field": "data", "minimum_messages": 0}},
@@ -152,6 +154,9 @@ def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join):
     )
     for _ in range(2):
         assert failure(run(made)).startswith("aborted at ")
+    # Nor why the next one could not be prepared.
+    node.refuses = True
+    assert failure(run(made)).startswith("/retiring/begin refused: ")
 
 
 def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(

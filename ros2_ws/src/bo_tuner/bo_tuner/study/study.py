@@ -409,7 +409,8 @@ class Study:
         """
         if self.run is None or not self.park.between_runs:
             return
-        tuned = {self.nodes[item.node].node.strip("/") for item in self.parameters.values()}
+        keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
+        tuned = {self.nodes[key].node.strip("/") for key in keys}
         for step in self.run.before:
             change = step.lifecycle
             if change and change.transition == "configure" and change.node.strip("/") in tuned:

@@ -340,8 +340,8 @@ class RosBackend(SequentialBackend):
         # A run may have failed for want of a node.
         for key in self._study.nodes:
             client.parameters.expect_answer(key)
-        if unpublished := unpublished or procedure.unpublished_since:
-            raise LostError(unpublished)
+        if gone := unpublished or procedure.unpublished:
+            raise LostError(gone)
 
     def _park_between(self) -> None:
         if self._study.park.between_runs:

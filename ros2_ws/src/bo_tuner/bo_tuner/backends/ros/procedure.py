@@ -88,6 +88,7 @@ class Procedure:
         self._publishers: dict[str, Publisher] = {}
         self._started: list[Goal] = []
         self._is_recording = False
+        self._is_prepared = False
         self._due: list[int] = []
         try:
             self._connect()
@@ -120,9 +121,11 @@ class Procedure:
         if not self._tuner.wait_until(lambda: not self._recorder.mixed, LONGEST_LEASE):
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
+        self._is_prepared = False
         self._perform("before")
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
+        self._is_prepared = True
 
     def perform(self) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
@@ -152,18 +155,13 @@ class Procedure:
 
     @property
     def unpublished(self) -> str:
-        """Tell in a line of a signal that nothing publishes any more; empty if none."""
-        return self._recorder.unpublished
+        """Tell in a line of a signal that nothing publishes, but should; empty if none.
 
-    @property
-    def unpublished_since(self) -> str:
-        """Tell as `unpublished`, once steps of `after` were performed.
-
-        Those that do more than publish and wait may have ended the publisher themselves, as by the
-        cleanup of a lifecycle node.
+        Steps of `after` that do more than publish and wait may have ended the publisher, as by the
+        cleanup of a lifecycle node. Then it needs to be there only once the next run is prepared.
         """
         acts = any(not (step.publish or step.waits) for step in self._run.after)
-        return "" if acts else self.unpublished
+        return "" if acts and not self._is_prepared else self._recorder.unpublished
 
     def request_cancel(self) -> None:
         """Ask for the end of the goals that are active, and do not wait for it."""
@@ -235,6 +233,7 @@ class Procedure:
 
         So does a message that nobody hears: who is to hear it may be back before the end.
         """
+        self._is_prepared = False
         try:
             self._perform_step(("run", AFTER, index), self._run.after[index])
         except (SilentError, UnheardError):
