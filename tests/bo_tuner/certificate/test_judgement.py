@@ -344,7 +344,13 @@ class TestUnvisitedContexts:
             for k in range(40)
         ]
         drawn = (evaluation(0.5, error=0.1),)
-        found = Evidence({"gain": 0.5}, drawn, repeated=(tuple(runs),), unvisited={"error": 3})
+        found = Evidence(
+            {"gain": 0.5},
+            drawn,
+            repeated=(tuple(runs),),
+            unvisited={"error": 3},
+            unseen=frozenset(["error"]),
+        )
         by_name = {c.name: c for c in judge(study, found, 0.95).constraints}
         assert not by_name["peak"].passed
         assert "it is not kept" in by_name["peak"].reason or "may be" in by_name["peak"].reason
@@ -355,10 +361,20 @@ class TestUnvisitedContexts:
         # The context that was run is the worst one of the other limit.
         assert by_name["error"].worst == ()
         assert by_name["peak"].worst[0].evaluations == 40
-        visited = dataclasses.replace(found, unvisited={})
+        visited = dataclasses.replace(found, unvisited={}, unseen=frozenset())
         by_name = {c.name: c for c in judge(study, visited, 0.95).constraints}
         assert by_name["error"].passed
         assert by_name["error"].worst[0].evaluations == 40
+
+    def test_a_limit_that_its_own_contexts_decide_says_why(self, make_study):
+        """One violation of few runs is hopeless, but no proof: the next contexts are not run."""
+        study = make_study(constraints={"peak": LIMITS["peak"] | {"probability": 0.96}})
+        runs = [evaluation(peak, Stage.CHECK_WORST) for peak in [0.5] * 9 + [2.0]]
+        found = Evidence({"gain": 0.5}, (evaluation(0.5),), (), (tuple(runs),), {"peak": 2})
+        (peak,) = judge(study, found, 0.95).constraints
+        assert not peak.passed
+        assert (peak.worst[0].beyond, peak.worst[0].evaluations) == (1, 10)
+        assert "1 of 10 runs violate the limit: violation probability may be" in peak.reason
 
     def test_they_are_counted(self, make_study, function_backend):
         """The peak is beyond its limit for large loads, the error for small ones alone."""
@@ -376,4 +392,5 @@ class TestUnvisitedContexts:
         for name, count in found.unvisited.items():
             assert count > 0
             assert not by_name[name].passed
-            assert bool(by_name[name].worst) is ("it is not kept" in by_name[name].reason)
+            seen = name not in found.unseen or "it is not kept" in by_name[name].reason
+            assert bool(by_name[name].worst) is seen

@@ -356,6 +356,15 @@ class TestBundle:
         assert call(command, capsys, record.path, "--rollback", "--yes")[0] == 0
         assert gain() == 0.25
 
+    def test_what_the_nodes_have_already_is_no_longer_of_a_killed_run(self, record, capsys, gain):
+        """The next run that is attached would set them back."""
+        write_certificate(record, record.trials[1])
+        forgotten = []
+        self.nodes.forget_killed = lambda node, names: forgotten.append((node, list(names)))
+        for count in (1, 2):
+            assert call(command, capsys, record.path, "--yes")[0] == 0
+            assert forgotten == [("axis", ["gain"])] * count
+
     def test_leads_back_in_the_namespace_that_was_given(self, record, capsys, gain):
         write_certificate(record, record.trials[1])
         options = ("--yes", "--ros-args", "-r", "__ns:=/cell")

@@ -286,7 +286,7 @@ class TestRetention:
         assert list(tmp_path.iterdir()) == []
 
     def test_what_comes_while_a_trial_is_proposed_belongs_to_none(self, tmp_path, monkeypatch):
-        """As in a pause; but ahead of the first trial are messages that publishers keep."""
+        """As in a pause."""
         monkeypatch.setattr(recorder_module, "QUIET", 0.0)
         size = len(joints(START)[1])
         monkeypatch.setattr(recorder_module.Recorder.__init__, "__defaults__", (20 * size,))
@@ -313,7 +313,7 @@ class TestRetention:
             [time - START for _, time, _ in with_rosbags(tmp_path / "bags" / f"trial_000{number}")]
             for number in range(2)
         ]
-        assert times == [[*range(10)], [*range(2001, 2010)]]
+        assert times == [[*range(1, 10)], [*range(2001, 2010)]]
         assert recording.summary["dropped_messages"] == 0
 
     def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, tmp_path, monkeypatch):

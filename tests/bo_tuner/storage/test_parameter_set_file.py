@@ -28,6 +28,13 @@ def test_of_several_robots_the_one_in_the_study_counts(read):
     assert read("cell/axis", {"/cell/axis": 0.25, "/hall/axis": 0.75}) == 0.25
 
 
+@pytest.mark.parametrize("key", ["/hall/axis", "/hall/**", "/**/hall/axis"])
+def test_another_robot_is_not_taken_for_it(read, key):
+    with pytest.raises(StudyError, match="has none of the study's parameters"):
+        read("cell/axis", {key: 0.75})
+    assert read("cell/axis", {key: 0.75, "/**/axis": 0.25}) == 0.25
+
+
 def test_of_several_robots_none_of_which_is_meant(read):
     problem = "gain: has several values: of /cell/axis and of /hall/axis"
     with pytest.raises(StudyError, match=problem):

@@ -99,6 +99,7 @@ def backend(system, tmp_path, patient):
         made.open()
         return made
 
+    make.opened = opened
     yield make
     # One that refuses or is silent could not be set back.
     system.begin()

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.ros
 
 GOAL = {"send_goal": {"action": "fibonacci", "goal": {"order": 5}}}
 TO_ITS_RESULT = {"before": [], "start": [GOAL], "end": "result", "timeout": 20.0}
+SOON = {"when": "t > 0.2 and angle > -1"}
 FEW = {"setpoint": {"topic": "limit", "field": "data", "minimum_messages": 0}}
 
 
@@ -133,7 +134,10 @@ def test_a_goal_is_cancelled_when_a_run_is_aborted(backend, counter, system):
 
 def test_a_goal_is_cancelled_when_a_run_ends_before_it(backend, counter):
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
-    made = backend(run={**TO_ITS_RESULT, "start": [long], "end": {"after": 1.0}}, signals=FEW)
+    made = backend(
+        run={**TO_ITS_RESULT, "start": [long], "end": SOON},
+        signals=FEW,
+    )
     assert run(made).state is EvaluationState.COMPLETE
     assert counter.ends == ["cancelled"]
 
@@ -218,7 +222,7 @@ def test_while_a_goal_does_not_end_nothing_else_begins(backend, counter, monkeyp
     """Neither the way home nor another run; it is named in the end."""
     monkeypatch.setattr(goals, "CALL_TIMEOUT", 2.0)
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
-    steps = {"start": [long], "end": {"after": 1.0}, "recover": [GOAL]}
+    steps = {"start": [long], "end": SOON, "recover": [GOAL]}
     made = backend(run=TO_ITS_RESULT | steps, signals=FEW)
     counter.obeys = lambda: False
     late = "/fibonacci does not end its goal within 2 s of the request to cancel it"
@@ -239,7 +243,10 @@ def test_a_goal_of_a_server_that_was_started_anew_is_over(backend, counter, join
     """It does not know the goal, and the next run may begin."""
     monkeypatch.setattr(goals, "CALL_TIMEOUT", 0.3)
     long = {"send_goal": {"action": "fibonacci", "goal": {"order": 10_000}}}
-    made = backend(run=TO_ITS_RESULT | {"start": [long], "end": {"after": 1.0}}, signals=FEW)
+    made = backend(
+        run=TO_ITS_RESULT | {"start": [long], "end": SOON},
+        signals=FEW,
+    )
     counter.create_timer(0.05, lambda: counter.orders and counter.stop())
     run(made)
     anew = join(Counter)

@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
-from servo import LATCHED, failure, run
+from servo import LATCHED, Sensor, failure, run
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from waiting import DEADLINE, wait_until
@@ -140,7 +140,8 @@ class Retiring(Node):
         return response
 
 
-def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join):
+def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join, monkeypatch):
+    monkeypatch.setattr("bo_tuner.backends.ros.procedure.DISCOVERED", DEADLINE)
     node = join(Retiring)
     gone = {"wait": 0.5}
     made = backend(
@@ -157,6 +158,32 @@ def test_steps_that_end_a_publisher_do_not_hide_why_a_run_failed(backend, join):
     # Nor why the next one could not be prepared.
     node.refuses = True
     assert failure(run(made)).startswith("/retiring/begin refused: ")
+
+
+def test_a_sensor_that_is_lost_between_two_runs_is_not_held_against_the_parameters(
+    backend, join, leave
+):
+    """Although steps after a run might have ended it."""
+    sensor = join(Sensor)
+    at_zero = {"wait_until": {"condition": "sensed < 0.5", "timeout": 1.0}}
+    made = backend(
+        signals={"sensed": {"topic": "sensed", "field": "data", "minimum_messages": 0}},
+        run={"before": [at_zero], "after": [{"call": {"service": "servo/reset"}}]},
+    )
+    assert run(made).state is EvaluationState.COMPLETE
+    sensor.value = 1.0
+    heard = made._procedure._recorder
+
+    def has_risen():
+        heard.poll()
+        return heard.recording(heard.seconds).signals["sensed"].value[-1] == 1.0
+
+    wait_until(has_risen, "its new value")
+    leave(sensor)
+    wait_until(lambda: heard.unpublished, "the tuner knows that it is lost")
+    found = run(made)
+    assert found.state is EvaluationState.LOST
+    assert found.reason.startswith("/sensed has no publisher any more")
 
 
 def test_a_machine_is_told_to_stop_also_where_it_seems_not_to_listen(

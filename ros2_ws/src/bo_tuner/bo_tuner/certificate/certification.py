@@ -228,7 +228,8 @@ class Certification:
             if (count := sum(not found.repeated[place] for place in places))
         }
         visited = tuple(here for here in found.repeated if here)
-        return replace(found, repeated=visited, unvisited=unvisited)
+        unseen = frozenset(name for name in unvisited if unvisited[name] == len(found_by[name]))
+        return replace(found, repeated=visited, unvisited=unvisited, unseen=unseen)
 
     def _open_context(self, found: Evidence, most: int) -> int | None:
         """Return the first context that takes more evaluations; None if the verdict is clear.

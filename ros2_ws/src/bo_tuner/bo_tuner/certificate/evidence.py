@@ -41,6 +41,8 @@ class Evidence:
     unvisited
         By the constraint whose search found them, numbers of more contexts in which nothing was
         run, as another one had decided.
+    unseen
+        Names of the constraints of whose own contexts none was run for that reason.
     """
 
     parameters: Mapping[str, Value]
@@ -48,6 +50,7 @@ class Evidence:
     search: tuple[Evaluation, ...] = ()
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
     unvisited: Mapping[str, int] = field(default_factory=dict)
+    unseen: frozenset[str] = frozenset()
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:

@@ -202,6 +202,10 @@ def _judge(
                 constraint, _events(constraint, runs), _values(runs, constraint.metric), confidence
             )
         ]
+        told = refuting or _failed(evidence.evaluations)
+        if constraint.name in evidence.unseen and not told:
+            # Those that were run are the worst ones of other limits.
+            worst = ()
         passed, reason = _worst_case(
             constraint,
             events,
@@ -211,9 +215,6 @@ def _judge(
             refuting=refuting,
             unvisited=evidence.unvisited.get(constraint.name, 0),
         )
-        if constraint.name in evidence.unvisited and not refuting:
-            # Those that were run are the worst ones of another limit.
-            worst = ()
     else:
         passed, reason = _chance(constraint, events, confidence)
     return ConstraintVerdict(
@@ -264,15 +265,16 @@ def _worst_case(
             f"{sum(events)} of {len(events)} draws violate the limit or fail: more than a limit "
             "allows that is kept in every context"
         )
+    contexts = text.counted(unvisited, "context")
+    not_run = f"{contexts} that may be the worst had no run, as another one had decided"
     if not worst:
-        return False, "its worst contexts were not evaluated"
+        return False, not_run if unvisited else "its worst contexts were not evaluated"
     if failures := sum(w.failures for w in worst):
         failed = text.counted(failures, "evaluation")
         return False, f"{failed} failed in the worst contexts (none is allowed)"
-    if unvisited and not refuting:
-        contexts = text.counted(unvisited, "context")
-        return False, f"{contexts} that may be the worst had no run, as another one had decided"
     passed = all(w.shown for w in worst)
+    if passed and unvisited:
+        return False, not_run
     if constraint.statistic == EXPECTATION:
         return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
     top = max(worst, key=lambda w: w.violation_bound)

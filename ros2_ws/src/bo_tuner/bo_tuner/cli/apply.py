@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from rich.table import Table
 
+from bo_tuner.backends.ros.parameter_note import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
     Parser,
@@ -59,7 +60,8 @@ requires, and no later FAIL.
 
 EPILOG = """\
 The nodes are looked for in the domain and with the discovery settings of the
-environment (ROS_DOMAIN_ID), and in the namespace of --ros-args.
+environment (ROS_DOMAIN_ID), and in the namespace of the run unless --ros-args
+name another.
 
 exit codes:
   0    the nodes have the values, as read back from them
@@ -153,6 +155,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 if all(row.equal for row in rows):
                     # What an earlier one did not finish is so now.
                     (record.path / DEPLOY / UNFINISHED).unlink(missing_ok=True)
+                    _forget_killed(nodes, new)
                     say("the nodes already have these values; nothing to set")
                     return EXIT_OK
                 if not arguments.yes:
@@ -198,8 +201,7 @@ def _set(
         saved = "" if trial is None else f"; the previous values are in {rollback}"
         return _refuse(f"{error}{saved}", EXIT_FAULT)
     unfinished.unlink()
-    for node, values in new.items():
-        nodes.forget_killed(node, values)
+    _forget_killed(nodes, new)
     say(f"set and read back on {', '.join(new)}")
     if trial is not None:
         command = shlex.join(["apply", str(folder), "--rollback", *ros_arguments])
@@ -212,16 +214,20 @@ def _set(
     return EXIT_OK
 
 
+def _forget_killed(nodes: LiveParameters, values: NodeValues) -> None:
+    """Let the nodes keep values that somebody wants them to have, also as a killed run's."""
+    for node, of_node in values.items():
+        nodes.forget_killed(node, of_node)
+
+
 def _own(nodes: LiveParameters, now: NodeValues) -> NodeValues:
     """Return what the nodes have, but for what a run that was killed has left on them."""
     own = {}
     for node, values in now.items():
         left = nodes.before_killed(node, values)
         for name, value in left.items():
-            _warn(
-                f"{node}: {name} is {brief(str(values[name]))}, which a run that was killed has "
-                f"left; the previous value is {brief(str(value))}"
-            )
+            of_killed = said_of_killed(node, name, values[name])
+            _warn(f"{of_killed}; the previous value is {brief(str(value))}")
         own[node] = {**values, **left}
     return own
 

@@ -92,30 +92,35 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     for name in OF_INIT:
         if getattr(arguments, name) is not None:
             parser.error(f"--{name} needs --init")
-    look = partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
+
     if arguments.check is not None:
         parser.refuse_others(arguments, "check", OF_CHECK)
+        look = _look(ros_arguments, interruption)
         study = _changed(_load(arguments.check, True, look), arguments)
         return check_study(study, ros_arguments, interruption)
-    return _run(arguments, parser, look, ros_arguments, interruption)
+    return _run(arguments, parser, ros_arguments, interruption)
+
+
+def _look(ros_arguments: Sequence[str], interruption: Interruption) -> Describe:
+    return partial(describe_nodes, ros_arguments=ros_arguments, interrupted=interruption.check)
 
 
 def _run(
     arguments: argparse.Namespace,
     parser: Parser,
-    look: Describe,
     ros_arguments: Sequence[str],
     interruption: Interruption,
 ) -> int:
     if arguments.resume is not None:
-        plan = _resumed(arguments, parser)
+        plan, record = _resumed(arguments, parser)
+        ros_arguments = _resumed_in(record, plan.attach, ros_arguments, parser)
     elif arguments.earlier is not None:
-        plan = _after_earlier(arguments, parser, look)
+        record = read_run(run_folder(arguments.earlier))
+        ros_arguments = in_namespace_of(record, ros_arguments)
+        plan = _after_earlier(record, arguments, parser, _look(ros_arguments, interruption))
     else:
-        plan = _new(arguments, parser, look)
+        plan = _new(arguments, parser, _look(ros_arguments, interruption))
     _check_options(plan, arguments, parser)
-    if plan.resumed is not None:
-        ros_arguments = _resumed_in(plan.resumed, plan.attach, ros_arguments, parser)
     options = RunOptions(
         algorithm=plan.algorithm,
         backend=plan.backend,
@@ -156,7 +161,7 @@ def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> Reco
     )
 
 
-def _resumed(arguments: argparse.Namespace, parser: Parser) -> Plan:
+def _resumed(arguments: argparse.Namespace, parser: Parser) -> tuple[Plan, RunRecord]:
     """Plan the rest of a run, or more of it."""
     if arguments.earlier is not None:
         parser.error("--resume continues a run, --from begins a new one; leave one out")
@@ -172,12 +177,13 @@ def _resumed(arguments: argparse.Namespace, parser: Parser) -> Plan:
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
         study, stop_early = _changed(study, arguments), arguments.stop_early
-    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
+    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record), record
 
 
-def _after_earlier(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
+def _after_earlier(
+    record: RunRecord, arguments: argparse.Namespace, parser: Parser, look: Describe
+) -> Plan:
     """Plan a run that begins with the trials of an earlier one."""
-    record = read_run(run_folder(arguments.earlier))
     backend = recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     if arguments.study is not None:
@@ -221,7 +227,7 @@ def _resumed_in(
     """Return the ``--ros-args`` of the rest of a run, which is on the same nodes."""
     arguments, recorded = in_namespace_of(record, ros_arguments), record.namespace
     found = namespace_of(arguments)
-    if attach and recorded and found != recorded:
+    if attach and record.attached and recorded and found != recorded:
         parser.error(
             f"--resume: the run is of nodes in the namespace {recorded}, not {found}; --from "
             "begins a new run with its trials"

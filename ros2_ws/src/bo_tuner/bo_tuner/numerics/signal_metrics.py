@@ -24,9 +24,9 @@ import numpy as np
 from bo_tuner.numerics.arrays import Array
 
 STEADY_SHARE = 0.1
-ROUNDING = 1e-12
-"""Relative error that sums of times may have."""
 """Share of the run, at its end, whose mean is the steady state."""
+ROUNDING = 1e-9
+"""Relative error that sums of very many times may have."""
 
 
 class UndefinedMetricError(ValueError):

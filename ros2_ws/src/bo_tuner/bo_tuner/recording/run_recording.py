@@ -70,7 +70,6 @@ class RunRecording(RunObserver):
         self._signals = signals
         self._recorder: Recorder | None = None
         self._listener: Listener | None = None
-        self._has_ended_one = False
         self.summary: dict[str, object] = {"policy": str(Policy.NONE)}
 
     def __enter__(self) -> Self:
@@ -109,15 +108,10 @@ class RunRecording(RunObserver):
             self._recorder.trial(trial, best)
             self._listener.refresh()
             self._pass_news_on()
-            self._has_ended_one = True
 
     def proposal(self) -> None:
-        """Let go of what came between two trials.
-
-        Ahead of the first one come the messages that publishers keep for those who join late.
-        """
-        if self._has_ended_one:
-            self._forget()
+        """Let go of what came while it was computed."""
+        self._forget()
 
     def pause(self, paused: bool) -> None:
         """Let go of what came in a pause."""

@@ -76,10 +76,15 @@ def _match(key: str, node: str) -> int | None:
     """Return how well the key of a section names a node, more is better; None if it does not."""
     parts, wanted = key.strip("/").split("/"), node.strip("/").split("/")
     if parts[-1] == "**":
-        return 0
-    if parts[-1] != wanted[-1]:
+        # The namespace of the tuner may stand ahead of that in the study.
+        above = len(parts) - 1
+        return None if above and len(wanted) > 1 and parts[:above] != wanted[:above] else 0
+    of_any_namespace = parts[0] == "**"
+    parts = parts[1:] if of_any_namespace else parts
+    shared = min(len(parts), len(wanted))
+    if parts[-shared:] != wanted[-shared:]:
         return None
-    return 2 if parts[-len(wanted) :] == wanted else 1
+    return 2 if len(parts) >= len(wanted) and not of_any_namespace else 1
 
 
 def _nested(values: Mapping[str, object], name: str) -> object:

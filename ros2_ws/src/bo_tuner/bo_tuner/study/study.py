@@ -410,10 +410,13 @@ class Study:
         if self.run is None or not self.park.between_runs:
             return
         keys = {item.node for item in self.parameters.values()} & self.nodes.keys()
-        tuned = {self.nodes[key].node.strip("/") for key in keys}
+        tuned = [f"/{self.nodes[key].node}" for key in keys]
         for step in self.run.before:
             change = step.lifecycle
-            if change and change.transition == "configure" and change.node.strip("/") in tuned:
+            if change is None or change.transition != "configure":
+                continue
+            # The namespace, which the study does not know, may stand ahead of it.
+            if any(f"/{change.node}".endswith(node) for node in tuned):
                 raise StudyError(
                     f"a step of run.before configures {change.node}, which has the safe parameters "
                     "then and may keep them in the run; expected false",

@@ -16,7 +16,7 @@ from bo_tuner.backends.ros.clock import WallClock
 from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
-from bo_tuner.backends.ros.parameter_note import ParameterNote
+from bo_tuner.backends.ros.parameter_note import ParameterNote, said_of_killed
 from bo_tuner.backends.ros.parameters import to_value
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import END_OTHERS, LOOK_AROUND, TunerNode
@@ -108,10 +108,8 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
     note = ParameterNote(tuner.domain, tuner.node.get_namespace())
     left = note.left_behind(node, {name: item.value for name, item in found.items()})
     for name, value in left.items():
-        tuner.warn(
-            f"{node}: {name} is {brief(str(found[name].value))}, which a run that was killed has "
-            f"left; taken for its own: {brief(str(value))}, as before"
-        )
+        of_killed = said_of_killed(node, name, found[name].value)
+        tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
         found[name] = replace(found[name], value=value)
     return found
 

@@ -113,11 +113,16 @@ def domain_of_environment() -> int | None:
 
 
 def namespace_of(ros_arguments: Sequence[str]) -> str:
-    """Return the namespace that ``--ros-args`` give."""
+    """Return the namespace that ``--ros-args`` give, the root unless they name one."""
+    return named_namespace(ros_arguments) or "/"
+
+
+def named_namespace(ros_arguments: Sequence[str]) -> str:
+    """Return the namespace that ``--ros-args`` name; empty if they name none."""
     for argument in reversed(ros_arguments):
         if argument.startswith("__ns:="):
             return argument.removeprefix("__ns:=")
-    return "/"
+    return ""
 
 
 def _has_participant(domain: int) -> bool:

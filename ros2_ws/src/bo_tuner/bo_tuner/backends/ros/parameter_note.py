@@ -16,6 +16,12 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.run_files import read_text
 from bo_tuner.storage.state import state_folder
 from bo_tuner.study.checks import same_value
+from bo_tuner.text import brief
+
+
+def said_of_killed(node: str, name: str, value: object) -> str:
+    """Tell that a parameter of a node has a value of a run that was killed."""
+    return f"{node}: {name} is {brief(str(value))}, which a run that was killed has left"
 
 
 class ParameterNote:

@@ -352,6 +352,8 @@ class Procedure:
                 self._clock.look()
                 poll()
         if not held():
+            if unpublished := self._recorder.unpublished_of(used):
+                raise LostError(unpublished)
             heard = latest(used, self._recorder.recording(self._recorder.seconds))
             raise FailedRunError(
                 f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "

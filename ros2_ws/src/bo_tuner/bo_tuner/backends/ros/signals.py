@@ -2,7 +2,7 @@
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -115,8 +115,13 @@ class SignalRecorder:
     @property
     def unpublished(self) -> str:
         """Tell in a line of a topic that nobody publishes any more; empty if none."""
+        return self.unpublished_of(self._signals)
+
+    def unpublished_of(self, names: Iterable[str]) -> str:
+        """Tell as `unpublished`, of the topics of some signals."""
+        wanted = set(names)
         for heard in self._heard.values():
-            if heard.publishers == 0:
+            if heard.publishers == 0 and not wanted.isdisjoint(heard.tracks):
                 of = f", which was {heard.node}" if heard.node != UNKNOWN_NODE else ""
                 return f"{heard.name} has no publisher any more{of}"
         return ""

@@ -142,9 +142,9 @@ class Publication:
         found = of_type()
         types = sorted({info.topic_type for info in found or subscribers()})
         if not found or len(types) > 1:
-            expected = publish.type or "the one that is meant as type"
+            expected = f"expected {publish.type}" if publish.type else "name one of them"
             raise StudyError(
-                f"{topic} carries {' and '.join(types)}, expected {expected}", ("publish", "type")
+                f"{topic} carries {' and '.join(types)}; {expected}", ("publish", "type")
             )
         with under("publish", "topic"):
             kind = interface_class(types[0])

@@ -127,7 +127,7 @@ def _of_noise(limited: Sequence[tuple[Constraint, LimitedResponse]]) -> str:
     if not of_single_runs:
         return ""
     if all(_is_of_quantile(*pair) for pair in of_single_runs):
-        return " Of a limit with a probability the quantile of single evaluations is drawn."
+        return " For a limit with a probability, the quantile of single evaluations is drawn."
     return (
         " A limit with a probability is drawn stricter, by a margin for the noise of single "
         "evaluations, unless a quantile of these is drawn."
