@@ -70,7 +70,7 @@ def write_study(tmp_path, **changes):
         },
         "run": {
             "start": [{"publish": {"topic": "/setpoint", "message": {"data": 1.0}}}],
-            "end": {"after": 0.3},
+            "end": {"when": "t > 0.3"},
         },
     }
     for section, items in changes.items():

@@ -285,8 +285,9 @@ class TestRetention:
         assert recording.summary == {"policy": "none"}
         assert list(tmp_path.iterdir()) == []
 
-    def test_what_comes_while_a_trial_is_proposed_belongs_to_none(self, tmp_path, monkeypatch):
-        """As in a pause."""
+    @pytest.fixture
+    def of_few_messages(self, tmp_path, monkeypatch):
+        """A recording with memory for 20 messages, and the list of those that wait to be heard."""
         monkeypatch.setattr(recorder_module, "QUIET", 0.0)
         size = len(joints(START)[1])
         monkeypatch.setattr(recorder_module.Recorder.__init__, "__defaults__", (20 * size,))
@@ -299,8 +300,14 @@ class TestRetention:
 
             return SimpleNamespace(take=take, refresh=lambda: False, close=take)
 
-        options = RecordOptions(Policy.ALL)
-        with RunRecording(tmp_path, STUDY, options, listen, pytest.fail) as recording:
+        return RunRecording(
+            tmp_path, STUDY, RecordOptions(Policy.ALL), listen, pytest.fail
+        ), waiting
+
+    def test_what_comes_while_a_trial_is_proposed_belongs_to_none(self, of_few_messages, tmp_path):
+        """As in a pause."""
+        recording, waiting = of_few_messages
+        with recording:
             waiting += [joints(START)]
             recording.proposal()
             for number in range(2):
@@ -316,22 +323,10 @@ class TestRetention:
         assert times == [[*range(1, 10)], [*range(2001, 2010)]]
         assert recording.summary["dropped_messages"] == 0
 
-    def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, tmp_path, monkeypatch):
+    def test_what_comes_in_a_pause_belongs_to_no_evaluation(self, of_few_messages, tmp_path):
         """It would fill the memory, so that the messages of the next evaluation were dropped."""
-        monkeypatch.setattr(recorder_module, "QUIET", 0.0)
-        size = len(joints(START)[1])
-        monkeypatch.setattr(recorder_module.Recorder.__init__, "__defaults__", (20 * size,))
-        waiting = []
-
-        def listen(recorder):
-            def take():
-                while waiting:
-                    recorder.take(*waiting.pop(0))
-
-            return SimpleNamespace(take=take, refresh=lambda: False, close=take)
-
-        options = RecordOptions(Policy.ALL)
-        with RunRecording(tmp_path, STUDY, options, listen, pytest.fail) as recording:
+        recording, waiting = of_few_messages
+        with recording:
             waiting += [joints(START + k) for k in range(10)]
             recording.evaluation(evaluation_of(0, 0))
             recording.pause(True)

@@ -92,7 +92,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     for name in OF_INIT:
         if getattr(arguments, name) is not None:
             parser.error(f"--{name} needs --init")
-
     if arguments.check is not None:
         parser.refuse_others(arguments, "check", OF_CHECK)
         look = _look(ros_arguments, interruption)
@@ -112,7 +111,9 @@ def _run(
     interruption: Interruption,
 ) -> int:
     if arguments.resume is not None:
-        plan, record = _resumed(arguments, parser)
+        _refuse_beside_resume(arguments, parser)
+        record = read_run(run_folder(arguments.resume))
+        plan = _resumed(record, arguments, parser)
         ros_arguments = _resumed_in(record, plan.attach, ros_arguments, parser)
     elif arguments.earlier is not None:
         record = read_run(run_folder(arguments.earlier))
@@ -161,14 +162,16 @@ def _recording(arguments: argparse.Namespace, resumed: RunRecord | None) -> Reco
     )
 
 
-def _resumed(arguments: argparse.Namespace, parser: Parser) -> tuple[Plan, RunRecord]:
-    """Plan the rest of a run, or more of it."""
+def _refuse_beside_resume(arguments: argparse.Namespace, parser: Parser) -> None:
     if arguments.earlier is not None:
         parser.error("--resume continues a run, --from begins a new one; leave one out")
     given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
     if given:
         parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
-    record = read_run(run_folder(arguments.resume))
+
+
+def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -> Plan:
+    """Plan the rest of a run, or more of it."""
     study, backend = record.study, recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     allow_programs(record, trusted=arguments.trust, attach=attach)
@@ -177,7 +180,7 @@ def _resumed(arguments: argparse.Namespace, parser: Parser) -> tuple[Plan, RunRe
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
         study, stop_early = _changed(study, arguments), arguments.stop_early
-    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record), record
+    return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
 
 
 def _after_earlier(

@@ -24,7 +24,7 @@ from bo_tuner.backends.ros.messages import (
     number_reader,
 )
 from bo_tuner.backends.ros.tuner_node import NODE_NAME as TUNER
-from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE
+from bo_tuner.backends.ros.tuner_node import UNKNOWN_NODE, full_name
 from bo_tuner.errors import StudyError
 from bo_tuner.metrics.recording import FailedRunError, RecordedSignal, Recording
 from bo_tuner.numerics.arrays import Array
@@ -98,7 +98,7 @@ class SignalRecorder:
     def publishers(self) -> set[str]:
         """Full names of the nodes that publish the signals, as far as the graph tells."""
         return {
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            full_name(info.node_namespace, info.node_name)
             for topic in self._heard
             for info in self.node.get_publishers_info_by_topic(topic)
             if info.node_name != UNKNOWN_NODE

@@ -19,7 +19,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, to_stamp
 from bo_tuner.backends.ros.messages import interface_class, make_message, type_name
-from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode, full_name
+from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.study.building import under
@@ -131,7 +131,7 @@ class Publication:
         def subscribers() -> list[TopicEndpointInfo]:
             found = node.get_subscriptions_info_by_topic(topic)
             # The tuner's own nodes, which record the topic, do not count.
-            return [info for info in found if not info.node_name.startswith(NODE_NAME)]
+            return [info for info in found if not is_own(info.node_name)]
 
         def of_type() -> list[TopicEndpointInfo]:
             return [i for i in subscribers() if publish.type in ("", i.topic_type)]
@@ -183,7 +183,7 @@ class Publication:
     def _unheard(self) -> str:
         """Tell that nobody hears it: why somebody who subscribes does not, if there is one."""
         for info in self._endpoints():
-            if not info.node_name.startswith(NODE_NAME) and (reason := self._obstacle(info)):
+            if not is_own(info.node_name) and (reason := self._obstacle(info)):
                 name = full_name(info.node_namespace, info.node_name)
                 return f"{name} cannot hear what is published on {self._topic}: {reason}"
         return f"nothing subscribes to {self._topic}"
@@ -204,12 +204,8 @@ class Publication:
 
     def _subscribers(self) -> tuple[int, int]:
         """Count the subscribers that can hear the publisher: the tuner's own, and others."""
-        own = others = 0
-        for info in self._endpoints():
-            if not self._obstacle(info):
-                is_own = info.node_name.startswith(NODE_NAME)
-                own, others = own + is_own, others + (not is_own)
-        return own, others
+        hearing = [is_own(info.node_name) for info in self._endpoints() if not self._obstacle(info)]
+        return hearing.count(True), hearing.count(False)
 
     def _reaches_any(self) -> bool:
         """Whether a subscriber of others is connected."""

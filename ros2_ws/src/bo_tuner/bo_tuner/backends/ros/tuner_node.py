@@ -59,6 +59,11 @@ def silence(node: str, service: str, timeout: float) -> SilentError:
     return SilentError(f"{node} does not answer {service} within {timeout:g} s")
 
 
+def is_own(name: str) -> bool:
+    """Whether a node of this name is one of a tuner's: they begin with the same word."""
+    return name.startswith(NODE_NAME)
+
+
 def full_name(namespace: str, name: str) -> str:
     """Return the name of a node with its namespace."""
     return f"{namespace.rstrip('/')}/{name}"
