@@ -27,6 +27,9 @@ POLL = 0.2
 THREAD = "tasks"
 """Name of the thread that waits for the tasks; with one process, it carries them out."""
 
+CUT_OFF = 10
+"""Time [s] that the thread has to end once its processes have been ended."""
+
 CONNECTING = 10
 """Time [s] that a cluster has to answer."""
 
@@ -92,6 +95,7 @@ def conduct(
                 # They would go on with tasks whose results are not used any more. Reused: another
                 # one would wait for them, with a lock held that they need for their next task.
                 get_reusable_executor(reuse=True).shutdown(wait=True, kill_workers=True)
+                _join()
             raise
 
 
@@ -130,13 +134,16 @@ def _results(
         except Exception as error:
             found.put(error)
 
-    threading.Thread(target=work, name=THREAD, daemon=True).start()
+    thread = threading.Thread(target=work, name=THREAD, daemon=True)
+    thread.start()
     while True:
         interruption.check()
         try:
             item = found.get(timeout=POLL)
         except queue.Empty:
             continue
+        if not isinstance(item, dict):
+            thread.join()
         if item is None:
             return
         if isinstance(item, Exception):
@@ -144,6 +151,17 @@ def _results(
             problem = " ".join(f"{name}{item}".split())[:300]
             raise RunError(f"the campaign was aborted: {problem}") from item
         yield item
+
+
+def _join() -> None:
+    """Wait until the tasks that have been cut off have ended here too.
+
+    A process that ended before would leave semaphores and folders behind, and joblib would warn
+    of them on the terminal, after the last line of the campaign.
+    """
+    for thread in threading.enumerate():
+        if thread.name == THREAD:
+            thread.join(CUT_OFF)
 
 
 def _start_worker(parent: int) -> None:
