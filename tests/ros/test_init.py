@@ -148,11 +148,15 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
 
 
 def test_a_file_that_cannot_be_written(servo, quick, tmp_path, capsys, monkeypatch):
-    def refuse(path, *_, **__):
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+    path = tmp_path / "study.yaml"
+    open_it = Path.open
+
+    def refuse(file, *arguments, **options):
+        if file == path:
+            raise PermissionError(errno.EACCES, "Permission denied", str(file))
+        return open_it(file, *arguments, **options)
 
     monkeypatch.setattr(Path, "open", refuse)
-    path = tmp_path / "study.yaml"
     code, _, err = call(tune, capsys, "--init", path)
     assert code == 2
     assert err.splitlines()[-1] == f"error: {path}: cannot be written: Permission denied"

@@ -200,7 +200,8 @@ def test_nodes_in_a_cut(start_node, peer):
     nodes = start(start_node, [(n, package) for n in PATTERNS for package in PACKAGES])
     for namespace in PATTERNS:
         plant = f"{namespace}/milling_plant"
-        values = {"reference_levels": [0.5], "samples_per_level": 5_000}
+        # A cut that neither ends nor is given up while the others are started.
+        values = {"reference_levels": [0.5], "samples_per_level": 10_000, "command_timeout": 60.0}
         assert peer.set_parameters(plant, values).successful
     for namespace in PATTERNS:
         trigger = f"{namespace}/milling_plant/run_cut"
