@@ -26,6 +26,13 @@ importlib.import_module("reaper").guard()
 # are started before the first test.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+# What a shell or a CI server sets for terminals and nodes would change what these say.
+for name in (
+    *("FORCE_COLOR", "NO_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"),
+    *("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"),
+):
+    os.environ.pop(name, None)
+
 # Commands that fixtures of a module call in this process change them ahead of its first test.
 _HANDLERS = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM)}
 

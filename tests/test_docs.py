@@ -55,6 +55,7 @@ MESSAGES_OF_OTHERS = {
     "database or disk is full",
     "librcl_action.so: cannot open shared object file",
     "Failed to get logging directory",
+    "Expected RMW implementation identifier of 'rmw_cyclonedds_cpp'",
 }
 
 FENCE = re.compile(r"^( *)```(\w*)[^\n]*\n(.*?)^\1```\s*$", re.DOTALL | re.MULTILINE)
