@@ -112,7 +112,7 @@ def unfinished(tasks: Sequence[Task], records: Records) -> list[Task]:
 
 def at_work() -> bool:
     """Whether a task may still run in this process, after an interruption."""
-    return any(thread.name == THREAD for thread in threading.enumerate())
+    return bool(_threads())
 
 
 def _results(
@@ -159,9 +159,12 @@ def _join() -> None:
     A process that ended before would leave semaphores and folders behind, and joblib would warn
     of them on the terminal, after the last line of the campaign.
     """
-    for thread in threading.enumerate():
-        if thread.name == THREAD:
-            thread.join(CUT_OFF)
+    for thread in _threads():
+        thread.join(CUT_OFF)
+
+
+def _threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == THREAD]
 
 
 def _start_worker(parent: int) -> None:
