@@ -3,7 +3,7 @@
 A point is judged by the truth that campaigns judge by, too. With two tuned parameters the grid is
 complete (all integers, steps of 0.05). With more it is coarse, and the best points are refined by a
 pattern search over integer steps and halving steps of the doubles. That a controller is too slow or
-fails does not show in the vectorised loop, so that the best points also make cuts on the objects.
+fails does not show in the vectorized loop, so that the best points also make cuts on the objects.
 
 First every point of the grid is screened by the corners of the context box, where most infeasible
 ones show, and by few drawn contexts. What keeps the limit there and costs little more than the best

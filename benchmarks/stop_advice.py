@@ -4,7 +4,7 @@
 
 Each run optimizes a robust problem with a known optimum (`tuning_benchmark.problems.closed_form`)
 up to its budget. Where the advice to stop is given, the answer is also settled from the trials up
-to then, as `tune --stop-early` does. The realised gain is the difference of the true expected costs
+to then, as `tune --stop-early` does. The realized gain is the difference of the true expected costs
 of both answers; beside it stands the gain that the advice expected of the models. The result goes
 to benchmarks/results/stop_advice.json, from which results_page.py writes a section of
 docs/performance.md.
@@ -65,7 +65,7 @@ def run(name: str, seed: int) -> dict[str, Any]:
 
 
 def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Compare expected and realised gains over the runs with an advice."""
+    """Compare expected and realized gains over the runs with an advice."""
     advised = [r for r in runs if r.get("gain") is not None]
     summary: dict[str, Any] = {"runs": len(runs), "advised": len(advised)}
     if not advised:
@@ -76,8 +76,8 @@ def summarize(runs: list[dict[str, Any]]) -> dict[str, Any]:
     return summary | {
         "trials": float(np.median([r["advice"]["trials"] for r in advised])),
         "expected": float(np.median(expected)),
-        "realised": float(np.median(gains)),
-        "largest_realised": float(gains.max()),
+        "realized": float(np.median(gains)),
+        "largest_realized": float(gains.max()),
         "noise": float(np.median(noise)),
         "within_expected": int((gains <= expected).sum()),
         "within_noise": int((gains <= noise).sum()),

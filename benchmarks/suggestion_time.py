@@ -263,7 +263,7 @@ def measure(study: Study, trials: list[Trial], count: int, repeats: int) -> dict
     return seconds
 
 
-def summarise(seconds: dict[str, list[float]]) -> dict[str, dict[str, float]]:
+def summarize(seconds: dict[str, list[float]]) -> dict[str, dict[str, float]]:
     """Median seconds, and ratios to `boundary` and to IV of the same turn: median and range."""
     summary = {}
     for contender, values in seconds.items():
@@ -310,7 +310,7 @@ def main() -> None:
         )
         for count in arguments.counts
     }
-    summaries = {count: summarise(seconds) for count, seconds in every.items()}
+    summaries = {count: summarize(seconds) for count, seconds in every.items()}
     exponents = growth(summaries)
     result = {
         "provenance": about | {"seed": SEED},

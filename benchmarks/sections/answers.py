@@ -138,7 +138,7 @@ def stop(result: Result) -> list[str]:
                     f"{s['advised']} of {s['runs']}",
                     f"{s['trials']:g} of {result['trials']}",
                     f"{s['expected']:.4f}",
-                    f"{s['realised']:.4f} ({s['largest_realised']:.4f})",
+                    f"{s['realized']:.4f} ({s['largest_realized']:.4f})",
                     f"{s['noise']:.4f}",
                     f"{s['within_expected']} of {s['advised']}",
                     f"{s['feasible_stopped']} / {s['feasible_whole']}",
@@ -146,12 +146,12 @@ def stop(result: Result) -> list[str]:
             )
     return [
             f"The problem `{result['problem']}`, whose optimum costs {result['optimum']:.4f}. "
-            "Realised is the difference of the true costs of both answers, the one at the advice "
+            "Realized is the difference of the true costs of both answers, the one at the advice "
             "and the one after all trials; medians, and in brackets the largest.",
             markdown(
                 [
-                    "algorithm", "advised", "after trials", "gain expected", "gain realised",
-                    "standard error", "realised within expected", "truly feasible, stopped / whole",
+                    "algorithm", "advised", "after trials", "gain expected", "gain realized",
+                    "standard error", "realized within expected", "truly feasible, stopped / whole",
                 ],
                 rows,
             ),

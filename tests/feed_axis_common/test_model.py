@@ -1,4 +1,4 @@
-"""The discretisation against scipy and finely sampled simulations."""
+"""The discretization against scipy and finely sampled simulations."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Eq. 2 solved without this project's matrices: predicted by simulation, optimised by daqp."""
+"""Eq. 2 solved without this project's matrices: predicted by simulation, optimized by daqp."""
 
 import daqp
 import numpy as np

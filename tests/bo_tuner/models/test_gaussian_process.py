@@ -14,7 +14,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors, LogNormal
 from bo_tuner.models.kernel import MEAN_SD, jittered_cholesky
 from bo_tuner.models.log_posterior import LogPosterior
-from bo_tuner.models.replicates import Replicates, Standardisation
+from bo_tuner.models.replicates import Replicates, Standardization
 
 THETA = Hyperparameters(np.array([0.3, 0.8, 2.0]), 1.4, 0.2)
 
@@ -40,15 +40,15 @@ def reference(theta, x, z):
     return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None).fit(x, z)
 
 
-def standardised(x, y):
-    z = Standardisation.of(y).apply(y)
+def standardized(x, y):
+    z = Standardization.of(y).apply(y)
     return z, LogPosterior(Replicates.group(x, z), Hyperpriors.default(x.shape[1]))
 
 
 @pytest.mark.parametrize("replicates", [1, 5])
 def test_likelihood_and_gradient_equal_scikit_learn(replicates):
     x, y = observations(replicates=replicates)
-    z, posterior = standardised(x, y)
+    z, posterior = standardized(x, y)
     sklearn = reference(THETA, x, z)
     value, gradient = sklearn.log_marginal_likelihood(sklearn.kernel_.theta, eval_gradient=True)
     own_value, own_gradient = posterior.log_marginal_likelihood(THETA.to_log())
@@ -61,7 +61,7 @@ def test_likelihood_and_gradient_equal_scikit_learn(replicates):
 @pytest.mark.parametrize("replicates", [1, 5])
 def test_posterior_equals_scikit_learn(replicates):
     x, y = observations(replicates=replicates)
-    z, _ = standardised(x, y)
+    z, _ = standardized(x, y)
     query = np.random.default_rng(1).random((40, 3))
     mean, sd = reference(THETA, x, z).predict(query, return_std=True)
     model = GaussianProcess.condition(THETA, x, y)
@@ -76,7 +76,7 @@ def test_unequal_replicates_equal_the_dense_normal_density():
     rows = np.array([0, 0, 0, 1, 2, 2, 3, 4, 5, 5, 5, 5])
     x, y = x[rows], y[rows] + np.random.default_rng(2).normal(size=len(rows))
     theta = Hyperparameters(np.array([0.4, 0.7]), 0.9, 0.3)
-    z, posterior = standardised(x, y)
+    z, posterior = standardized(x, y)
     squared = (((x[:, None] - x[None]) / theta.length_scales) ** 2).sum(axis=2)
     dense = theta.signal**2 * np.exp(-0.5 * squared) + MEAN_SD**2 + theta.noise**2 * np.eye(len(x))
     expected = (
@@ -91,7 +91,7 @@ def test_unequal_replicates_equal_the_dense_normal_density():
 @pytest.mark.parametrize("replicates", [1, 4])
 def test_posterior_gradient_equals_finite_differences(replicates):
     x, y = observations(replicates=replicates)
-    _, posterior = standardised(x, y)
+    _, posterior = standardized(x, y)
     for phi in (THETA.to_log(), np.log([0.05, 0.5, 5.0, 0.3, 1.0])):
         numeric = approx_fprime(phi, posterior.value, 1e-6)
         value, gradient = posterior.value_and_gradient(phi)
@@ -116,7 +116,7 @@ def test_log_prior_equals_the_normal_density_of_the_logarithm():
 def test_fit_reaches_a_stationary_point_as_good_as_a_tight_multistart():
     x, y = observations(points=25, replicates=3)
     model = GaussianProcess.fit(x, y, rng=np.random.default_rng(0))
-    _, posterior = standardised(x, y)
+    _, posterior = standardized(x, y)
     phi = model.hyperparameters.to_log()
     box = Hyperpriors.default(3).bounds(3)
     gradient = posterior.value_and_gradient(phi)[1]
@@ -162,7 +162,7 @@ def test_warm_start_reaches_the_optimum_of_the_cold_one():
     cold = GaussianProcess.fit(x, y, rng=np.random.default_rng(0))
     earlier = GaussianProcess.fit(x[:-2], y[:-2], rng=np.random.default_rng(0))
     warm = GaussianProcess.fit(x, y, rng=np.random.default_rng(0), start=earlier.warm_start)
-    _, posterior = standardised(x, y)
+    _, posterior = standardized(x, y)
     assert posterior.value(warm.hyperparameters.to_log()) == pytest.approx(
         posterior.value(cold.hyperparameters.to_log()), abs=1e-2
     )
@@ -173,7 +173,7 @@ def test_outgrown_warm_start_is_left():
     x = np.linspace(0.0, 1.0, 40)[:, None]
     y = np.sin(25.0 * x[:, 0])
     stale = Hyperparameters(np.array([20.0]), 0.05, 1.0)
-    _, posterior = standardised(x, y)
+    _, posterior = standardized(x, y)
     priors, box = posterior.priors, Hyperpriors.default(1).bounds(1)
     only_stale = log_posterior.minimize(
         lambda p: -posterior.value(p), stale.to_log(), method="L-BFGS-B", bounds=box
@@ -206,7 +206,7 @@ class TestReinterpolation:
     def test_equals_an_interpolating_model_through_the_posterior_means(self):
         x, y = observations(points=12)
         model = GaussianProcess.condition(THETA, x, y)
-        through = model.standardisation.apply(model.predict(x)[0])
+        through = model.standardization.apply(model.predict(x)[0])
         noise_free = Hyperparameters(THETA.length_scales, THETA.signal, 1e-6)
         query = np.random.default_rng(1).random((30, 3))
         mean, sd = reference(noise_free, x, through).predict(query, return_std=True)
@@ -282,13 +282,13 @@ class TestHardData:
             _, mean = self.fit(x, factor * y)
             np.testing.assert_allclose(mean / factor, self.fit(x, y)[1], rtol=1e-6)
 
-    def test_new_data_with_given_hyperparameters_and_standardisation(self):
+    def test_new_data_with_given_hyperparameters_and_standardization(self):
         x, y = observations()
         model = GaussianProcess.fit(x, y, rng=np.random.default_rng(0))
         again = GaussianProcess.condition(
-            model.hyperparameters, x[:5], y[:5], model.standardisation
+            model.hyperparameters, x[:5], y[:5], model.standardization
         )
-        assert again.standardisation == model.standardisation
+        assert again.standardization == model.standardization
         assert again.noise_variance == model.noise_variance
         assert (again.predict(x)[1] >= model.predict(x)[1] - 1e-12).all()
 

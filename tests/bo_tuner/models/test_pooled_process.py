@@ -53,7 +53,7 @@ class TestPosterior:
         mean, deviation = reference(process).predict(
             np.hstack([x, CORNERS[which]]), return_std=True
         )
-        shift, scale = process.standardisation.shift, process.scale
+        shift, scale = process.standardization.shift, process.scale
         means = process.means(x, CORNERS)[np.arange(3), which]
         assert means == pytest.approx(shift + scale * mean, abs=1e-8)
         variances = process.variances(x, CORNERS, which)
@@ -110,7 +110,7 @@ class TestPosterior:
             np.hstack([coding.encode(query), CORNERS[which]]), return_std=True
         )
         found = process.means(query, CORNERS)[np.arange(3), which]
-        assert found == pytest.approx(process.standardisation.restore(mean, sd)[0], abs=1e-8)
+        assert found == pytest.approx(process.standardization.restore(mean, sd)[0], abs=1e-8)
         variance = process.variances(query, CORNERS, which)
         assert np.sqrt(variance) == pytest.approx(process.scale * sd, rel=1e-4)
         whole = process.noise_everywhere(query, CORNERS)
@@ -175,7 +175,7 @@ class TestPosterior:
             np.hstack([np.repeat(x, 3, axis=0), np.tile(CORNERS, (3, 1))]), return_std=True
         )
         found = process.means(x, CORNERS).ravel()
-        assert np.abs(found - process.standardisation.restore(mean, sd)[0]).max() < 2e-4
+        assert np.abs(found - process.standardization.restore(mean, sd)[0]).max() < 2e-4
         variance = process.variances(np.repeat(x, 3, axis=0), CORNERS, np.tile([0, 1, 2], 3))
         assert np.sqrt(variance) == pytest.approx(process.scale * sd, rel=0.05)
 

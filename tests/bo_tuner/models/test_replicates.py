@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bo_tuner.models.replicates import Replicates, Standardisation
+from bo_tuner.models.replicates import Replicates, Standardization
 
 
 def repeated_data(seed=0, points=7, observations=30, dimension=3):
@@ -40,7 +40,7 @@ def test_the_order_of_the_data_does_not_matter_to_the_last_bit(seed):
     np.testing.assert_array_equal(one.count, other.count)
     np.testing.assert_array_equal(one.index[order], other.index)
     assert one.sum_of_squares == other.sum_of_squares
-    assert Standardisation.of(y) == Standardisation.of(y[order])
+    assert Standardization.of(y) == Standardization.of(y[order])
 
 
 def test_within_group_sum_of_squares_survives_a_large_offset():
@@ -48,21 +48,21 @@ def test_within_group_sum_of_squares_survives_a_large_offset():
     assert Replicates.group(np.full((3, 1), 0.5), y).sum_of_squares == pytest.approx(2.0, rel=1e-9)
 
 
-def test_standardised_responses_have_zero_mean_and_unit_deviation():
+def test_standardized_responses_have_zero_mean_and_unit_deviation():
     y = np.random.default_rng(0).normal(5e-4, 1e-5, 40)
-    z = Standardisation.of(y).apply(y)
+    z = Standardization.of(y).apply(y)
     assert z.mean() == pytest.approx(0.0, abs=1e-9)
     assert z.std() == pytest.approx(1.0, rel=1e-12)
-    mean, variance = Standardisation.of(y).restore(z, np.ones_like(z))
+    mean, variance = Standardization.of(y).restore(z, np.ones_like(z))
     np.testing.assert_allclose(mean, y, rtol=1e-13)
     np.testing.assert_allclose(variance, y.var(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -3.0, 5e-4, 0.1])
 def test_constant_responses_scale_with_their_magnitude(value):
-    standardisation = Standardisation.of(np.full(7, value))
-    assert standardisation.scale == (abs(value) or 1.0)
-    assert standardisation.shift == pytest.approx(value, rel=1e-15)
+    standardization = Standardization.of(np.full(7, value))
+    assert standardization.scale == (abs(value) or 1.0)
+    assert standardization.shift == pytest.approx(value, rel=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from scipy.stats import t
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.models.kernel import latent_covariance
-from bo_tuner.models.replicates import Standardisation
+from bo_tuner.models.replicates import Standardization
 from bo_tuner.models.student_t import DEGREES_OF_FREEDOM, StudentTProcess, find_outliers
 
-UNIT = Standardisation(0.0, 1.0)
+UNIT = Standardization(0.0, 1.0)
 
 
 def smooth(x):

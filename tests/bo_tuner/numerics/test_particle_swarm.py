@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bo_tuner.numerics.particle_swarm import SwarmSettings, maximise
+from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 
 THOROUGH = SwarmSettings(particles=60, iterations=200, stall=40, tolerance=1e-9)
 
@@ -35,13 +35,13 @@ def branin(x):
     ],
 )
 def test_known_maxima(function, dimension, maximum, accuracy):
-    result = maximise(function, dimension, np.random.default_rng(0), settings=THOROUGH)
+    result = maximize(function, dimension, np.random.default_rng(0), settings=THOROUGH)
     assert result.value == pytest.approx(maximum, abs=accuracy)
     assert function(result.position[None])[0] == result.value
 
 
 def test_maximum_in_a_corner():
-    result = maximise(lambda x: x.sum(axis=1), 4, np.random.default_rng(0), settings=THOROUGH)
+    result = maximize(lambda x: x.sum(axis=1), 4, np.random.default_rng(0), settings=THOROUGH)
     np.testing.assert_array_equal(result.position, np.ones(4))
 
 
@@ -59,7 +59,7 @@ def test_mixed_space_with_an_order_constraint():
         assert (x[:, 1] >= x[:, 0]).all()
         return -((x[:, 0] - 0.74) ** 2) - (x[:, 1] - 0.2) ** 2
 
-    result = maximise(objective, 2, np.random.default_rng(0), repair=round_first, settings=THOROUGH)
+    result = maximize(objective, 2, np.random.default_rng(0), repair=round_first, settings=THOROUGH)
     # on the line x₁ = x₀, the nearest tenth to the mean of 0.74 and 0.2
     np.testing.assert_allclose(result.position, [0.5, 0.5])
 
@@ -68,12 +68,12 @@ def test_one_integer_only():
     def repair(x):
         return np.round(3.0 * x) / 3.0
 
-    result = maximise(bowl, 1, np.random.default_rng(0), repair=repair)
+    result = maximize(bowl, 1, np.random.default_rng(0), repair=repair)
     np.testing.assert_allclose(result.position, [1.0 / 3.0])
 
 
 def test_excluded_everywhere():
-    result = maximise(
+    result = maximize(
         lambda x: np.full(len(x), -np.inf), 3, np.random.default_rng(0), repair=lambda x: x
     )
     assert result.value == -np.inf
@@ -86,7 +86,7 @@ def test_excluded_almost_everywhere_and_nan():
         value[x[:, 1] > 0.95] = np.nan
         return value
 
-    result = maximise(objective, 2, np.random.default_rng(0), settings=THOROUGH)
+    result = maximize(objective, 2, np.random.default_rng(0), settings=THOROUGH)
     assert result.position[0] > 0.9
     assert result.value == pytest.approx(0.95, abs=1e-3)
 
@@ -97,7 +97,7 @@ def test_a_given_particle_is_not_lost():
     def objective(x):
         return np.where((np.abs(x - needle) < 1e-9).all(axis=1), 1.0, 0.0)
 
-    result = maximise(objective, 2, np.random.default_rng(0), initial=needle[None])
+    result = maximize(objective, 2, np.random.default_rng(0), initial=needle[None])
     np.testing.assert_array_equal(result.position, needle)
     assert result.value == 1.0
 
@@ -111,8 +111,8 @@ def test_positions_stay_in_the_box_and_a_seed_fixes_the_result(seed, dimension):
         seen.append(x.copy())
         return np.sin(40.0 * x).sum(axis=1)
 
-    one = maximise(objective, dimension, np.random.default_rng(seed))
-    other = maximise(objective, dimension, np.random.default_rng(seed))
+    one = maximize(objective, dimension, np.random.default_rng(seed))
+    other = maximize(objective, dimension, np.random.default_rng(seed))
     visited = np.concatenate(seen)
     assert ((visited >= 0.0) & (visited <= 1.0)).all()
     np.testing.assert_array_equal(one.position, other.position)
@@ -127,7 +127,7 @@ def test_no_progress_stops_the_search():
         counts.append(len(x))
         return np.zeros(len(x))
 
-    maximise(flat, 2, np.random.default_rng(0), settings=few)
+    maximize(flat, 2, np.random.default_rng(0), settings=few)
     assert counts == [10] * 4
 
 
@@ -136,8 +136,8 @@ def test_values_that_improve_nothing_do_not_matter():
         value = rastrigin(x)
         return np.where(value > known, value, np.nan)
 
-    whole = maximise(rastrigin, 2, np.random.default_rng(0))
-    found = maximise(rastrigin, 2, np.random.default_rng(0), improved=improved)
+    whole = maximize(rastrigin, 2, np.random.default_rng(0))
+    found = maximize(rastrigin, 2, np.random.default_rng(0), improved=improved)
     np.testing.assert_array_equal(found.position, whole.position)
     assert found.value == whole.value
 
@@ -151,13 +151,13 @@ def test_more_given_particles_than_the_swarm_has():
         counts.append(len(x))
         return bowl(x)
 
-    maximise(objective, 2, np.random.default_rng(0), initial=given_positions, settings=few)
+    maximize(objective, 2, np.random.default_rng(0), initial=given_positions, settings=few)
     assert counts == [20, 20]
 
 
 def test_bad_arguments_are_refused():
     with pytest.raises(ValueError, match=r"initial: expected shape \(k, 2\), found \(4, 3\)"):
-        maximise(bowl, 2, np.random.default_rng(0), initial=np.zeros((4, 3)))
+        maximize(bowl, 2, np.random.default_rng(0), initial=np.zeros((4, 3)))
     with pytest.raises(ValueError, match="particles: expected at least 1, found 0"):
         SwarmSettings(particles=0)
     with pytest.raises(ValueError, match="tolerance: expected >= 0, found nan"):

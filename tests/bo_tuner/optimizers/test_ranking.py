@@ -81,7 +81,7 @@ class TestObjective:
         assert first.trial.parameters["x"] == pytest.approx(0.4, abs=0.11)
         assert first.objective == pytest.approx(1.0, rel=0.1)
 
-    def test_maximising(self, make_study, make_trial):
+    def test_maximizing(self, make_study, make_trial):
         study = make_study(
             parameters={"x": DOUBLE}, objective={"metric": "error", "direction": "maximize"}
         )

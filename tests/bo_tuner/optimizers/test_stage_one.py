@@ -290,7 +290,7 @@ class TestPoorData:
         proposals = self.answers(study, optimize(study, response))
         assert min(abs(p.parameters["x"] - OPTIMUM) for p in proposals) < 0.02
 
-    def test_maximising(self, study_of, optimize):
+    def test_maximizing(self, study_of, optimize):
         study = study_of(
             {"x": double()}, trials=12, objective={"metric": "error", "direction": "maximize"}
         )

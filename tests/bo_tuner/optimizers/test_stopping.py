@@ -10,7 +10,7 @@ from command_runs import Runs
 from scipy.stats import norm
 
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.numerics.particle_swarm import maximise
+from bo_tuner.numerics.particle_swarm import maximize
 from bo_tuner.optimizers import stopping
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.bayesian import BayesianOptimization
@@ -236,9 +236,9 @@ def test_advice_and_optimizer_start_their_search_from_the_feasible_points(
 
     def keep(acquisition, dimension, rng, *, initial=None, **options):
         seen.append(initial)
-        return maximise(acquisition, dimension, rng, initial=initial, **options)
+        return maximize(acquisition, dimension, rng, initial=initial, **options)
 
-    monkeypatch.setattr("bo_tuner.optimizers.bayesian.maximise", keep)
+    monkeypatch.setattr("bo_tuner.optimizers.bayesian.maximize", keep)
     optimizer = BayesianOptimization(study)
     for trial in trials:
         optimizer.tell(trial)

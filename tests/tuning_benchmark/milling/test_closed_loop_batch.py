@@ -1,4 +1,4 @@
-"""The vectorised loop against the objects that it stands for, and its programs against daqp."""
+"""The vectorized loop against the objects that it stands for, and its programs against daqp."""
 
 import daqp
 import numpy as np

@@ -13,7 +13,7 @@ from tuning_benchmark.experiments.experiment import (
 )
 from tuning_benchmark.pages import figures
 from tuning_benchmark.pages.field_figure import field_figure
-from tuning_benchmark.pages.summary import summarise
+from tuning_benchmark.pages.summary import summarize
 
 JUDGE = "valley:Judge"
 FIGURE = SurrogateFigure(row="IV", points=4)
@@ -34,7 +34,7 @@ def test_convergence_shows_medians_of_the_feasible(make_case, record, answer):
     done["run/c/A/2"]["result"]["incumbents"] = {
         "1": {"objective": 4.0, "feasible": True}, "2": incumbents["2"]
     }  # fmt: skip
-    figure = figures.convergence(case, [summarise(case, case.rows["A"], done, None)], None)
+    figure = figures.convergence(case, [summarize(case, case.rows["A"], done, None)], None)
     quality, share = (drawn(panel, Line)[0] for panel in figure.panels)
 
     def at(line, evaluations):
@@ -54,7 +54,7 @@ def incumbent_figure(make_case, record, answer, objectives, optimum=None):
         )
         for seed, value in enumerate(objectives, start=1)
     }
-    return figures.convergence(case, [summarise(case, case.rows["A"], done, None)], optimum)
+    return figures.convergence(case, [summarize(case, case.rows["A"], done, None)], optimum)
 
 
 def test_quality_is_above_the_optimum_on_an_axis_from_zero(make_case, record, answer):
@@ -81,7 +81,7 @@ def test_of_many_rows_each_has_a_panel(make_case, record, answer):
     case = make_case(rows=rows, runs=1)
     incumbents = {"1": {"objective": 1.0, "feasible": True}}
     done = {f"run/c/{name}/1": record(answer(), [(20, 1)], incumbents) for name in rows}
-    found = [summarise(case, row, done, None) for row in rows.values()]
+    found = [summarize(case, row, done, None) for row in rows.values()]
     many, few = (figures.convergence(case, some, 1.0) for some in (found, found[:5]))
     assert [panel.title for panel in many.panels] == [f"{name}: 1 of 1" for name in rows]
     # One row and the one to compare with; colours that no other row has.

@@ -8,7 +8,7 @@ from scipy import special, stats
 from tuning_benchmark.experiments.experiment import Point, Row
 from tuning_benchmark.pages import tables
 from tuning_benchmark.pages.findings import about_points, beside_others, beside_the_paper
-from tuning_benchmark.pages.summary import summarise
+from tuning_benchmark.pages.summary import summarize
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def published(make_case, record, answer):
             for name, values in objectives.items()
             for seed, E in enumerate(values, start=1)
         }
-        return case, [summarise(case, row, done, None) for row in rows.values()]
+        return case, [summarize(case, row, done, None) for row in rows.values()]
 
     return make
 
@@ -101,7 +101,7 @@ def test_a_gap_of_either_sign_is_no_agreement(make_case, record, answer):
     case = make_case(rows={"A": row}, runs=4)
     answers = [answer(1.0, training=1.0 + gap) for gap in (-0.04, 0.03, 0.02, -0.03)]
     done = {f"run/c/A/{s}": record(found) for s, found in enumerate(answers, start=1)}
-    (said,) = beside_the_paper(case, [summarise(case, row, done, None)])
+    (said,) = beside_the_paper(case, [summarize(case, row, done, None)])
     assert said.startswith("Undecided: the validation of A differs from its training by +0.02")
 
 
@@ -120,7 +120,7 @@ def compared(make_case, record, answer):
             for name, values in objectives.items()
             for seed, E in enumerate(values, start=1)
         }
-        found = [summarise(case, row, done, None) for row in rows.values()]
+        found = [summarize(case, row, done, None) for row in rows.values()]
         return beside_others(case, found)
 
     return make

@@ -8,7 +8,7 @@ from scipy import stats
 from tuning_benchmark.experiments.experiment import Cost, Point, Row
 from tuning_benchmark.experiments.optima import Optimum
 from tuning_benchmark.pages import tables
-from tuning_benchmark.pages.summary import feasible_at, summarise
+from tuning_benchmark.pages.summary import feasible_at, summarize
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def summaries(make_case, answer, record):
             for seed, found in enumerate(answers, start=1)
         }
         return case, [
-            summarise(case, row, done, optimum=Optimum(0.5)) for row in case.rows.values()
+            summarize(case, row, done, optimum=Optimum(0.5)) for row in case.rows.values()
         ]
 
     return make
@@ -52,9 +52,9 @@ def test_regret_is_against_the_best_at_the_same_worst_case(make_case, answer, re
     done = {f"run/c/A/{seed}": record(a) for seed, a in enumerate(found, start=1)}
     # Lowest objectives 2, 1.5 and 1 at worst cases 0, 0.5 and 1.
     optimum = Optimum(1.0, (0.0, 1.0), (2.0, 1.0))
-    regrets = summarise(case, case.rows["A"], done, optimum).regrets
+    regrets = summarize(case, case.rows["A"], done, optimum).regrets
     assert regrets == {1: pytest.approx(0.0), 2: pytest.approx(100.0 * (1.5 / 1.75 - 1.0))}
-    assert summarise(case, case.rows["A"], done, Optimum(1.0)).regrets == {}
+    assert summarize(case, case.rows["A"], done, Optimum(1.0)).regrets == {}
 
 
 @pytest.mark.parametrize(
@@ -75,8 +75,8 @@ def test_near_is_when_the_incumbent_stays_near(make_case, answer, record, way, r
         "3": {"objective": 0.9, "feasible": False},
     }
     done = {"run/c/A/1": record(answer(), way, incumbents)}
-    assert summarise(case, case.rows["A"], done, Optimum(1.0)).reached == {1: reached}
-    assert summarise(case, case.rows["A"], done, None).reached == {1: np.inf}
+    assert summarize(case, case.rows["A"], done, Optimum(1.0)).reached == {1: reached}
+    assert summarize(case, case.rows["A"], done, None).reached == {1: np.inf}
 
 
 def test_rows_are_compared_pair_by_pair(summaries, answer):
@@ -94,17 +94,17 @@ def test_rows_are_compared_pair_by_pair(summaries, answer):
     assert tables.paired_table(case, found[:1]) == ""
 
 
-def test_realised_probabilities_are_shown_of_all_answers(make_case, answer, record):
+def test_realized_probabilities_are_shown_of_all_answers(make_case, answer, record):
     case = make_case(runs=2, rows={"A": Row(name="A", algorithm="IV")})
     done = {}
     for seed, kept in ((1, 0.9), (2, 0.7)):
         found = answer()
         done[f"run/c/A/{seed}"] = record(found | {"truth": found["truth"] | {"worst_kept": kept}})
-    summary = summarise(case, case.rows["A"], done, Optimum(1.0))
+    summary = summarize(case, case.rows["A"], done, Optimum(1.0))
     cells = columns_of(tables.fair_table(case, [summary]))
-    assert cells["realised probability"] == "0.800, lowest 0.700"
+    assert cells["realized probability"] == "0.800, lowest 0.700"
     assert (cells["near"], cells["median evaluations until near"]) == ("0 of 2", "never")
-    unknown = summarise(case, case.rows["A"], done, None)
+    unknown = summarize(case, case.rows["A"], done, None)
     cells = columns_of(tables.fair_table(case, [unknown]))
     assert (cells["near"], cells["median evaluations until near"]) == ("", "")
 
@@ -114,7 +114,7 @@ def test_the_most_evaluations_are_those_of_one_run(make_case, record, answer):
     done = {f"run/c/A/{seed}": record(answer()) for seed in (1, 2)}
     done["run/c/A/1"]["result"] |= {"cuts": 110, "check_cuts": 0}
     done["run/c/A/2"]["result"] |= {"cuts": 90, "check_cuts": 40}
-    found = summarise(case, case.rows["A"], done, None)
+    found = summarize(case, case.rows["A"], done, None)
     cells = columns_of(tables.comparison_table(case, [found]))
     assert cells["evaluations (trials + checks)"] == "100 + 20, at most 130"
 
@@ -130,7 +130,7 @@ def test_a_failed_run_counts_as_infeasible(make_case, answer, record):
     case = make_case()
     failed = record(None) | {"failed": "ValueError: odd", "result": None}
     done = {"run/c/A/1": record(answer()), "run/c/A/2": failed}
-    found = summarise(case, case.rows["A"], done, None)
+    found = summarize(case, case.rows["A"], done, None)
     assert (found.feasible.count, found.feasible.runs) == (1, 2)
     assert found.distance is None
 
@@ -138,7 +138,7 @@ def test_a_failed_run_counts_as_infeasible(make_case, answer, record):
 def test_an_answer_believed_infeasible_does_not_hold(make_case, answer, record):
     case = make_case(runs=1)
     done = {"run/c/A/1": record(answer() | {"believed": False})}
-    assert summarise(case, case.rows["A"], done, None).validated.count == 0
+    assert summarize(case, case.rows["A"], done, None).validated.count == 0
 
 
 def test_incumbents_are_those_of_the_time(make_case, answer, record):
@@ -150,7 +150,7 @@ def test_incumbents_are_those_of_the_time(make_case, answer, record):
     }
     way = [(10, None), (20, 3), (50, 7), (100, 9)]
     done = {f"run/c/A/{s}": record(answer(), way, incumbents) for s in (1, 2)}
-    found = summarise(case, case.rows["A"], done, None)
+    found = summarize(case, case.rows["A"], done, None)
     values = {
         evaluations: feasible_at(found.results.values(), evaluations)
         for evaluations in (5, 19, 20, 49, 50, 100)
@@ -178,7 +178,7 @@ def test_what_the_rule_of_algorithm_iv_chooses_stands_beside_the_own_choice(
     rows = {name: Row(name=name, optimizer="valley:Draws") for name in ("peer", "old")}
     case = make_case(rows=rows)
     done = {f"run/c/{name}/{seed}": record(answer(2.0)) for name in rows for seed in (1, 2)}
-    found = [summarise(case, row, done, None) for row in rows.values()]
+    found = [summarize(case, row, done, None) for row in rows.values()]
     assert tables.ranked_table(case, found) == ""
     truth = {"objective": 1.5, "feasible": True}
     done["run/c/peer/1"]["result"]["ranked"] = {"trial": 3, "truth": truth}
@@ -205,7 +205,7 @@ def test_each_neighbour_has_its_verdict(make_case, record, answer):
     }
     done = {f"point/c/{name}": {"failed": "", "result": found} for name, found in judged.items()}
     done["run/c/A/1"] = record(best)
-    found = [summarise(case, row, done, None) for row in case.rows.values()]
+    found = [summarize(case, row, done, None) for row in case.rows.values()]
     lines = rows_of(tables.neighbourhood_table(case, found, done))
     assert lines[0] == ["**best of A**", "0.5", "0.25", "1.0000", "0.5000", "yes", "narrow", ""]
     assert lines[1][5:] == ["no", "objective +10%, limit exceeded by 20%: not tolerable", ""]
@@ -223,7 +223,7 @@ def test_the_best_of_a_row_is_the_best_that_its_user_knows(make_case, record, an
     answers = [answer(2.0), answer(1.5, feasible=False), answer(1.0, held=False)]
     answers[0]["truth"]["objective"] = 0.5
     done = {f"run/c/A/{seed}": record(found) for seed, found in enumerate(answers, start=1)}
-    found = [summarise(case, row, done, None) for row in case.rows.values()]
+    found = [summarize(case, row, done, None) for row in case.rows.values()]
     (line, _) = rows_of(tables.neighbourhood_table(case, found, done))
     assert (line[0], line[3], line[-2]) == ("**best of A**", "1.5000", "infeasible")
 

@@ -99,7 +99,7 @@ def split_dead_time(dead_time: float, sample_time: float) -> tuple[int, float]:
 
 
 def delay_augmented(A: Array, B: Array, sample_time: float, dead_time: float) -> DiscreteModel:
-    """Discretise a continuous system with a delayed input exactly, past inputs in the state.
+    """Discretize a continuous system with a delayed input exactly, past inputs in the state.
 
     A dead time need not be a multiple of the sample time: within a sample u_{k-d} acts for tau
     seconds and u_{k-d+1} for the rest (Astrom and Wittenmark 1997, Sec. 2.3).

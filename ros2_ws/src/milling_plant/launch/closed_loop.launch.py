@@ -8,7 +8,7 @@ from launch_ros.substitutions import FindPackageShare
 
 
 def generate_launch_description():
-    """Describe the two nodes and the arguments that place and parametrise them."""
+    """Describe the two nodes and the arguments that place and parametrize them."""
     arguments = [
         DeclareLaunchArgument(
             "namespace", default_value="", description="Namespace of both nodes, such as x_axis"

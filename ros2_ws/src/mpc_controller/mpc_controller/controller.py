@@ -1,4 +1,4 @@
-"""One controller step, cut by cut: estimate, optimise, predict.
+"""One controller step, cut by cut: estimate, optimize, predict.
 
 `MpcController` knows nothing of ROS. The node feeds it from topics; the in-process backend of the
 tuner calls it directly. Equal settings and measurements give equal commands, bit for bit.

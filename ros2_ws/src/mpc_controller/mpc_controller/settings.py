@@ -91,7 +91,7 @@ class ControllerSettings:
             self._check_detectable()
 
     def model(self) -> DiscreteModel:
-        """Discretise the nominal axis for filter and MPC, with a disturbance if it is estimated."""
+        """Discretize the nominal axis for filter and MPC, with a disturbance if it is estimated."""
         A, B = feed_axis(self.gain, self.damping_ratio, self.natural_frequency)
         model = delay_augmented(A, B, self.sample_time, self.dead_time)
         if not self.estimate_disturbance:

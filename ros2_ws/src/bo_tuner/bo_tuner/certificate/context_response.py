@@ -74,11 +74,11 @@ class ContextResponse:
         fitted = PooledProcess.fit(
             np.empty((len(points), 0)), points, values, coding=Coding(()), rng=rng, priors=PRIORS
         )
-        self._standardisation, self._data = fitted.standardisation, fitted.data
+        self._standardization, self._data = fitted.standardization, fitted.data
         n = len(self._data.x)
         local, _ = fitted.noise(np.empty((n, 0)), self._data.x, np.arange(n))
         self._ratio = local / fitted.noise_variance
-        deviation = self._standardisation.apply(values) - self._data.mean[self._data.index]
+        deviation = self._standardization.apply(values) - self._data.mean[self._data.index]
         within = np.bincount(self._data.index, deviation**2, minlength=n)
         self._sum_of_squares = float((within / self._ratio).sum())
         self._box = PRIORS.bounds(points.shape[1]).T
@@ -87,7 +87,7 @@ class ContextResponse:
     def mean(self, x: Array) -> Array:
         """Return the posterior mean (m,) at contexts x (m, e) of the unit cube."""
         means = [_covariance(p.hyperparameters, x, self._data.x) @ p.alpha for p in self._mixture]
-        found: Array = self._standardisation.shift + self._standardisation.scale * np.mean(
+        found: Array = self._standardization.shift + self._standardization.scale * np.mean(
             means, axis=0
         )
         return found
@@ -116,7 +116,7 @@ class ContextResponse:
             factor, _ = jittered_cholesky(_covariance(theta, x, x) - whitened.T @ whitened)
             normal = rng.standard_normal((count, len(x)))
             samples.append(cross.T @ process.alpha + normal @ factor.T)
-        found: Array = self._standardisation.shift + self._standardisation.scale * np.vstack(
+        found: Array = self._standardization.shift + self._standardization.scale * np.vstack(
             samples
         )
         return found

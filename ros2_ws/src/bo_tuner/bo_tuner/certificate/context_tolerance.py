@@ -30,7 +30,7 @@ from bo_tuner.study.distributions import Discrete, Distribution
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Evaluation
-from bo_tuner.worst_case.contexts import maximise_over_contexts
+from bo_tuner.worst_case.contexts import maximize_over_contexts
 
 CREDIBLE = 0.9
 """Posterior probability of a credible band, with equal tails."""
@@ -234,7 +234,7 @@ def _tolerance(
         [evaluation.outcome.metrics[constraint.metric] for evaluation in complete]
     )
     model = ContextResponse(points, values, rng)
-    worst_context, _ = maximise_over_contexts(space, model.mean, rng, points)
+    worst_context, _ = maximize_over_contexts(space, model.mean, rng, points)
     nominal = space.nominal()
     worst = np.array([worst_context[name] for name in space.names])
     considered = _considered(space, worst, points, rng)

@@ -32,8 +32,8 @@ from bo_tuner.models.kernel import (
     scaled_squared_distances,
     squared_norms,
 )
-from bo_tuner.models.log_posterior import LogPosterior, maximise_posterior
-from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
+from bo_tuner.models.log_posterior import LogPosterior, maximize_posterior
+from bo_tuner.models.replicates import Replicates, Standardization, checked_data
 from bo_tuner.numerics.arrays import Array
 
 # Below this fraction of the prior variance, the variance of an interpolating model is rounding.
@@ -50,7 +50,7 @@ class GaussianProcess:
     ----------
     hyperparameters : Hyperparameters
         In scaled units.
-    standardisation : Standardisation
+    standardization : Standardization
         Map between responses and standardized responses.
     data : Replicates
         Standardized observations; shapes (n, d), (n,).
@@ -63,7 +63,7 @@ class GaussianProcess:
     """
 
     hyperparameters: Hyperparameters
-    standardisation: Standardisation
+    standardization: Standardization
     data: Replicates
     factor: Array
     alpha: Array
@@ -91,7 +91,7 @@ class GaussianProcess:
         y : array_like, shape (N,)
             Responses.
         rng : numpy.random.Generator
-            Draws further starting points besides a warm start, see `maximise_posterior`.
+            Draws further starting points besides a warm start, see `maximize_posterior`.
         priors : Hyperpriors, optional
             Priors of the hyperparameters; by default `Hyperpriors.default`.
         minimum_length_scales : array_like, shape (d,), optional
@@ -99,7 +99,7 @@ class GaussianProcess:
         start : sequence of float, length d + 2, optional
             `warm_start` of an earlier fit to similar data.
         restart : bool
-            Whether the fit also starts as without `start`, see `maximise_posterior`.
+            Whether the fit also starts as without `start`, see `maximize_posterior`.
         keep : bool
             Whether the hyperparameters of `start` are kept as they are.
 
@@ -115,19 +115,19 @@ class GaussianProcess:
         box = priors.bounds(dimension, minimum_length_scales)
         if start is not None and len(start) != dimension + 2:
             raise ValueError(f"start: expected {dimension + 2} values, found {len(start)}")
-        standardisation = Standardisation.of(responses)
-        data = Replicates.group(points, standardisation.apply(responses))
+        standardization = Standardization.of(responses)
+        data = Replicates.group(points, standardization.apply(responses))
         warm = None
         if start is not None:
             earlier = Hyperparameters.from_log(np.array(start))
             if keep:
-                return cls._build(earlier, standardisation, data, ())
+                return cls._build(earlier, standardization, data, ())
             # The round trip through exp rounds, as it did in recorded runs: without it, the search
             # would start elsewhere and the proposals would differ.
             warm = earlier.to_log()
         posterior = LogPosterior(data, priors)
-        phi, warnings = maximise_posterior(posterior, box, rng, warm, restart=restart)
-        return cls._build(Hyperparameters.from_log(phi), standardisation, data, warnings)
+        phi, warnings = maximize_posterior(posterior, box, rng, warm, restart=restart)
+        return cls._build(Hyperparameters.from_log(phi), standardization, data, warnings)
 
     @classmethod
     def condition(
@@ -135,11 +135,11 @@ class GaussianProcess:
         hyperparameters: Hyperparameters,
         x: ArrayLike,
         y: ArrayLike,
-        standardisation: Standardisation | None = None,
+        standardization: Standardization | None = None,
     ) -> Self:
         """Condition on data, x (N, d) and y (N,), with given hyperparameters.
 
-        They refer to the `standardisation`, by default that of `y`.
+        They refer to the `standardization`, by default that of `y`.
 
         Raises
         ------
@@ -152,16 +152,16 @@ class GaussianProcess:
                 f"hyperparameters: expected {points.shape[1]} length scales, "
                 f"found {hyperparameters.length_scales.shape}"
             )
-        if standardisation is None:
-            standardisation = Standardisation.of(responses)
-        data = Replicates.group(points, standardisation.apply(responses))
-        return cls._build(hyperparameters, standardisation, data, ())
+        if standardization is None:
+            standardization = Standardization.of(responses)
+        data = Replicates.group(points, standardization.apply(responses))
+        return cls._build(hyperparameters, standardization, data, ())
 
     @classmethod
     def _build(
         cls,
         hyperparameters: Hyperparameters,
-        standardisation: Standardisation,
+        standardization: Standardization,
         data: Replicates,
         warnings: tuple[str, ...],
     ) -> Self:
@@ -169,7 +169,7 @@ class GaussianProcess:
         covariance[np.diag_indices(len(data.x))] += hyperparameters.noise**2 / data.count
         factor, further = cholesky_factor(covariance)
         alpha, _ = lapack.dpotrs(factor, data.mean, lower=1)
-        return cls(hyperparameters, standardisation, data, factor, alpha, warnings + further)
+        return cls(hyperparameters, standardization, data, factor, alpha, warnings + further)
 
     @property
     def points(self) -> Array:
@@ -188,8 +188,8 @@ class GaussianProcess:
 
     @property
     def scale(self) -> float:
-        """Standard deviation of the responses, by which they are standardised."""
-        return self.standardisation.scale
+        """Standard deviation of the responses, by which they are standardized."""
+        return self.standardization.scale
 
     @property
     def warm_start(self) -> tuple[float, ...]:
@@ -199,7 +199,7 @@ class GaussianProcess:
     @property
     def noise_variance(self) -> float:
         """Variance of one observation's noise, in the squared unit of the response."""
-        return (self.standardisation.scale * self.hyperparameters.noise) ** 2
+        return (self.standardization.scale * self.hyperparameters.noise) ** 2
 
     @property
     def _prior_variance(self) -> float:
@@ -212,12 +212,12 @@ class GaussianProcess:
         """
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
         variance = self._prior_variance - squared_norms(self._inverse_factor, cross)
-        return self.standardisation.restore(cross @ self.alpha, np.maximum(variance, 0.0))
+        return self.standardization.restore(cross @ self.alpha, np.maximum(variance, 0.0))
 
     def predict_mean(self, x: ArrayLike) -> Array:
         """Return the mean (m,) alone at x (m, d); cheaper than `predict`."""
         cross = latent_covariance(self.hyperparameters, self._checked(x), self.data.x)
-        mean: Array = self.standardisation.shift + self.standardisation.scale * (cross @ self.alpha)
+        mean: Array = self.standardization.shift + self.standardization.scale * (cross @ self.alpha)
         return mean
 
     def predict_reinterpolated(self, x: ArrayLike) -> tuple[Array, Array]:
@@ -237,7 +237,7 @@ class GaussianProcess:
         variance = self._prior_variance - squared_norms(self._inverse_interpolator, cross)
         at_data |= variance <= INTERPOLATION_RESOLUTION * self._prior_variance
         variance[at_data] = 0.0
-        return self.standardisation.restore(cross @ self.alpha, variance)
+        return self.standardization.restore(cross @ self.alpha, variance)
 
     def _checked(self, x: ArrayLike) -> Array:
         points = np.asarray(x, dtype=np.float64)

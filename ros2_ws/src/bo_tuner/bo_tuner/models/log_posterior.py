@@ -127,7 +127,7 @@ def log_likelihood(factor: Array, alpha: Array, data: Replicates, noise: float) 
     )
 
 
-def maximise_posterior(
+def maximize_posterior(
     posterior: LogPosterior,
     box: Array,
     rng: np.random.Generator,
@@ -201,7 +201,7 @@ def _starts(
     start: Array | None,
     restart: bool,
 ) -> list[Array]:
-    """Return where the runs of `maximise_posterior` start, shape (d + 2,) each."""
+    """Return where the runs of `maximize_posterior` start, shape (d + 2,) each."""
     dimension = len(box) - 2
     lower, upper = box.T
     priors = posterior.priors

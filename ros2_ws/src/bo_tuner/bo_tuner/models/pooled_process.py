@@ -42,7 +42,7 @@ from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters, Hyperpriors
 from bo_tuner.models.kernel import MEAN_SD, correlation
 from bo_tuner.models.parameter_sets import ParameterSets
-from bo_tuner.models.replicates import Replicates, Standardisation
+from bo_tuner.models.replicates import Replicates, Standardization
 from bo_tuner.numerics.arrays import Array
 
 T = TypeVar("T")
@@ -111,7 +111,7 @@ class PooledProcess:
     ----------
     hyperparameters : Hyperparameters
         In scaled units; `noise` is the common one.
-    standardisation : Standardisation
+    standardization : Standardization
         Map between responses and standardized responses.
     data : Replicates
         Standardized observations at encoded joint points.
@@ -129,7 +129,7 @@ class PooledProcess:
     """
 
     hyperparameters: Hyperparameters
-    standardisation: Standardisation
+    standardization: Standardization
     data: Replicates
     coding: Coding
     columns: int
@@ -186,7 +186,7 @@ class PooledProcess:
             restart=len(y) <= RESTARTED,
         )
         return cls._conditioned(
-            process.hyperparameters, process.standardisation, z, y, coding, c, process.warnings
+            process.hyperparameters, process.standardization, z, y, coding, c, process.warnings
         )
 
     @classmethod
@@ -196,7 +196,7 @@ class PooledProcess:
         """Condition on data with given hyperparameters, a `warm_start` of an earlier fit."""
         return cls._conditioned(
             Hyperparameters.from_log(np.array(hyperparameters)),
-            Standardisation.of(y),
+            Standardization.of(y),
             np.hstack([coding.encode(x), c]),
             y,
             coding,
@@ -207,22 +207,22 @@ class PooledProcess:
     def _conditioned(
         cls,
         hyperparameters: Hyperparameters,
-        standardisation: Standardisation,
+        standardization: Standardization,
         z: Array,
         y: Array,
         coding: Coding,
         c: Array,
         warnings: tuple[str, ...] = (),
     ) -> Self:
-        standardised = standardisation.apply(y)
-        data = Replicates.group(z, standardised)
+        standardized = standardization.apply(y)
+        data = Replicates.group(z, standardized)
         columns, common = z.shape[1] - c.shape[1], hyperparameters.noise**2
         error = common / data.count
         basis = choose_basis(hyperparameters, data.x, error)
         prior = Prior(hyperparameters, data.x, basis)
         equal = prior.condition(data.mean, error)
         within = np.bincount(
-            data.index, (standardised - data.mean[data.index]) ** 2, minlength=len(data.x)
+            data.index, (standardized - data.mean[data.index]) ** 2, minlength=len(data.x)
         )
         # A mean of r observations has the variance σ²/r, and its residual that times 1 - h.
         degrees = data.count - equal.leverages
@@ -231,7 +231,7 @@ class PooledProcess:
         posterior = prior.condition(data.mean, error * local)
         return cls(
             hyperparameters,
-            standardisation,
+            standardization,
             data,
             coding,
             columns,
@@ -244,13 +244,13 @@ class PooledProcess:
     @property
     def scale(self) -> float:
         """Standard deviation of the responses."""
-        return self.standardisation.scale
+        return self.standardization.scale
 
     @property
     def range(self) -> tuple[float, float]:
         """Least and largest mean of the responses at a point."""
         least, largest = self.data.mean.min(), self.data.mean.max()
-        shift, scale = self.standardisation.shift, self.standardisation.scale
+        shift, scale = self.standardization.shift, self.standardization.scale
         return float(shift + scale * least), float(shift + scale * largest)
 
     @property
@@ -282,7 +282,7 @@ class PooledProcess:
         """Return the posterior mean (m, k) of the parameter sets x (m, d) in contexts (k, e)."""
         constant = MEAN_SD**2 * self.posterior.weights.sum()
         mean = self._parameter_kernel(x) @ self._reduction(contexts).weights + constant
-        found: Array = self.standardisation.shift + self.scale * mean
+        found: Array = self.standardization.shift + self.scale * mean
         return found
 
     def variances(self, x: Array, contexts: Array, which: NDArray[np.intp]) -> Array:

@@ -274,13 +274,13 @@ class OverContexts(PooledResponse):
         """Return as `PooledResponse.forecast`, of a run in a drawn context."""
         mean, noise, degrees, deviation = self._everywhere(x)
         quantile, z = self._quantile(mean, deviation), float(ndtri(self.probability))
-        standardised = (quantile[:, None] - mean) / deviation
+        standardized = (quantile[:, None] - mean) / deviation
         # Relative to the largest, so that they do not vanish all at once.
-        logarithm = -0.5 * standardised**2 - np.log(deviation)
+        logarithm = -0.5 * standardized**2 - np.log(deviation)
         weights = np.exp(logarithm - logarithm.max(axis=1, keepdims=True))
         weights /= weights.sum(axis=1, keepdims=True)
         variance = self.process.variance_of_weighted(x, self.contexts, weights)
-        margin = (weights * standardised * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
+        margin = (weights * standardized * np.sqrt(noise / (2.0 * degrees))).sum(axis=1)
         of_runs = mean.var(axis=1) + noise.mean(axis=1)
         return self.sign * quantile, variance + margin**2, _variance_of_quantile(of_runs, z)
 

@@ -60,7 +60,7 @@ def _first_not_finite(values: Array) -> str:
 
 
 @dataclass(frozen=True)
-class Standardisation:
+class Standardization:
     """Affine map of responses to zero mean and unit standard deviation.
 
     Attributes

@@ -40,7 +40,7 @@ from scipy.special import stdtr
 
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.kernel import jittered_cholesky, latent_covariance
-from bo_tuner.models.replicates import Replicates, Standardisation, checked_data
+from bo_tuner.models.replicates import Replicates, Standardization, checked_data
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_student_t_pdf
 
@@ -90,10 +90,10 @@ class StudentTProcess:
             If the data are invalid.
         """
         points, responses = checked_data(x, y)
-        data = Replicates.group(points, reference.standardisation.apply(responses))
+        data = Replicates.group(points, reference.standardization.apply(responses))
         sd = np.maximum(reference.hyperparameters.noise / np.sqrt(data.count), SCALE_FLOOR)
         scale = sd * np.sqrt((DEGREES_OF_FREEDOM - 2.0) / DEGREES_OF_FREEDOM)
-        start = reference.standardisation.apply(reference.predict(data.x)[0])
+        start = reference.standardization.apply(reference.predict(data.x)[0])
         kernel = latent_covariance(reference.hyperparameters, data.x, data.x)
         return cls(data, scale, _find_mode(kernel, data.mean, scale, start))
 
@@ -191,7 +191,7 @@ def find_outliers(
 
 def _bulk(x: Array, y: Array) -> NDArray[np.bool_]:
     """Mark the observations of points whose mean is not far above the median, shape (N,)."""
-    data = Replicates.group(x, Standardisation.of(y).apply(y))
+    data = Replicates.group(x, Standardization.of(y).apply(y))
     above = data.mean - np.median(data.mean)
     width = BULK_WIDTH * MAD_TO_SD * np.median(np.abs(above))
     if width == 0.0:  # half of the means are equal, a response at its limit; the rest may vary

@@ -79,7 +79,7 @@ class SwarmResult:
     value: float
 
 
-def maximise(
+def maximize(
     objective: Objective,
     dimension: int,
     rng: np.random.Generator,

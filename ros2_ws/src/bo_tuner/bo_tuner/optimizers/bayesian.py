@@ -16,7 +16,7 @@ from bo_tuner.models.constraints import BELIEVED_FEASIBLE
 from bo_tuner.models.fitting import DEFAULT_MODELS, ModelOptions
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.particle_swarm import SwarmResult, maximise
+from bo_tuner.numerics.particle_swarm import SwarmResult, maximize
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.base import (
     ACQUISITION,
@@ -92,7 +92,7 @@ class AcquisitionSearch:
             around = rng.normal(0.0, 0.05, (len(order), space.dimension))
             self._starts = np.clip(model.points[order] + around, 0.0, 1.0)
 
-    def maximise(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> SwarmResult:
+    def maximize(self, *, avoid: float = 0.5, reinterpolate: bool = True) -> SwarmResult:
         """Maximize the acquisition function over the unit cube.
 
         Parameters
@@ -108,7 +108,7 @@ class AcquisitionSearch:
         acquisition = self._rule(
             self._surrogates, self.incumbent, avoid=avoid, reinterpolate=reinterpolate
         )
-        return maximise(
+        return maximize(
             acquisition,
             self._space.dimension,
             self._rng,
@@ -191,17 +191,17 @@ class BayesianOptimization(DesignedOptimizer):
         """Yield the maximum of the acquisition function, if there is one, with its origin."""
         search = AcquisitionSearch(surrogates, self.space, self._acquisition, rng)
         avoid = self.avoid
-        found = search.maximise(avoid=avoid)
+        found = search.maximize(avoid=avoid)
         if not np.isfinite(found.value):
             # Every point is near a failure or an outlier: rank them by Eq. 5 without the cutoff.
             avoid = 1.0
-            found = search.maximise(avoid=avoid)
+            found = search.maximize(avoid=avoid)
         origin = ACQUISITION
         model = surrogates.objective
         if model is not None and search.incumbent is not None:
             negligible = np.log(NEGLIGIBLE * model.scale)
             if found.value < negligible:
-                found = search.maximise(avoid=avoid, reinterpolate=False)
+                found = search.maximize(avoid=avoid, reinterpolate=False)
                 origin = REFINEMENT
         if np.isfinite(found.value):
             yield found.position, origin

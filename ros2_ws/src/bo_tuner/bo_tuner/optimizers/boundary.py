@@ -98,7 +98,7 @@ class BoundaryOptimization(BayesianOptimization):
         search = AcquisitionSearch(provable(surrogates), self.space, self._acquisition, rng)
         search.incumbent = lowest_cost(surrogates, self.study, self.trials, self._options)
         for avoid in (self.avoid, 1.0):
-            result = search.maximise(avoid=avoid)
+            result = search.maximize(avoid=avoid)
             if np.isfinite(result.value):
                 yield result.position, ACQUISITION
 

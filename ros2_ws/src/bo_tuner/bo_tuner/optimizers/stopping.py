@@ -184,7 +184,7 @@ def outlook(study: Study, trials: Sequence[Trial], algorithm: Algorithm) -> Outl
         search = AcquisitionSearch(surrogates, study.search_space(), algorithm.acquisition, rng)
         if search.incumbent is None:
             return None
-        found = search.maximise()
+        found = search.maximize()
     except (ArithmeticError, np.linalg.LinAlgError, ValueError):
         return None
     means = model.predict_mean(model.points)
@@ -207,7 +207,7 @@ def _pooled(
         return None
     search = AcquisitionSearch(provable(surrogates), space, algorithm.acquisition, rng)
     search.incumbent = float(study.objective.to_cost(best.objective))
-    found = search.maximise()
+    found = search.maximize()
     x = space.to_cube(best.trial.parameters)[None]
     over_contexts = float(model.process.means(x, model.contexts).var())
     evaluations = sum(e.outcome.state is EvaluationState.COMPLETE for e in best.trial.evaluations)

@@ -7,7 +7,7 @@ import numpy as np
 
 from bo_tuner.models.hyperpriors import Hyperpriors, LogNormal
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.particle_swarm import SwarmSettings, maximise
+from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
 
@@ -37,7 +37,7 @@ def is_clear(distance: float, variance: float, asked: int) -> bool:
     return distance < -error or (distance > error and asked > 0)
 
 
-def maximise_over_contexts(
+def maximize_over_contexts(
     space: ContextSpace,
     function: Callable[[Array], Array],
     rng: np.random.Generator,
@@ -63,7 +63,7 @@ def maximise_over_contexts(
     value
         Value of the function in it.
     """
-    found = maximise(
+    found = maximize(
         function,
         space.dimension,
         rng,

@@ -19,7 +19,7 @@ from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximise_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
 
 
 class JointSearch:
@@ -83,7 +83,7 @@ class JointSearch:
             return True
         model = self._fit(rng)
         margin = float(ndtri(self._probability)) * sqrt(model.noise_variance)
-        context, _ = self._maximise(lambda c: self._upper(model, c), rng)
+        context, _ = self._maximize(lambda c: self._upper(model, c), rng)
         mean, variance = model.predict(self._joint(self._space.cube_of([context])))
         return is_clear(self._limit - margin - float(mean[0]), float(variance[0]), self._asked)
 
@@ -91,13 +91,13 @@ class JointSearch:
         """Return the context with the largest upper confidence bound."""
         self._asked += 1
         model = self._fit(rng)
-        return self._maximise(lambda c: self._upper(model, c), rng)[0]
+        return self._maximize(lambda c: self._upper(model, c), rng)[0]
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all evaluations so far."""
         model = self._fit(rng)
         observed = max(self._observed)
-        context, value = self._maximise(lambda c: model.predict_mean(self._joint(c)), rng)
+        context, value = self._maximize(lambda c: model.predict_mean(self._joint(c)), rng)
         return WorstCase(value, context, observed, sqrt(model.noise_variance))
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
@@ -116,8 +116,8 @@ class JointSearch:
         mean, variance = model.predict(self._joint(c))
         return mean + np.sqrt(variance)
 
-    def _maximise(
+    def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
     ) -> tuple[dict[str, float], float]:
         own = self._x[len(self._x) - len(self._observed) :, len(self._point) :]
-        return maximise_over_contexts(self._space, function, rng, own)
+        return maximize_over_contexts(self._space, function, rng, own)

@@ -11,7 +11,7 @@ from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximise_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, is_clear, maximize_over_contexts
 
 
 class PooledSearch:
@@ -85,20 +85,20 @@ class PooledSearch:
         if not self._until_clear:
             return False
         process = self._fit(rng)
-        context, _ = self._maximise(self._upper(process), rng)
+        context, _ = self._maximize(self._upper(process), rng)
         mean, variance = self._quantile(process, self._space.cube_of([context]))
         return is_clear(self._limit - float(mean[0]), float(variance[0]), self._asked)
 
     def ask(self, rng: np.random.Generator) -> dict[str, float]:
         """Return the context with the largest upper confidence bound."""
         self._asked += 1
-        return self._maximise(self._upper(self._fit(rng)), rng)[0]
+        return self._maximize(self._upper(self._fit(rng)), rng)[0]
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
         """Estimate the worst case from all evaluations so far, with the local noise there."""
         process = self._fit(rng)
         point = self._point[None]
-        context, _ = self._maximise(lambda c: process.means(point, c)[0], rng)
+        context, _ = self._maximize(lambda c: process.means(point, c)[0], rng)
         there = self._everywhere(process, self._space.cube_of([context]))
         _, mean, noise = there.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
@@ -131,10 +131,10 @@ class PooledSearch:
 
         return upper
 
-    def _maximise(
+    def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
     ) -> tuple[dict[str, float], float]:
         own = self._c[len(self._c) - len(self._observed) :]
         if self._space.dimension == 0:
             return {}, float(function(np.empty((1, 0)))[0])
-        return maximise_over_contexts(self._space, function, rng, own)
+        return maximize_over_contexts(self._space, function, rng, own)

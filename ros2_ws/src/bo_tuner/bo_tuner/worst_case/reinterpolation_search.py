@@ -9,7 +9,7 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.special import log_expected_improvement
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.trials import WorstCase
-from bo_tuner.worst_case.contexts import PRIORS, maximise_over_contexts
+from bo_tuner.worst_case.contexts import PRIORS, maximize_over_contexts
 
 OBSERVED, POSTERIOR = "observed", "posterior"
 
@@ -94,9 +94,9 @@ class ReinterpolationSearch:
             nearest: Array = squared.min(axis=1)
             return nearest
 
-        context, value = self._maximise(acquisition, rng)
+        context, value = self._maximize(acquisition, rng)
         if not np.isfinite(value):
-            context, _ = self._maximise(distance, rng)
+            context, _ = self._maximize(distance, rng)
         return context
 
     def worst_case(self, rng: np.random.Generator) -> WorstCase:
@@ -110,15 +110,15 @@ class ReinterpolationSearch:
             noise = float(np.std(self._values, ddof=1)) if len(self._values) > 1 else 0.0
             return WorstCase(float(np.mean(self._values)), {}, observed, noise)
         model = self._fit(rng)
-        context, value = self._maximise(model.predict_mean, rng)
+        context, value = self._maximize(model.predict_mean, rng)
         return WorstCase(value, context, observed, model.noise_variance**0.5)
 
     def _fit(self, rng: np.random.Generator) -> GaussianProcess:
         x = self._space.to_cube(np.array(self._contexts))
         return GaussianProcess.fit(x, np.array(self._values), rng=rng, priors=PRIORS)
 
-    def _maximise(
+    def _maximize(
         self, function: Callable[[Array], Array], rng: np.random.Generator
     ) -> tuple[dict[str, float], float]:
         tried = self._space.to_cube(np.array(self._contexts))
-        return maximise_over_contexts(self._space, function, rng, tried)
+        return maximize_over_contexts(self._space, function, rng, tried)

@@ -119,7 +119,7 @@ class Verdict:
     worst, worst_context
         Worst case of the constrained metric, the largest mean over noise, and where.
     worst_kept
-        Realised probability: share of runs within the limit in the context where it is smallest.
+        Realized probability: share of runs within the limit in the context where it is smallest.
         NaN if evaluations fail, and for an incumbent whose limit is on the mean over noise.
     single_violation
         Share of single evaluations in drawn contexts beyond the limit.
@@ -209,7 +209,7 @@ class Truth:
         within, holds = self.meets_chances(parameters, real_evaluations)
         on_mean = self.constraint.statistic == EXPECTATION
         kept = float("nan")
-        # An answer is shown with what it realises; whether an incumbent is feasible is enough.
+        # An answer is shown with what it realizes; whether an incumbent is feasible is enough.
         if not np.isnan(judged.worst) and not (on_mean and real_evaluations is not None):
             kept = float(np.mean(self.judge.worst_runs(values) <= self.limit, axis=1).min())
         holds_worst = judged.worst <= self.limit if on_mean else kept >= self.constraint.level

@@ -1,4 +1,4 @@
-"""Many cuts of one controller at once: the same closed loop as plant and controller, vectorised.
+"""Many cuts of one controller at once: the same closed loop as plant and controller, vectorized.
 
 A cut on the objects takes tens of milliseconds; the truth of one parameter set needs a thousand.
 Here all cuts of a controller run side by side, a row for each pair of context and noise. Three

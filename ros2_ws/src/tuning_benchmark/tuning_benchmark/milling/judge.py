@@ -5,7 +5,7 @@ is the largest, over a grid of contexts up to their bounds, of the mean over noi
 noise of few draws moves it, the worst contexts can also be judged by more. The contexts and the
 noise are the same for all parameter sets, so that their differences are more accurate than each.
 
-The loop is the vectorised one, which solves its programs exactly. Whether a controller is fast
+The loop is the vectorized one, which solves its programs exactly. Whether a controller is fast
 enough, or its solver gives up, only shows in cuts on the objects.
 """
 

@@ -20,7 +20,7 @@ from tuning_benchmark.experiments.task_names import (
 )
 from tuning_benchmark.pages import figures, findings, tables
 from tuning_benchmark.pages.field_figure import field_figure
-from tuning_benchmark.pages.summary import Record, RowSummary, summarise
+from tuning_benchmark.pages.summary import Record, RowSummary, summarize
 
 FOLDER = "figures"
 
@@ -54,7 +54,7 @@ Against what is known of the optimum. *Regret at equal margin*: distance of the 
 answers to the lowest objective of any parameter set whose worst case is as large as the answer's
 own, so that an answer is not blamed for its margin; it needs the frontier of the problem. That of
 a grid is known between few points, and an answer may lie below it.
-*Realised probability*: share of runs within the limit in the answer's worst context, mean and
+*Realized probability*: share of runs within the limit in the answer's worst context, mean and
 lowest over all answers. *Near*: evaluations until the incumbent was truly feasible and within 5 %
 of the optimum for good; the median counts a run that never was as longer than any other.
 """
@@ -124,7 +124,7 @@ def summaries_of(
 ) -> list[RowSummary]:
     """Sum up the rows of a case."""
     optimum = experiment.optimum(case.study)
-    return [summarise(case, row, done, optimum) for row in case.rows.values()]
+    return [summarize(case, row, done, optimum) for row in case.rows.values()]
 
 
 def markdown(parts: Sequence[Section], title: str, introduction: str) -> str:

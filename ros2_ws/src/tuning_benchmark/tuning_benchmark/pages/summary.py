@@ -55,7 +55,7 @@ class RowSummary:
         By seed, distance [%] of the truly feasible answers to the lowest objective at their own
         worst case, so that a larger margin is no fault; of those where the frontier is known.
     kept
-        Realised probability by seed: share of runs within the limit in the worst context.
+        Realized probability by seed: share of runs within the limit in the worst context.
     reached
         By seed, evaluations after which the incumbent was truly feasible and within `NEAR` of the
         optimum for good; infinite if that was never so.
@@ -92,7 +92,7 @@ class RowSummary:
     most_evaluations: int
 
 
-def summarise(
+def summarize(
     case: Case, row: Row, done: Mapping[str, Record], optimum: Optimum | None
 ) -> RowSummary:
     """Sum up a row.
@@ -164,7 +164,7 @@ def _regrets(
 
 
 def _kept(answer: Record) -> float | None:
-    """Realised probability of an answer; records from before it was judged have none."""
+    """Realized probability of an answer; records from before it was judged have none."""
     kept: float | None = answer["truth"].get("worst_kept")
     return kept
 

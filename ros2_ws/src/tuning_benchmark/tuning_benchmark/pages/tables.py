@@ -52,11 +52,11 @@ def comparison_table(case: Case, summaries: Sequence[RowSummary]) -> str:
 
 
 def fair_table(case: Case, summaries: Sequence[RowSummary]) -> str:
-    """Regret at equal margin, realised probability and speed; empty if none of it is known."""
+    """Regret at equal margin, realized probability and speed; empty if none of it is known."""
     if not any(s.regrets or s.kept or s.distance for s in summaries):
         return ""
     header = [
-        "row", "truly feasible", "regret at equal margin [%]", "realised probability", "near",
+        "row", "truly feasible", "regret at equal margin [%]", "realized probability", "near",
         "median evaluations until near",
     ]  # fmt: skip
     rows = []

@@ -75,14 +75,14 @@ class BoTorch:
         self._logarithmic = logarithmic
 
     def ask(self) -> dict[str, Value]:
-        """Maximise the acquisition function."""
+        """Maximize the acquisition function."""
         seed = self._stream()
         if sum(not o.failed for o in self._observations) < FEWEST:
             engine = SobolEngine(self._space.dimension, scramble=True, seed=self._seed)
             point = engine.draw(len(self._points) + 1, dtype=torch.double)[-1]
         else:
             with manual_seed(seed):
-                point = self._maximise(seed)
+                point = self._maximize(seed)
         return tuned(self._space, self._space.to_parameters(point.numpy()))
 
     def tell(self, observation: Observation) -> None:
@@ -113,7 +113,7 @@ class BoTorch:
         return torch.tensor(np.array([self._points[i] for i in indices]))
 
     def _fit(self) -> ModelListGP:
-        """Fit the models: objective (to be maximised), constraints, and crash if there was one."""
+        """Fit the models: objective (to be maximized), constraints, and crash if there was one."""
         ended = [o for o in self._observations if not o.failed]
         X = self._inputs([i for i, o in enumerate(self._observations) if not o.failed])
         cost = [[-float(o.objective or 0.0)] for o in ended]
@@ -146,7 +146,7 @@ class BoTorch:
             scale=Normalize(**scaling),
         )
 
-    def _maximise(self, seed: int) -> Tensor:
+    def _maximize(self, seed: int) -> Tensor:
         """Point of the cube, shape (d,), with the largest acquisition."""
         model = self._fit()
         ended = [i for i, o in enumerate(self._observations) if not o.failed]

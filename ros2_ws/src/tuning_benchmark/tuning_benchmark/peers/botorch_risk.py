@@ -80,12 +80,12 @@ class RiskAverse:
         self._results.append(result)
 
     def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
-        """Maximise the acquisition function, then choose the context."""
+        """Maximize the acquisition function, then choose the context."""
         seed = int(np.random.SeedSequence((self._seed, len(self._results))).generate_state(1)[0])
         rng = np.random.default_rng(seed)
         with manual_seed(seed):
             model = self._model()
-            cube = self._maximise(model, seed).numpy()
+            cube = self._maximize(model, seed).numpy()
         parameters = tuned(self._space, self._space.to_parameters(self._space.repair(cube)[0]))
         row = int(rng.integers(len(self._set)))
         if rng.random() < 0.5:
@@ -122,7 +122,7 @@ class RiskAverse:
         for index, y in enumerate((costs, excesses)):
             model = SingleTaskGP(X, y, input_transform=AppendFeatures(feature_set=self._set))
             if self._states:
-                # Outcomes are standardised anew, so only the process is taken over.
+                # Outcomes are standardized anew, so only the process is taken over.
                 model.covar_module.load_state_dict(
                     {k: v for k, v in self._states[index].items() if k in _covariance(model)}
                 )
@@ -134,16 +134,16 @@ class RiskAverse:
             self._states = [dict(m.covar_module.state_dict()) for m in models]
         return ModelListGP(*models)
 
-    def _maximise(self, model: ModelListGP, seed: int) -> Tensor:
+    def _maximize(self, model: ModelListGP, seed: int) -> Tensor:
         count, risk = len(self._set), self._risk
         margin = self._margin(model)
         evaluated = torch.unique(self._evaluated(), dim=0)
         cost, worst = self._means(model, evaluated)
         baseline = evaluated[(cost + worst.clamp(min=0.0)).argsort()[:BASELINE]]
 
-        def penalised(samples: Tensor, X: Tensor | None = None) -> Tensor:
+        def penalized(samples: Tensor, X: Tensor | None = None) -> Tensor:
             drawn = samples[..., 0].unflatten(-1, (-1, count))[..., :DRAWN]
-            # Risk measures are of what is maximised.
+            # Risk measures are of what is maximized.
             at_risk = -risk(-samples[..., 1:]) + margin
             return -drawn.mean(dim=-1) - PENALTY * at_risk.clamp(min=0.0)
 
@@ -151,7 +151,7 @@ class RiskAverse:
             model=model,
             X_baseline=baseline,
             sampler=SobolQMCNormalSampler(torch.Size([SAMPLES]), seed=seed),
-            objective=GenericMCObjective(penalised),
+            objective=GenericMCObjective(penalized),
             prune_baseline=False,
         )
         dimension = self._space.dimension

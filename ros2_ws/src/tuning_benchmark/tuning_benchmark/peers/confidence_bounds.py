@@ -35,10 +35,10 @@ import numpy as np
 from bo_tuner.models.gaussian_process import GaussianProcess
 from bo_tuner.models.hyperpriors import Hyperparameters
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.numerics.particle_swarm import SwarmSettings, maximise
+from bo_tuner.numerics.particle_swarm import SwarmSettings, maximize
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Value
-from bo_tuner.worst_case.contexts import maximise_over_contexts
+from bo_tuner.worst_case.contexts import maximize_over_contexts
 from tuning_benchmark.peers.optimizer import tuned
 from tuning_benchmark.peers.robust import Result, worst_case_constraint
 
@@ -90,12 +90,12 @@ class ConfidenceBounds(ABC):
         self._models = []
 
     def ask(self) -> tuple[Mapping[str, Value], Mapping[str, float]]:
-        """Minimise the optimistic value, then choose the context."""
+        """Minimize the optimistic value, then choose the context."""
         rng = np.random.default_rng((self._seed, len(self._results)))
         self._condition(rng)
         evaluated = self._evaluated()
         order = np.argsort(self._value(evaluated, -DEVIATIONS), kind="stable")
-        found = maximise(
+        found = maximize(
             lambda x: -self._value(x, -DEVIATIONS),
             self._space.dimension,
             rng,
@@ -137,7 +137,7 @@ class ConfidenceBounds(ABC):
 
     def _largest_bound(self, model: int, x: Array, rng: np.random.Generator) -> dict[str, float]:
         """Context where the upper bound of a response at a point (d,) is largest."""
-        context, _ = maximise_over_contexts(
+        context, _ = maximize_over_contexts(
             self._contexts,
             lambda w: self._bound(model, x[None], w, DEVIATIONS)[0],
             rng,

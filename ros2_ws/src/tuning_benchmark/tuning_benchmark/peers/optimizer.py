@@ -96,7 +96,7 @@ def permitted(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, 
     """Tuned parameters as they are if their order is permitted, else moved to the nearest that is.
 
     A round trip through the unit cube changes the last digit of a double; values that are permitted
-    keep theirs, so that a peer recognises what it asked for.
+    keep theirs, so that a peer recognizes what it asked for.
     """
     repaired = tuned(space, space.to_parameters(space.to_cube(parameters)))
     same = space.key(repaired) == space.key(parameters)
