@@ -162,13 +162,14 @@ def test_an_unexpected_error_holds_up_neither_the_rest_nor_the_result(play, monk
             raise ValueError("a matrix is singular")
             yield
 
-        page.sections.fitted.set()
         with monkeypatch.context() as patch:
             patch.setattr(page.sections, name, broken)
             page.advance(1)
             await page.until(
                 lambda: page.state.problem.endswith("ValueError: a matrix is singular")
             )
+        # Not before: the problem is over as soon as all sections are made.
+        page.sections.fitted.set()
         page.advance(2)
         await page.until(lambda: page.shown().get("answer") == "best of 2")
         page.advance(2, ended=True, verdict="kept")
