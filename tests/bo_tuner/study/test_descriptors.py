@@ -6,7 +6,7 @@ import pytest
 
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
-from bo_tuner.cli.check import most_runs, plot
+from bo_tuner.cli.check import evaluations_at_most, plot
 from bo_tuner.errors import StudyError
 from bo_tuner.study.descriptors import Described, complete, incomplete, node_problems, problem
 from bo_tuner.study.parameter import Parameter
@@ -228,7 +228,7 @@ constraints: {error: {kind: worst_case, metric: error, upper: 1.0, probability: 
 def test_the_runs_of_a_study_are_counted():
     """Two trials of three runs, two of one at the boundary, the check of an answer, and so on."""
     study = parse_study(TEXT, describe=described)
-    assert most_runs(study) == (2 * 3 + 2 * 1 + most_check_evaluations(study) + 10, 1000)
+    assert evaluations_at_most(study) == (2 * 3 + 2 * 1 + most_check_evaluations(study) + 10, 1000)
 
 
 def test_the_certificate_of_a_worst_case_limit_counts_its_search_and_repetitions():
@@ -236,5 +236,5 @@ def test_the_certificate_of_a_worst_case_limit_counts_its_search_and_repetitions
     subject = Subject("tuned", study.search_space().defaults, ({"load": 2.0},))
     draws = required_draws(study, study.certificate.confidence)
     most = most_evaluations(study, [subject], draws)
-    assert most_runs(study)[1] == most.total == draws + most.searched + most.repeated
+    assert evaluations_at_most(study)[1] == most.total == draws + most.searched + most.repeated
     assert min(most.searched, most.repeated) > 0

@@ -286,7 +286,7 @@ def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
     )
 
 
-def most_runs(study: Study) -> tuple[int, int]:
+def evaluations_at_most(study: Study) -> tuple[int, int]:
     """Return the largest numbers of evaluations of a study and of the certificate of its result."""
     budget, algorithm = study.budget, ALGORITHMS[default_algorithm(study)]
     drawn, searched = algorithm.evaluations(study)
@@ -313,7 +313,7 @@ def most_runs(study: Study) -> tuple[int, int]:
 
 
 def _estimate(study: Study, seconds: float) -> None:
-    tuning, certificate = most_runs(study)
+    tuning, certificate = evaluations_at_most(study)
     say(f"an evaluation took {seconds:.3g} s")
     say(f"study: at most {tuning} evaluations, {_duration(tuning * seconds)}")
     say(
