@@ -25,7 +25,9 @@ _SERVER.set_forkserver_preload(
         "mpc_controller.node",
         "tuning_benchmark.command",
         # What these import only when it is needed, which is soon.
+        "bo_tuner.figures.matplotlib_renderer",
         "plotly",
+        "rosbags.typesys.stores.ros2_jazzy",
         "scipy.stats",
     ]
 )
