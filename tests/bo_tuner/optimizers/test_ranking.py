@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from bo_tuner.certificate.parameter_sensitivity import parameter_sensitivity
 from bo_tuner.models.fitting import FITTED_EACH, ModelOptions
 from bo_tuner.optimizers import ranking
 from bo_tuner.optimizers.ranking import (
     LARGEST_PENALTY,
+    TOLERABLE,
     first_by,
     lowest_cost,
     rank,
@@ -99,6 +101,25 @@ class TestObjective:
         assert first.trial.parameters["x"] > 10
         (narrow,) = [c for c in rank(study, trials) if c.trial is deepest]
         assert narrow.score - narrow.objective == pytest.approx(narrow.objective * narrow.penalty)
+
+    @pytest.mark.parametrize(
+        ("direction", "worse"), [("minimize", np.exp(0.5)), ("maximize", np.exp(-0.5))]
+    )
+    def test_a_penalty_on_the_log_scale_is_that_of_the_certificate(
+        self, make_study, make_trial, direction, worse
+    ):
+        """The best is 20; at 19 the metric is e^0.5 times as large, or as small."""
+        objective = {"metric": "error", "scale": "log", "direction": direction}
+        study = make_study(parameters={"x": INTEGER}, objective=objective, constraints={})
+        trials = [make_trial(x, {"x": x}, [float(worse ** (20 - x))]) for x in range(21)]
+        first, *_ = rank(study, trials)
+        assert first.trial.parameters["x"] == 20
+        loss = abs(worse - 1.0)
+        assert first.penalty == pytest.approx(loss - TOLERABLE, rel=0.02)
+        penalized = 1.0 + first.penalty if direction == "minimize" else 1.0 - first.penalty
+        assert study.objective.from_cost(first.score) == pytest.approx(first.objective * penalized)
+        around = parameter_sensitivity(study, {"x": 20}, ranking_models(study, trials))
+        assert around.score == pytest.approx(first.penalty)
 
     def test_a_far_better_optimum_wins_however_far_the_limit_is_exceeded_beside_it(
         self, make_study, make_trial

@@ -251,6 +251,21 @@ class TestObjective:
         cost = Objective(metric="error", scale="log").to_cost([0.0, -1.0, np.nan, 1.0])
         assert np.all(np.isnan(cost) == [True, True, True, False])
 
+    @pytest.mark.parametrize("scale", ["linear", "log"])
+    @pytest.mark.parametrize(("direction", "worse"), [("minimize", 1.25), ("maximize", 0.75)])
+    def test_a_loss_is_relative_to_the_metric_on_both_scales(self, scale, direction, worse):
+        objective = Objective(metric="error", scale=scale, direction=direction)
+        cost, other = objective.to_cost(self.values), objective.to_cost(worse * self.values)
+        np.testing.assert_allclose(objective.relative_loss(other, cost), 0.25)
+        np.testing.assert_allclose(objective.worsened(cost, 0.25), other)
+        np.testing.assert_array_equal(objective.worsened(cost, 0.0), cost)
+
+    def test_a_loss_beside_zero_is_relative_to_what_stands_for_it(self):
+        objective = Objective(metric="error")
+        assert objective.relative_loss(1.0, 0.0, 4.0) == 0.25
+        assert objective.worsened(0.0, 0.25, 4.0) == 1.0
+        assert objective.relative_loss(0.0, 0.0) == 0.0
+
 
 class TestBudget:
     def test_trials_alone(self):

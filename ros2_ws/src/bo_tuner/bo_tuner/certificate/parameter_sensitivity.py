@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from bo_tuner.models.surrogates import Surrogates
-from bo_tuner.numerics.arrays import Array
-from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess
+from bo_tuner.optimizers.ranking import TOLERABLE, intolerable, relative_excess, relative_loss
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown
 from bo_tuner.trials import Value
@@ -124,10 +123,7 @@ def parameter_sensitivity(
     points = space.cube_of(tuned)
     cost = models.objective.predict_mean(points)
     objective = study.from_predicted_cost(cost)
-    if len(study.objectives) == 1 and objective[0] != 0.0:
-        loss: Array = study.objective.sign * (objective - objective[0]) / abs(objective[0])
-    else:
-        loss = (cost - cost[0]) / models.objective.scale
+    loss = relative_loss(study, models.objective, cost, cost[:1])
     excess = relative_excess(models, points)
     feasibility = models.feasibility(points)
     optimum, *others = (

@@ -1,7 +1,7 @@
 """Ranking of the tried parameter sets; the first is the incumbent everywhere.
 
-Parameter sets that are believed feasible are ranked by the posterior mean of the cost plus a
-penalty for a narrow optimum, the mean loss at the neighbours. The posterior mean limits the
+Parameter sets that are believed feasible are ranked by the posterior mean of the cost, worsened by
+a penalty for a narrow optimum, the mean loss at the neighbours. The posterior mean limits the
 influence of a single noisy evaluation; the penalty prefers a wide optimum to a narrow one with a
 slightly lower cost. With several objectives, the cost is that of the compromise between them.
 
@@ -24,7 +24,6 @@ from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.seeds import Stream, generator
 from bo_tuner.optimizers.bayesian import latest_hyperparameters
-from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.trials import CHECKS, Trial, TrialState, pooled
 
@@ -67,7 +66,7 @@ class Candidate:
         Mean over the neighbours of the relative losses beyond `TOLERABLE`, in cost and in limits,
         `LARGEST_PENALTY` at most for each.
     score
-        Posterior mean of the cost plus the penalty in its unit; ranks the feasible candidates.
+        Posterior mean of the cost, worsened by the penalty; ranks the feasible candidates.
     required
         Lowest probability with which it counts as feasible.
     """
@@ -261,8 +260,8 @@ class _Ranking:
         models, study = self._models, self._study
         x = self._points(trials)
         cost = self._objective.predict_mean(x)
-        scale = self._scale(cost)
-        penalties = self._penalties(trials, cost, scale)
+        penalties = self._penalties(trials, cost)
+        score = self._penalized(cost, penalties)
         feasibility = self.feasibility(trials)
         excess = relative_excess(models, x)
         found = []
@@ -278,32 +277,32 @@ class _Ranking:
                     feasibility=float(feasibility[k]),
                     violation=float(excess[k]),
                     penalty=float(penalties[k]),
-                    score=float(cost[k] + scale[k] * penalties[k]),
+                    score=float(score[k]),
                     required=self.required(trial),
                 )
             )
         return found
 
-    def _penalties(self, trials: Sequence[Trial], cost: Array, scale: Array) -> Array:
-        """Return the penalties (n,) of trials with a `cost` (n,) and its `scale` (n,)."""
+    def _penalties(self, trials: Sequence[Trial], cost: Array) -> Array:
+        """Return the penalties (n,) of trials with a `cost` (n,)."""
         around = [self._space.integer_neighbour_points(trial.parameters) for trial in trials]
         owner = np.repeat(np.arange(len(trials)), [len(points) for points in around])
         if not len(owner):
             return np.zeros(len(trials))
         neighbours = np.vstack(around)
-        loss = (self._objective.predict_mean(neighbours) - cost[owner]) / scale[owner]
+        there = self._objective.predict_mean(neighbours)
+        loss = relative_loss(self._study, self._objective, there, cost[owner])
         lost = intolerable(loss) + intolerable(relative_excess(self._models, neighbours))
         lost = np.minimum(lost, LARGEST_PENALTY)
         count = np.bincount(owner, minlength=len(trials))
         return np.bincount(owner, lost, minlength=len(trials)) / np.maximum(count, 1)
 
-    def _scale(self, cost: Array) -> Array:
-        """Return what a loss is relative to, at points with a `cost` (n,)."""
+    def _penalized(self, cost: Array, penalties: Array) -> Array:
+        """Return the cost (n,) that loses as much as the `penalties` (n,) say."""
         if self._several:
-            return np.full(len(cost), self._objective.scale)
-        if self._study.objective.scale == LOG:
-            return np.ones(len(cost))
-        return np.where(cost == 0.0, self._objective.scale, np.abs(cost))
+            penalized: Array = cost + self._objective.scale * penalties
+            return penalized
+        return self._study.objective.worsened(cost, penalties, self._objective.scale)
 
     @property
     def _objective(self) -> Model:
@@ -350,6 +349,25 @@ def required_after(judged: int) -> float:
 def intolerable(loss: Array) -> Array:
     """Return the part (m,) of relative losses (m,) that exceeds `TOLERABLE`."""
     return np.maximum(loss - TOLERABLE, 0.0)
+
+
+def relative_loss(study: Study, objective: Model, cost: Array, reference: Array) -> Array:
+    """Return the `Objective.relative_loss` (m,) that a model of the cost predicts.
+
+    Of several objectives, that of the cost of the compromise, relative to its spread.
+
+    Parameters
+    ----------
+    study
+        The study.
+    objective
+        The model.
+    cost, reference : ndarray, shape (m,)
+        Means that it predicts, and those that they are compared with.
+    """
+    if len(study.objectives) > 1:
+        return (cost - reference) / objective.scale
+    return study.objective.relative_loss(cost, reference, objective.scale)
 
 
 def relative_excess(models: Surrogates, x: Array) -> Array:

@@ -17,6 +17,8 @@ BACKENDS = (ROS, IN_PROCESS)
 """Names of the backends, on the command line and on record: ROS nodes, the default, or objects in
 this process."""
 
+TINY = float(np.finfo(np.float64).tiny)
+
 LINEAR, LOG = "linear", "log"
 MINIMIZE, MAXIMIZE = "minimize", "maximize"
 
@@ -142,3 +144,41 @@ class Objective:
         """Return metric values for costs, both of shape (...); the inverse of `to_cost`."""
         values = self.sign * np.asarray(cost, dtype=np.float64)
         return np.exp(values) if self.scale == LOG else values
+
+    def relative_loss(
+        self, cost: ArrayLike, reference: ArrayLike, size_of_zero: float = TINY
+    ) -> Array:
+        """Return how much worse the metric is than another, relative to that other.
+
+        Parameters
+        ----------
+        cost, reference : array-like, shape (...)
+            Costs of the metric and of the other, see `to_cost`.
+        size_of_zero : float
+            What the loss is relative to where the other is 0.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            0.1 if the metric is a tenth larger, or smaller if it is maximized; negative if it is
+            better.
+        """
+        cost, reference = np.asarray(cost, np.float64), np.asarray(reference, np.float64)
+        if self.scale == LOG:
+            return np.asarray(self.sign * np.expm1(self.sign * (cost - reference)))
+        return np.asarray((cost - reference) / _size(reference, size_of_zero))
+
+    def worsened(self, cost: ArrayLike, loss: ArrayLike, size_of_zero: float = TINY) -> Array:
+        """Return the cost (...) of a metric that is worse than that of `cost` by a `relative_loss`.
+
+        A maximized one on the log scale can lose less than all of it.
+        """
+        cost, loss = np.asarray(cost, np.float64), np.asarray(loss, np.float64)
+        if self.scale == LOG:
+            return np.asarray(cost + self.sign * np.log1p(self.sign * loss))
+        return np.asarray(cost + _size(cost, size_of_zero) * loss)
+
+
+def _size(cost: Array, of_zero: float) -> Array:
+    """Return what is relative to a cost (...) relative to."""
+    return np.where(cost == 0.0, of_zero, np.abs(cost))

@@ -42,7 +42,9 @@ def is_tolerable(study: Study, objective: float, there: float, worst: float) -> 
     more than the part `TOLERABLE`.
     """
     within = all(item.excess(worst) <= TOLERABLE for item in study.worst_case_constraints)
-    return bool(within and study.objective.sign * (there - objective) <= TOLERABLE * abs(objective))
+    of = study.objective
+    loss = of.relative_loss(of.to_cost(there), of.to_cost(objective))
+    return bool(within and loss <= TOLERABLE)
 
 
 def deciding(study: Study, changed: Iterable[str]) -> bool:
