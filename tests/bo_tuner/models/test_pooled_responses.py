@@ -90,6 +90,29 @@ class TestEveryContext:
         assert of_runs.predict(x)[1] > of_mean.predict(x)[1]
 
     @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_the_worst_context_of_runs_is_that_of_their_quantile(self, sign):
+        """Of x - 0.2 c with noise of 0.01 up to c = 0.5 and 0.3 beyond, c = 0 has the worst mean.
+
+        The 95 % quantile is x + 0.02 there, and x - 0.2 + 1.645 · 0.3 = x + 0.29 at c = 1.
+        """
+        x, c, _ = scattered(600)
+        noise = np.where(c[:, 0] > 0.5, 0.3, 0.01) * np.random.default_rng(5).normal(size=600)
+        process = fitted(x, c, sign * (x[:, 0] - 0.2 * c[:, 0] + noise))
+        at, ends = np.array([[0.3], [0.6]]), CORNERS[::2]
+        of_mean = EveryContext(process, sign, ends, sign=sign)
+        assert of_mean.worst_case(at)[0].tolist() == [0, 0]
+        of_runs = EveryContext(process, sign, ends, float(norm.ppf(0.95)), sign=sign)
+        rows, mean, deviation = of_runs.worst_case(at)
+        assert rows.tolist() == [1, 1]
+        assert sign * mean == pytest.approx(at[:, 0] - 0.2, abs=0.1)
+        assert deviation == pytest.approx(0.3, rel=0.2)
+        assert sign * of_runs.predict_mean(at) == pytest.approx(at[:, 0] + 0.29, abs=0.15)
+        # What the limit is judged by is what is predicted.
+        doubtful, probability = of_runs.most_doubtful(at)
+        assert doubtful.tolist() == [1, 1]
+        assert of_runs.log_kept(*of_runs.predict(at)) == pytest.approx(probability)
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
     def test_is_within_the_responses_on_the_good_side(self, sign):
         """The slope goes on beyond the data, where the metric is at its bound."""
         x = np.linspace(0.5, 1.0, 6)[:, None]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from bo_tuner.models.categories import Coding
 from bo_tuner.study.context_space import ContextSpace
@@ -61,6 +62,23 @@ def test_another_parameter_set_that_explodes_hides_nothing(line):
     assert np.max(asked) == pytest.approx(1.0, abs=0.1)
     assert worst.value == pytest.approx(0.95, abs=0.15)
     assert worst.value < LIMIT
+
+
+def test_the_worst_case_of_runs_is_where_their_quantile_is(line):
+    """The mean falls with c, from 0.2 to 0, where the noise is 0.3 rather than 0.01."""
+    rng = np.random.default_rng(3)
+    c = rng.random(200)
+    y = 0.2 - 0.2 * c + np.where(c > 0.5, 0.3, 0.01) * rng.normal(size=200)
+    contexts = []
+    for deviations in (0.0, float(norm.ppf(0.95))):
+        search = PooledSearch(
+            line, LIMIT, deviations, 1, np.array([0.5]), np.full((200, 1), 0.5), c[:, None], y,
+            Coding((0,)), until_clear=False,
+        )  # fmt: skip
+        search.tell({"c": 0.0}, 0.2)
+        contexts.append(search.worst_case(np.random.default_rng(0)).context["c"])
+    of_mean, of_runs = contexts
+    assert of_mean < 0.5 < of_runs
 
 
 def test_a_worst_case_that_explodes_is_in_the_unit_of_the_metric(line):

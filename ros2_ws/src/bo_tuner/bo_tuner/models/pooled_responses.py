@@ -197,11 +197,19 @@ class EveryContext(PooledResponse):
         quantile, variance, _ = self._quantile(x, which, mean, *noise)
         return quantile, variance
 
-    def _worst(self, x: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return row and mean (m,) of the worst context."""
+    def limited(self, x: Array) -> Array:
+        """Return what is limited at x (m, d) in each context, on the scale of the process, (m, k).
+
+        A quantile of runs, or their mean.
+        """
         means = self.process.means(x, self.contexts)
-        rows = (self.sign * means).argmax(axis=1)
-        return rows, means[np.arange(len(x)), rows]
+        noise, _ = self.process.noise_everywhere(x, self.contexts)
+        return self._limited(means, np.sqrt(noise))
+
+    def _worst(self, x: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return row and mean (m,) of the worst context: where what is limited is worst."""
+        rows = (self.sign * self.limited(x)).argmax(axis=1)
+        return rows, self.process.means(x, self.contexts)[np.arange(len(x)), rows]
 
     def _quantile(
         self, x: Array, which: NDArray[np.intp], mean: Array, noise: Array, degrees: Array
@@ -216,7 +224,7 @@ class EveryContext(PooledResponse):
         )
 
     def _limited(self, mean: Array, noise: Array) -> Array:
-        """Return what is limited (m,): a quantile of runs or their mean, by its mean and noise."""
+        """Return what is limited, by mean and noise of runs; all of one shape."""
         if self.deviations:
             return mean + self.sign * self.deviations * noise
         return self.compression.apply(self.compression.expectation(mean, noise))

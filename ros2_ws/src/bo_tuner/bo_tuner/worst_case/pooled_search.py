@@ -98,7 +98,7 @@ class PooledSearch:
         """Estimate the worst case from all evaluations so far, with the local noise there."""
         process = self._fit(rng)
         point = self._point[None]
-        context, _ = self._maximize(lambda c: process.means(point, c)[0], rng)
+        context, _ = self._maximize(lambda c: self._everywhere(process, c).limited(point)[0], rng)
         there = self._everywhere(process, self._space.cube_of([context]))
         _, mean, noise = there.worst_case(point)
         return WorstCase(float(mean[0]), context, max(self._observed), float(noise[0]))
