@@ -7,6 +7,9 @@ from enum import StrEnum
 Value = bool | int | float | str
 """What a parameter of a study can be; a choice is text."""
 
+ParameterSet = tuple[tuple[str, Value], ...]
+"""A parameter set as a hashable key: its parameters and their values, by name."""
+
 
 class Stage(StrEnum):
     """Purpose of an evaluation."""
@@ -55,6 +58,15 @@ class TrialState(StrEnum):
 
 DISTURBED = "disturbed"
 """Key of an outcome's details: somebody else acted on the nodes during the evaluation."""
+
+
+def parameter_set(parameters: Mapping[str, Value]) -> ParameterSet:
+    """Return the key that evaluations and trials of equal parameters share.
+
+    `SearchSpace.key` is one of the tuned parameters alone, which sets share, too, that differ by
+    less than its resolution.
+    """
+    return tuple(sorted(parameters.items()))
 
 
 @dataclass(frozen=True)
@@ -127,6 +139,11 @@ class Evaluation:
     outcome: Outcome = Outcome(EvaluationState.FAILED, reason="not run")
     seconds: float = field(default=0.0, compare=False)
     recorded: bool = field(default=False, compare=False)
+
+    @property
+    def parameter_set(self) -> ParameterSet:
+        """The parameters as a hashable key, which evaluations of equal ones share."""
+        return parameter_set(self.parameters)
 
     @property
     def whose(self) -> int | str:
@@ -238,9 +255,9 @@ class Trial:
         return DISTURBED if self.disturbed else str(EvaluationState.LOST)
 
     @property
-    def parameter_set(self) -> tuple[tuple[str, Value], ...]:
+    def parameter_set(self) -> ParameterSet:
         """The parameters as a hashable key, which trials of equal ones share."""
-        return tuple(sorted(self.parameters.items()))
+        return parameter_set(self.parameters)
 
     @property
     def failed_again(self) -> bool:
@@ -292,7 +309,7 @@ def pooled(trials: Iterable[Trial]) -> list[Trial]:
     trials
         In the order of the run.
     """
-    sets: dict[tuple[tuple[str, Value], ...], list[Trial]] = {}
+    sets: dict[ParameterSet, list[Trial]] = {}
     for trial in trials:
         sets.setdefault(trial.parameter_set, []).append(trial)
     return [_joint(of_set) for of_set in sets.values()]

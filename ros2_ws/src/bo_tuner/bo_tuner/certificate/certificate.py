@@ -192,7 +192,7 @@ def make_certificate(
     findings = judge(study, tuned, level)
     trials = with_checks(study, record.trials, record.evaluations, models)
     surrogates = ranking_models(study, trials, models)
-    in_training = [e for e in record.evaluations if e.parameters == trial.parameters]
+    in_training = [e for e in record.evaluations if e.parameter_set == trial.parameter_set]
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [
         evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION

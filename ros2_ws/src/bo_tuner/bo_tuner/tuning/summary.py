@@ -269,8 +269,8 @@ def _place(evaluation: Evaluation) -> Hashable:
 
     In a run that was continued, another parameter set may be validated in the same places.
     """
-    parameters = tuple(sorted(evaluation.parameters.items()))
-    return (evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed, parameters)
+    place = (evaluation.stage, evaluation.trial, evaluation.index, evaluation.seed)
+    return (*place, evaluation.parameter_set)
 
 
 def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
