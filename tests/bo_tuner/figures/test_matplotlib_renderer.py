@@ -60,6 +60,24 @@ def test_a_legend_stays_within_the_sheet(names):
     assert len(legend.get_texts()) == len(names)
 
 
+@pytest.mark.parametrize("high", [60.0, 1.0, 0.09, 0.002, 0.0022, 1e-4, 123456.0])
+@pytest.mark.parametrize("panels", [1, 2])
+def test_numbers_of_a_horizontal_axis_keep_a_letter_apart(high, panels):
+    line = Line(x=[0.0, high], y=[0.0, 1.0])
+    panel = Panel(x=Axis(label="x"), y=Axis(label="y"), elements=[line])
+    figure = Figure(name="a", title="", caption="", alternative="", panels=[panel] * panels)
+    sheet = draw(figure)
+    sheet.draw_without_rendering()
+    for ax in sheet.axes:
+        low, high = ax.get_xlim()
+        labels = [t for t in ax.get_xticklabels() if low <= t.get_position()[0] <= high]
+        extents = [text.get_window_extent() for text in labels]
+        assert len(extents) >= 3
+        letter = max(e.width / len(t.get_text()) for e, t in zip(extents, labels, strict=True))
+        for left, right in itertools.pairwise(extents):
+            assert right.x0 - left.x1 > letter
+
+
 @pytest.mark.parametrize("high", [8.9, 12.0, 30.0, 1e4])
 def test_a_logarithmic_axis_has_some_numbers(high):
     line = Line(x=[0.0, 1.0], y=[8.0, high])

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, TwoSlopeNorm, to_rgba
 from matplotlib.figure import Figure as Sheet
-from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import AutoLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from bo_tuner.figures.figure import (
@@ -47,6 +47,12 @@ RESOLUTION = 150
 
 LITTLE = 4.0
 """Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
+
+MOST_STEPS = 6
+"""Largest number of steps between the numbers of a horizontal axis, which may be as long as 0.00125.
+
+Matplotlib allows nine, and takes each number for three letters wide.
+"""
 
 LETTER = 0.08
 """Width of a wide letter in the legend [inch], in the font of `STYLE`."""
@@ -156,6 +162,8 @@ def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
         low, high = sorted(ticks.get_view_interval())
         if isinstance(ticks.get_major_locator(), LogLocator) and high < LITTLE * low:
             ticks.set_major_locator(AutoLocator())
+    if isinstance(ax.xaxis.get_major_locator(), AutoLocator):
+        ax.xaxis.set_major_locator(MaxNLocator(MOST_STEPS, steps=[1, 2, 2.5, 5, 10]))
 
 
 def _axis(
