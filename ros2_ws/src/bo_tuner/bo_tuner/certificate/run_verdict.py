@@ -266,7 +266,7 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     return [
         evaluation.outcome.metrics
         for evaluation in record.evaluations
-        if evaluation.outcome.complete and dict(evaluation.parameters) == dict(trial.parameters)
+        if evaluation.outcome.complete and evaluation.parameter_set == trial.parameter_set
     ]
 
 

@@ -105,7 +105,7 @@ def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
         If a later one cannot be read: it may be of the same parameter set.
     """
     for path in certificate_paths(record.path):
-        if _is_of(read_certificate(path), trial):
+        if is_of(read_certificate(path), trial):
             return path
     return None
 
@@ -123,7 +123,7 @@ def certificate_problem(record: RunRecord, trial: Trial) -> str:
         except RunRecordError as error:
             # It may be a FAIL.
             return first or str(error)
-        if not _is_of(content, trial):
+        if not is_of(content, trial):
             continue
         if content["verdict"] != PASS:
             return first or f"{path}: expected {PASS}, found {FAIL}"
@@ -176,7 +176,8 @@ def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
     return f"the code of {', '.join(changed)} has changed since" if changed else ""
 
 
-def _is_of(content: Mapping[str, Any], trial: Trial) -> bool:
+def is_of(content: Mapping[str, Any], trial: Trial) -> bool:
+    """Return whether a certificate's content is of a trial's parameter set."""
     return bool(content["parameters"] == dict(trial.parameters))
 
 

@@ -154,22 +154,17 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     backend = arguments.backend or recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
     confidence = arguments.confidence or record.study.certificate.confidence
-    most = arguments.until_pass
-    if not 1 <= most <= maxima.TRIALS:
-        bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
-        parser.error(f"--until-pass: expected {bound}, found {most}")
-    trial, is_result = _trial(record, arguments.trial)
+    most = _most_sets(arguments, parser)
     console = plain_console(stderr=True)
 
     def tell(text: str) -> None:
         console.print(text, soft_wrap=True)
 
-    if most > 1 and latest_certificate(record, trial) is not None:
-        # Those ahead of one that was interrupted have theirs, too.
-        begun = trial_begun(record.path, record.study, record.trials, backend)
-        if begun is not None and begun.parameter_set != trial.parameter_set:
-            tell(f"trial {begun.number} comes first, whose certificate was interrupted")
-            trial, is_result = begun, record.is_result(begun)
+    trial = _trial(record, arguments.trial)
+    begun = _unfinished(record, trial, backend) if most > 1 else None
+    if begun is not None:
+        tell(f"trial {begun.number} comes first, whose certificate was interrupted")
+        trial = begun
     # Each attempt takes more draws than the one before, so the last one needs the most.
     attempt = attempt_for(record.path, record.study, trial.parameters, backend)
     last = attempt + min(most, len(record.trials)) - 1
@@ -180,7 +175,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
     again = f"continue with: {shlex.join(['validate', *same])}"
     with contextlib.closing(folder):
-        digest = _digest(record, trial, folder, console) if is_result else None
+        digest = _digest(record, trial, folder, console) if record.is_result(trial) else None
         folder.log.mkdir(exist_ok=True)
         certifier = Certifier(
             record,
@@ -231,6 +226,15 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     return ended(left, exit_code(verdict))
 
 
+def _most_sets(arguments: argparse.Namespace, parser: Parser) -> int:
+    """Return the largest number of parameter sets to certify."""
+    most: int = arguments.until_pass
+    if not 1 <= most <= maxima.TRIALS:
+        bound = "at least 1" if most < 1 else f"at most {maxima.TRIALS}"
+        parser.error(f"--until-pass: expected {bound}, found {most}")
+    return most
+
+
 def _draws(
     arguments: argparse.Namespace,
     parser: Parser,
@@ -279,15 +283,28 @@ def _candidates(record: RunRecord, trial: Trial, count: int) -> Iterator[Trial]:
     yield from (trial_of(record, number) for number in [*others.values()][: count - 1])
 
 
-def _trial(record: RunRecord, number: int | None) -> tuple[Trial, bool]:
-    """Return the trial to validate, and whether it is the run's result."""
+def _trial(record: RunRecord, number: int | None) -> Trial:
+    """Return the trial to validate."""
     trial = record.result if number is None else trial_of(record, number)
     if trial is None:
         raise RunRecordError(
             f"{record.path}: has no result: it has not ended, or every trial failed; continue with "
             "tune --resume, or name a --trial"
         )
-    return trial, record.is_result(trial)
+    return trial
+
+
+def _unfinished(record: RunRecord, trial: Trial, backend: str) -> Trial | None:
+    """Return the trial whose certificate was interrupted, if it comes before a further one.
+
+    Those ahead of it in rank have theirs, as `trial` must have.
+    """
+    if latest_certificate(record, trial) is None:
+        return None
+    begun = trial_begun(record.path, record.study, record.trials, backend)
+    if begun is None or begun.parameter_set == trial.parameter_set:
+        return None
+    return begun
 
 
 def _digest(record: RunRecord, trial: Trial, folder: RunFolder, console: Console) -> str:

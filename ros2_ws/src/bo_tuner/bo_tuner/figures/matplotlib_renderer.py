@@ -49,7 +49,7 @@ LITTLE = 4.0
 """Ratio of the ends of a logarithmic axis below which steps of 1, 2, 5 are too wide."""
 
 MOST_STEPS = 6
-"""Largest number of steps between the numbers of a horizontal axis, which may be as long as 0.00125.
+"""Largest number of steps between the numbers of a horizontal axis, which may be long, as 0.00125.
 
 Matplotlib allows nine, and takes each number for three letters wide.
 """

@@ -85,7 +85,7 @@ class RunRecord:
     def is_result(self, trial: Trial) -> bool:
         """Whether a trial has the parameter set of the result."""
         found = self.result
-        return found is not None and dict(found.parameters) == dict(trial.parameters)
+        return found is not None and found.parameter_set == trial.parameter_set
 
 
 def read_run(path: Path) -> RunRecord:

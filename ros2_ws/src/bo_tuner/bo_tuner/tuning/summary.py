@@ -18,7 +18,14 @@ from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import SUMMARY
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TUNING, Evaluation, Trial, count_checks, count_evaluations
+from bo_tuner.trials import (
+    TUNING,
+    Evaluation,
+    Trial,
+    count_checks,
+    count_evaluations,
+    parameter_set,
+)
 from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.observer import NOBODY, Phase, RunObserver
 from bo_tuner.tuning.recommendation import Recommendation, recommend
@@ -296,7 +303,7 @@ def _belongs(summary: Mapping[str, object], record: RunRecord) -> bool:
         (tuned, record.trials[number].parameters),
     )
     return all(
-        dict(found.parameters) == dict(parameters)
+        parameter_set(found.parameters) == parameter_set(parameters)
         and found.constraints.keys() == record.study.constraints.keys()
         for found, parameters in sides
     )

@@ -15,6 +15,7 @@ from bo_tuner.trials import (
     TrialState,
     Value,
     count_evaluations,
+    parameter_set,
 )
 from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.limits import Sample, worst_case_holds
@@ -162,7 +163,7 @@ def observed(
     drawn: dict[int, Mapping[str, float]] = {}
     others = []
     for evaluation in evaluations:
-        if dict(evaluation.parameters) != dict(parameters) or not evaluation.outcome.complete:
+        if evaluation.parameter_set != parameter_set(parameters) or not evaluation.outcome.complete:
             continue
         if evaluation.whose == side:
             drawn[evaluation.index] = evaluation.outcome.metrics
@@ -213,7 +214,7 @@ def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
 def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> bool:
     """Return whether the worst context of a parameter set was searched."""
     return any(
-        evaluation.stage in SEEKING_WORST and dict(evaluation.parameters) == dict(parameters)
+        evaluation.stage in SEEKING_WORST and evaluation.parameter_set == parameter_set(parameters)
         for evaluation in evaluations
     )
 
@@ -244,7 +245,7 @@ def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) ->
     drawn = {
         evaluation.index: evaluation.outcome.spoilt
         for evaluation in evaluations
-        if evaluation.whose == TUNED and dict(evaluation.parameters) == dict(parameters)
+        if evaluation.whose == TUNED and evaluation.parameter_set == parameter_set(parameters)
     }
     lost = sum(drawn.values())
     if not lost:

@@ -6,7 +6,12 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from bo_tuner.certificate.context_tolerance import ContextTolerance
-from bo_tuner.certificate.store import certificate_paths, latest_certificate, read_certificate
+from bo_tuner.certificate.store import (
+    certificate_paths,
+    is_of,
+    latest_certificate,
+    read_certificate,
+)
 from bo_tuner.certificate.table import certificate_rows, gap_in_words, parameter_sets
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
@@ -54,7 +59,7 @@ class CertificateFile:
 
     def is_of(self, trial: Trial) -> bool:
         """Return whether the parameter set that was tested is that of a trial."""
-        return bool(self.content["parameters"] == dict(trial.parameters))
+        return is_of(self.content, trial)
 
 
 def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | None:
