@@ -15,13 +15,14 @@ from pathlib import Path
 
 import pytest
 from axis import write_axis, write_study
-from commands import Fork, finish, start
+from commands import Fork, finish, run, start
 from in_process import call, complaint
 from waiting import DEADLINE, catches, count_in, wait_until
 
 from bo_tuner.cli import tune as tune_command
 from bo_tuner.cli.common import split_ros_arguments
 from bo_tuner.errors import JournalError
+from bo_tuner.report.sections import convergence
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, TrialState
@@ -81,6 +82,34 @@ class TestRun:
         assert "\x1b" not in out + err
         assert "against the default, in the same 5 fresh draws" in out
         assert str(Path("runs") / folder.readlink() / "best.yaml") in out
+
+    @pytest.mark.parametrize("algorithm", ["boundary", "IV"])
+    def test_its_report_is_that_of_the_record(self, tune, tmp_path, algorithm):
+        """Although the incumbents in it are those that the run has found."""
+        code, _, err = finish(tune("--algorithm", algorithm))
+        assert code in (0, 3), err
+        for resumed in (False, True):
+            if resumed:
+                code, _, err = run("tune", "--resume", "latest", "--trials", "7", folder=tmp_path)
+                assert code in (0, 3), err
+            page = (latest(tmp_path) / "report.html").read_bytes()
+            code, _, err = run("report", "latest", folder=tmp_path)
+            assert code == 0, err
+            assert (latest(tmp_path) / "report.html").read_bytes() == page
+
+    def test_its_report_takes_the_incumbents_that_it_has_found(
+        self, study_file, tmp_path, monkeypatch, capsys
+    ):
+        """Each would be another fit of all models."""
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setattr(
+            convergence, "_incumbent", lambda analysis, count: pytest.fail(str(count))
+        )
+        code, out, err = call(tune_command, capsys, *command("axis.yaml")[1:])
+        assert code == 0, err
+        assert "report: " in out + err
+        assert "warning" not in err
 
     def test_not_feasible(self, tune, tmp_path):
         code, out, err = finish(tune(environment={"PEAK": "2"}))

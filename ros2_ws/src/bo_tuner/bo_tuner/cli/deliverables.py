@@ -1,11 +1,14 @@
 """The files derived from a run's record: the report and the bundle."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from bo_tuner.certificate.run_verdict import run_verdict
-from bo_tuner.deploy.bundle import withdraw_bundle, write_bundle
+from bo_tuner.deploy.bundle import DEPLOY, withdraw_bundle, write_bundle
 from bo_tuner.errors import OutputError, RunRecordError
 from bo_tuner.report.page import write_report
 from bo_tuner.storage.record import RunRecord, read_run
@@ -15,7 +18,9 @@ from bo_tuner.tuning.summary import with_summary
 Tell = Callable[[str], None]
 
 
-def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
+def write_deliverables(
+    folder: Path, tell: Tell, warn: Tell, known: Mapping[Hashable, Any] = MappingProxyType({})
+) -> None:
     """Write or update the report of a run and, if it has a result, its bundle.
 
     Both can be made again from the record, so a failure is only a warning.
@@ -26,11 +31,18 @@ def write_deliverables(folder: Path, tell: Tell, warn: Tell) -> None:
         The run folder.
     tell, warn
         Called with a line on each file written, or on a failure.
+    known
+        As `write_report`.
     """
     try:
         record = with_summary(read_run(folder), warn)
         record = _with_verdict(record)
-        tell(f"report: {write_report(record, folder / REPORT)}")
+        if record.summary is not None:
+            # The report lists the folder of the bundle, which is written later: it has a copy of
+            # the report. What is wrong with it is told then.
+            with contextlib.suppress(OSError):
+                (folder / DEPLOY).mkdir(exist_ok=True)
+        tell(f"report: {write_report(record, folder / REPORT, known)}")
         if record.summary is not None:
             tell(f"bundle: {write_bundle(record)}")
     except (OutputError, RunRecordError) as error:

@@ -4,10 +4,11 @@ import base64
 import hashlib
 import importlib.resources
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
@@ -82,7 +83,9 @@ def figures(parts: Sequence[Section]) -> list[Figure]:
     return [figure for section in parts for figure in section.figures]
 
 
-def write_report(run: RunRecord, path: Path) -> Path:
+def write_report(
+    run: RunRecord, path: Path, known: Mapping[Hashable, Any] = MappingProxyType({})
+) -> Path:
     """Write the report of a run to `path` and return it.
 
     Parameters
@@ -91,6 +94,8 @@ def write_report(run: RunRecord, path: Path) -> Path:
         The run, which may still be in progress.
     path
         The HTML file, replaced if it exists; its folder is created.
+    known
+        What the run has found already, as `Analysis.known`.
 
     Raises
     ------
@@ -99,7 +104,7 @@ def write_report(run: RunRecord, path: Path) -> Path:
     RunRecordError
         If summary or certificate do not fit the record.
     """
-    analysis = Analysis(run)
+    analysis = Analysis(run, dict(known))
     return write_page(analysis, sections(analysis), path)
 
 

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from functools import partial
 
 import numpy as np
@@ -236,10 +236,19 @@ def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
     counts = _counts(len(analysis.record.trials))
     found = [
-        (n - 1, analysis.remember(("incumbent", n), partial(_incumbent, analysis, n)))
+        (n - 1, analysis.remember(incumbent_key(n), partial(_incumbent, analysis, n)))
         for n in counts
     ]
     return [(k, candidate) for k, candidate in found if candidate is not None]
+
+
+def incumbent_key(count: int) -> Hashable:
+    """Return what an `Analysis` knows the incumbent after the first `count` trials by.
+
+    A run may hand on its own, up to `FITTED_EACH` trials: those of more depend on the models of
+    all trials, where it has recorded no hyperparameters.
+    """
+    return "incumbent", count
 
 
 def _counts(total: int) -> list[int]:
