@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from axis import write_axis, write_study
+from axis import node, write_axis, write_study
 from commands import Fork, finish, run, start
 from in_process import call, complaint
 from waiting import DEADLINE, catches, count_in, wait_until
@@ -98,15 +98,17 @@ class TestRun:
             assert (latest(tmp_path) / "report.html").read_bytes() == page
 
     def test_its_report_takes_the_incumbents_that_it_has_found(
-        self, study_file, tmp_path, monkeypatch, capsys
+        self, make_study, tmp_path, monkeypatch, capsys
     ):
         """Each would be another fit of all models."""
+        # A module of the same name may be known in this process.
+        study_file = write_study(tmp_path, make_study(nodes=node("remembered_axis")))
         monkeypatch.chdir(tmp_path)
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setattr(
             convergence, "_incumbent", lambda analysis, count: pytest.fail(str(count))
         )
-        code, out, err = call(tune_command, capsys, *command("axis.yaml")[1:])
+        code, out, err = call(tune_command, capsys, *command(study_file)[1:])
         assert code == 0, err
         assert "report: " in out + err
         assert "warning" not in err
