@@ -163,7 +163,7 @@ def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
         if isinstance(ticks.get_major_locator(), LogLocator) and high < LITTLE * low:
             ticks.set_major_locator(AutoLocator())
     if isinstance(ax.xaxis.get_major_locator(), AutoLocator):
-        ax.xaxis.set_major_locator(MaxNLocator(MOST_STEPS, steps=[1, 2, 2.5, 5, 10]))
+        ax.xaxis.set_major_locator(MaxNLocator(MOST_STEPS, steps=[1, 2, 5, 10]))
 
 
 def _axis(
