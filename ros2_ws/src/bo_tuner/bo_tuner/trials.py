@@ -284,6 +284,14 @@ def count_checks(trials: Iterable[Trial]) -> int:
     return sum(e.stage in CHECKS for trial in trials for e in trial.evaluations)
 
 
+def evaluations_of(
+    evaluations: Iterable[Evaluation], parameters: Mapping[str, Value]
+) -> list[Evaluation]:
+    """Return the evaluations of exactly these parameters, in their order."""
+    key = parameter_set(parameters)
+    return [evaluation for evaluation in evaluations if evaluation.parameter_set == key]
+
+
 def latest_by_place(
     evaluations: Iterable[Evaluation], stages: Container[Stage]
 ) -> dict[int, dict[int, Evaluation]]:

@@ -33,7 +33,7 @@ from bo_tuner.storage.provenance import provenance
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
-from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning.settling import with_checks
 from bo_tuner.verdict.verdict import FAIL, PASS
 
@@ -192,7 +192,7 @@ def make_certificate(
     findings = judge(study, tuned, level)
     trials = with_checks(study, record.trials, record.evaluations, models)
     surrogates = ranking_models(study, trials, models)
-    in_training = [e for e in record.evaluations if e.parameter_set == trial.parameter_set]
+    in_training = evaluations_of(record.evaluations, trial.parameters)
     # Draws come last: beyond the most that the model takes they tell the least.
     fresh = [
         evaluation for evaluation in tuned.evaluations if evaluation.stage is not Stage.VALIDATION

@@ -23,7 +23,7 @@ from bo_tuner.study.constraint import SINGLE_RUN, UPPER
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, shown, shown_beside
-from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial
+from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
@@ -265,8 +265,8 @@ def _on_record(record: RunRecord, trial: Trial) -> list[Mapping[str, float]]:
     """Return the metrics that the run itself has of a trial's parameter set."""
     return [
         evaluation.outcome.metrics
-        for evaluation in record.evaluations
-        if evaluation.outcome.complete and evaluation.parameter_set == trial.parameter_set
+        for evaluation in evaluations_of(record.evaluations, trial.parameters)
+        if evaluation.outcome.complete
     ]
 
 

@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from bo_tuner.certificate.run_verdict import run_verdict
@@ -19,7 +18,7 @@ Tell = Callable[[str], None]
 
 
 def write_deliverables(
-    folder: Path, tell: Tell, warn: Tell, known: Mapping[Hashable, Any] = MappingProxyType({})
+    folder: Path, tell: Tell, warn: Tell, known: Mapping[Hashable, Any] | None = None
 ) -> None:
     """Write or update the report of a run and, if it has a result, its bundle.
 

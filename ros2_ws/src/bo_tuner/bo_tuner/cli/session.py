@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 from bo_tuner.backends.factory import make_backend
@@ -15,7 +15,6 @@ from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_SIGNAL, exit_code
 from bo_tuner.errors import JournalError, OutputError, RunError, RunRecordError
 from bo_tuner.interruption import Interrupted, Interruption
-from bo_tuner.models.fitting import FITTED_EACH
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.display import Output, Result
 from bo_tuner.monitoring.monitor import Advisor, Gate, make_display
@@ -26,7 +25,7 @@ from bo_tuner.optimizers.ranking import Candidate, incumbent
 from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
-from bo_tuner.report.sections.convergence import incumbent_key
+from bo_tuner.report.sections.convergence import known_incumbents
 from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
@@ -129,7 +128,7 @@ class Session:
         self._status = RunStatus(study, self._algorithm)
         self._display = make_display(study, options.output, self._status)
         self._observers = Observers()
-        self._incumbents: dict[Hashable, Candidate | None] = {}
+        self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._algorithm, self._observers)
         self._gate = Gate(interruption, self._observers)
@@ -202,9 +201,8 @@ class Session:
                         export_csv(folder.journal, folder.path)
                     raise
                 export_csv(folder.journal, folder.path)
-                write_deliverables(
-                    folder.path, self._display.tell, self._display.warn, self._incumbents
-                )
+                known = known_incumbents(self._incumbents)
+                write_deliverables(folder.path, self._display.tell, self._display.warn, known)
                 return ended(left, code)
             except Interrupted as interrupt:
                 if not folder.journal.exists():
@@ -294,8 +292,7 @@ class Session:
                 self._status.restart()
             for trial in self._trials(tuning):
                 best = self._best(tuning)
-                if len(tuning.trials) <= FITTED_EACH:
-                    self._incumbents[incumbent_key(len(tuning.trials))] = best
+                self._incumbents[len(tuning.trials)] = best
                 observers.trial(trial, best)
             observers.end(Phase.TUNING)
             found = conclude(study, backend, self._algorithm, tuning.trials, observers)

@@ -202,14 +202,19 @@ class EveryContext(PooledResponse):
 
         A quantile of runs, or their mean.
         """
+        return self._in_each(x)[1]
+
+    def _in_each(self, x: Array) -> tuple[Array, Array]:
+        """Return the mean and what is limited at x (m, d) in each context, (m, k) each."""
         means = self.process.means(x, self.contexts)
         noise, _ = self.process.noise_everywhere(x, self.contexts)
-        return self._limited(means, np.sqrt(noise))
+        return means, self._limited(means, np.sqrt(noise))
 
     def _worst(self, x: Array) -> tuple[NDArray[np.intp], Array]:
         """Return row and mean (m,) of the worst context: where what is limited is worst."""
-        rows = (self.sign * self.limited(x)).argmax(axis=1)
-        return rows, self.process.means(x, self.contexts)[np.arange(len(x)), rows]
+        means, limited = self._in_each(x)
+        rows = (self.sign * limited).argmax(axis=1)
+        return rows, means[np.arange(len(x)), rows]
 
     def _quantile(
         self, x: Array, which: NDArray[np.intp], mean: Array, noise: Array, degrees: Array

@@ -8,7 +8,6 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
@@ -83,9 +82,7 @@ def figures(parts: Sequence[Section]) -> list[Figure]:
     return [figure for section in parts for figure in section.figures]
 
 
-def write_report(
-    run: RunRecord, path: Path, known: Mapping[Hashable, Any] = MappingProxyType({})
-) -> Path:
+def write_report(run: RunRecord, path: Path, known: Mapping[Hashable, Any] | None = None) -> Path:
     """Write the report of a run to `path` and return it.
 
     Parameters
@@ -104,7 +101,7 @@ def write_report(
     RunRecordError
         If summary or certificate do not fit the record.
     """
-    analysis = Analysis(run, dict(known))
+    analysis = Analysis(run, dict(known or {}))
     return write_page(analysis, sections(analysis), path)
 
 

@@ -15,7 +15,7 @@ from bo_tuner.trials import (
     TrialState,
     Value,
     count_evaluations,
-    parameter_set,
+    evaluations_of,
 )
 from bo_tuner.tuning.front import RULE
 from bo_tuner.tuning.limits import Sample, worst_case_holds
@@ -162,8 +162,8 @@ def observed(
     """
     drawn: dict[int, Mapping[str, float]] = {}
     others = []
-    for evaluation in evaluations:
-        if evaluation.parameter_set != parameter_set(parameters) or not evaluation.outcome.complete:
+    for evaluation in evaluations_of(evaluations, parameters):
+        if not evaluation.outcome.complete:
             continue
         if evaluation.whose == side:
             drawn[evaluation.index] = evaluation.outcome.metrics
@@ -213,10 +213,8 @@ def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
 
 def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> bool:
     """Return whether the worst context of a parameter set was searched."""
-    return any(
-        evaluation.stage in SEEKING_WORST and evaluation.parameter_set == parameter_set(parameters)
-        for evaluation in evaluations
-    )
+    of_set = evaluations_of(evaluations, parameters)
+    return any(evaluation.stage in SEEKING_WORST for evaluation in of_set)
 
 
 def _broken(study: Study, sample: Sample) -> str:
@@ -244,8 +242,8 @@ def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) ->
     """Return a remark if draws of the tuned parameter set tell nothing of it."""
     drawn = {
         evaluation.index: evaluation.outcome.spoilt
-        for evaluation in evaluations
-        if evaluation.whose == TUNED and evaluation.parameter_set == parameter_set(parameters)
+        for evaluation in evaluations_of(evaluations, parameters)
+        if evaluation.whose == TUNED
     }
     lost = sum(drawn.values())
     if not lost:

@@ -2,8 +2,9 @@
 
 import itertools
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -235,19 +236,25 @@ def trial_points(analysis: Analysis, trials: Sequence[Trial], x: Array, y: Array
 def incumbents(analysis: Analysis) -> list[tuple[int, Candidate]]:
     """Return incumbents, each with the index of the last trial known at that point."""
     counts = _counts(len(analysis.record.trials))
-    found = [
-        (n - 1, analysis.remember(incumbent_key(n), partial(_incumbent, analysis, n)))
-        for n in counts
-    ]
+    found = [(n - 1, analysis.remember(_key(n), partial(_incumbent, analysis, n))) for n in counts]
     return [(k, candidate) for k, candidate in found if candidate is not None]
 
 
-def incumbent_key(count: int) -> Hashable:
-    """Return what an `Analysis` knows the incumbent after the first `count` trials by.
+def known_incumbents(found: Mapping[int, Candidate | None]) -> dict[Hashable, Any]:
+    """Return what an `Analysis` may know of the incumbents that a run has found.
 
-    A run may hand on its own, up to `FITTED_EACH` trials: those of more depend on the models of
-    all trials, where it has recorded no hyperparameters.
+    Those of more than `FITTED_EACH` trials are left out: where a run has recorded no
+    hyperparameters, they depend on the models of all trials.
+
+    Parameters
+    ----------
+    found
+        By the number of trials known then.
     """
+    return {_key(count): candidate for count, candidate in found.items() if count <= FITTED_EACH}
+
+
+def _key(count: int) -> Hashable:
     return "incumbent", count
 
 
