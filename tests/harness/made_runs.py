@@ -6,7 +6,12 @@ import json
 from bo_tuner.certificate.store import FORMAT, evaluations_path, next_path, parameters_sha256
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
-from bo_tuner.storage.provenance import provenance, session_provenance, study_sha256
+from bo_tuner.storage.provenance import (
+    ATTACHED,
+    provenance,
+    session_provenance,
+    study_sha256,
+)
 from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.tuning.journaling import JournalObserver
@@ -16,16 +21,18 @@ INITIAL = {"trials": 3, "initial_trials": 3, "drawn_contexts": 2, "search_evalua
 """Budget of a run that needs no surrogates."""
 
 
-def make_run(folder, study, backend, *, result=None, backend_name="inprocess"):
+def make_run(folder, study, backend, *, result=None, backend_name="inprocess", attached=False):
     """Run a study's trials and leave their record; returns it.
 
     With `result`, the number of a trial, the run has ended with that one.
     """
-    folder.mkdir()
+    (folder / "log").mkdir(parents=True)
     (folder / "study.yaml").write_text(study_to_yaml(study))
     backend.open()
     try:
         who = session_provenance(study, backend_name, "IV")
+        if attached:
+            who |= {ATTACHED: "yes"}
         with Journal(folder / "journal.sqlite", who) as journal:
             for trial in Tuning(
                 study, backend, ALGORITHMS["IV"], observer=JournalObserver(journal)

@@ -2,8 +2,12 @@
 
 import contextlib
 import os
+import signal
+import subprocess
 import sys
+import threading
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -17,10 +21,12 @@ from terminals import converse, gone
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.inprocess import InProcessBackend
+from bo_tuner.backends.ros.parameters import UnknownType
 from bo_tuner.backends.ros.tuner_node import END_OTHERS
 from bo_tuner.cli import apply as command
-from bo_tuner.deploy.apply import ApplyError, set_values
+from bo_tuner.deploy.apply import ApplyError, NodeError, set_values
 from bo_tuner.deploy.live_parameters import LiveParameters
+from bo_tuner.interruption import Interrupted
 from bo_tuner.study.study_file import study_from_mapping
 
 pytestmark = pytest.mark.ros
@@ -64,6 +70,10 @@ def make_study(**sections):
         "budget": INITIAL | {"trials": 2, "initial_trials": 2, "drawn_contexts": 1},
     }  # fmt: skip
     return study_from_mapping(mapping | sections)
+
+
+def no_end():
+    """Nobody asks for the end."""
 
 
 @pytest.fixture(scope="module")
@@ -263,6 +273,81 @@ def test_a_second_node_that_comes_before_anything_is_set_has_changed_nothing():
         assert str(caught.value).endswith(f"; {END_OTHERS}; nothing was changed")
         assert caught.value.restored
         assert servo.get_parameter("gain").value == 0.5
+
+
+class Undecided(System):
+    """A servo that takes a gain and goes back on it in its own cycle, 0.3 s later."""
+
+    def __init__(self, context):
+        super().__init__(context)
+        self.add_post_set_parameters_callback(self.think)
+        self.again = None
+
+    def think(self, parameters):
+        if self.again is None and any(item.value == 0.75 for item in parameters):
+            self.again = self.create_timer(0.3, self.revert)
+
+    def revert(self):
+        self.destroy_timer(self.again)
+        self.set_gain(0.5)
+
+
+class Quiet(Undecided):
+    """The same, which publishes no events of its parameters."""
+
+    def __init__(self, context):
+        super().__init__(context)
+        self._parameter_event_publisher = Mock()
+
+
+@pytest.mark.parametrize("kind", [Undecided, Quiet])
+def test_a_node_that_goes_back_on_its_values_does_not_have_them(kind):
+    """It read them back at once as they were set."""
+    with at_work(kind) as servo, contextlib.closing(LiveParameters(["servo"], [], no_end)) as live:
+        with pytest.raises(ApplyError, match=r"servo: .*gain is 0.5.*values of servo restored"):
+            set_values(live, {"servo": {"gain": 0.5}}, {"servo": {"gain": 0.75}})
+        assert servo.again is not None
+        assert servo.get_parameter("gain").value == 0.5
+
+
+def test_a_value_of_a_type_that_ros_does_not_define(monkeypatch):
+    """A node in another language may send one."""
+    monkeypatch.setattr("bo_tuner.deploy.live_parameters.to_value", lambda value: UnknownType(77))
+    with at_work(System), contextlib.closing(LiveParameters(["servo"], [], no_end)) as live:
+        with pytest.raises(NodeError) as caught:
+            live.get("servo", ["gain"])
+        assert str(caught.value) == "servo: gain is of unknown type 77"
+
+
+def test_a_signal_is_heard_while_a_node_is_asked():
+    """One that sends megabytes, or nothing, would keep the command from ending for long."""
+    asked = threading.Event()
+
+    def interrupted():
+        if asked.is_set():
+            raise Interrupted(signal.SIGTERM)
+
+    with at_work(System) as servo, contextlib.ExitStack() as stack:
+        live = LiveParameters(["servo"], [], interrupted)
+        stack.callback(live.close)
+        servo.executor.shutdown()
+        asked.set()
+        with pytest.raises(Interrupted):
+            live.get("servo", ["gain"])
+
+
+def test_what_would_be_shown_on_a_closed_output_is_not_set(record, now):
+    before = now()
+    arguments = (sys.executable, "-m", "bo_tuner", "apply", record.path, "--yes")
+    done = subprocess.run(
+        ["sh", "-c", '"$@" >&-', "sh", *arguments],
+        env=environment(record.path),
+        capture_output=True,
+        text=True,
+    )
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, line.startswith("error: standard output is closed")) == (1, True)
+    assert now() == before
 
 
 def test_a_parameter_that_a_node_does_not_have(client, tmp_path, capsys):

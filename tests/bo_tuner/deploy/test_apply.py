@@ -50,6 +50,9 @@ class FakeNodes:
         if node in self.silent and values == NEW[node]:
             raise NodeError(f"{node}: does not answer within 5 s")
 
+    def watch(self, values):
+        """Nothing changes by itself."""
+
     def before_killed(self, node, values):
         return {}
 

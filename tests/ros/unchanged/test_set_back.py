@@ -5,13 +5,17 @@ import json
 import os
 
 import pytest
+from in_process import call
+from made_runs import INITIAL, make_run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from servo import SAFE, gain, run
+from servo import SAFE, gain, run, study
 from waiting import DEADLINE
 
+from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import describe, opened_node
+from bo_tuner.cli import apply
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.state import state_folder
@@ -40,6 +44,75 @@ def test_safe_values_that_the_study_names_stay(backend, system, capfd):
     # What the node has already is not worth a line.
     backend(run={"before": []}, park=park).close()
     assert "park values" not in capfd.readouterr().err
+
+
+def before_tuning(made):
+    return made._previous.before_tuning["servo"]["gain"]
+
+
+@pytest.mark.parametrize("again", [{}, {"parameters": {"gain": 0.3}}])
+def test_what_ran_before_is_known_through_runs_that_leave_the_node_parked(
+    backend, system, killed, again
+):
+    system.set_gain(0.375)
+    backend(run={"before": []}, park={"parameters": {"gain": SAFE}}).close()
+    made = backend(run={"before": []}, park=again)
+    assert before_tuning(made) == 0.375
+    run(made, 0.75)
+    killed(made)
+    made = backend(run={"before": []}, park=again)
+    assert (before_tuning(made), made._previous._previous["servo"]["gain"]) == (0.375, SAFE)
+    made.close()
+    assert gain(system) == (0.3 if again else SAFE)
+    made = backend(run={"before": []})
+    assert before_tuning(made) == 0.375
+    made.close()
+    # Since then somebody has set it.
+    system.set_gain(0.5)
+    made = backend(run={"before": []})
+    assert before_tuning(made) == 0.5
+
+
+@pytest.mark.parametrize("note", ["kept", "damaged"])
+def test_apply_rolls_back_to_what_ran_before_the_run(system, patient, tmp_path, capsys, note):
+    """The run leaves the node with the park values, which nobody ran before."""
+    system.set_gain(0.375)
+    parked = study(run={"before": []}, park={"parameters": {"gain": SAFE}}, budget=INITIAL)
+    path = tmp_path / "run"
+    made = RosBackend(parked, path / "log", attach=True)
+    record = make_run(path, parked, made, result=1, backend_name="ros", attached=True)
+    assert gain(system) == SAFE
+    (noted,) = (path / "log").glob("previous_parameters.json")
+    if note == "damaged":
+        noted.write_text("{}")
+    before = 0.375 if note == "kept" else 0.5
+    for set_first in (False, True):
+        if set_first:
+            system.set_gain(SAFE)
+            code, _, err = call(apply, capsys, path, "--yes", "--without-certificate")
+            assert code == 0, err
+            assert gain(system) == record.trials[1].parameters["gain"]
+        code, out, err = call(apply, capsys, path, "--rollback", "--yes")
+        assert code == 0, err
+        if note == "damaged" and set_first:
+            # Nothing tells that somebody else had set the park values on purpose.
+            before = SAFE
+        assert gain(system) == before
+        if not set_first:
+            what = "what ran before tune" if note == "kept" else "the study's default"
+            assert what in " ".join(out.split())
+
+
+def test_what_somebody_has_set_since_the_run_is_the_way_back(system, patient, tmp_path, capsys):
+    system.set_gain(0.375)
+    parked = study(run={"before": []}, park={"parameters": {"gain": SAFE}}, budget=INITIAL)
+    path = tmp_path / "run"
+    made = RosBackend(parked, path / "log", attach=True)
+    make_run(path, parked, made, result=1, backend_name="ros", attached=True)
+    system.set_gain(0.625)
+    for arguments in (("--without-certificate",), ("--rollback",)):
+        assert call(apply, capsys, path, "--yes", *arguments)[0] == 0
+    assert gain(system) == 0.625
 
 
 class Filter(Node):
@@ -246,7 +319,7 @@ def test_what_nodes_of_other_studies_had_stays_noted(backend, system):
     """The command that works on them may come later."""
     note = state_folder() / "attached" / f"domain{os.environ['ROS_DOMAIN_ID']}.json"
     note.parent.mkdir(parents=True, exist_ok=True)
-    other = {"arm": {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}}}
+    other = {"arm": {"previous": {"kp": 1.0}, "told": {"kp": [2.0]}, "original": {}}}
     note.write_text(json.dumps(other))
     try:
         made = backend(run={"before": []})

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from rich.table import Table
 
+from bo_tuner.backends.ros.held_parameters import named_safe
 from bo_tuner.backends.ros.parameter_note import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
@@ -21,7 +22,7 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
-from bo_tuner.cli.streams import ask, say_error
+from bo_tuner.cli.streams import ask, output_was_closed, say_error
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -34,6 +35,7 @@ from bo_tuner.deploy.bundle import (
     ROLLBACK,
     UNFINISHED,
     Difference,
+    before_run,
     differences,
     read_rollback,
     result_of,
@@ -47,6 +49,8 @@ from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.parameter_file import NodeValues, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_folder import RunFolder
+from bo_tuner.study import checks
+from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
 from bo_tuner.trials import Trial
 
@@ -113,6 +117,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     own, ros_arguments = split_ros_arguments(argv)
     parser = make_parser()
     arguments = parser.parse_args(own)
+    if output_was_closed():
+        return _refuse("standard output is closed: what would be set cannot be shown", EXIT_FAULT)
     record = read_result(arguments.run)
     # `latest` may name another run by the time that somebody answers.
     record = replace(record, path=record.path.resolve())
@@ -137,9 +143,11 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             write_bundle(record)
         if trial is None:
             new, title = read_rollback(record), f"back to {DEPLOY}/{ROLLBACK}"
+            # As in the file of a run of which nothing was set yet.
             if new == node_values(record.study, record.study.search_space().defaults):
-                # As in the file of a run of which nothing was set yet.
                 title += ", the study's default"
+            elif new == before_run(record):
+                title += ", what ran before tune"
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
@@ -188,10 +196,10 @@ def _set(
     if was_unfinished and trial is not None:
         _warn(f"an earlier apply did not finish; {rollback} keeps what the nodes had before it")
     elif trial is not None:
-        write_bundle(record, rollback=_own(nodes, now))
-    interruption.check()
+        write_bundle(record, rollback=_own(record, nodes, now))
     # From here on it is all or nothing.
     interruption.ignore()
+    interruption.check()
     write_atomically(unfinished, f"nodes may have values of an apply that did not finish: {new}\n")
     try:
         set_values(nodes, now, new)
@@ -220,16 +228,30 @@ def _forget_killed(nodes: LiveParameters, values: NodeValues) -> None:
         nodes.forget_killed(node, of_node)
 
 
-def _own(nodes: LiveParameters, now: NodeValues) -> NodeValues:
-    """Return what the nodes have, but for what a run that was killed has left on them."""
+def _own(record: RunRecord, nodes: LiveParameters, now: NodeValues) -> NodeValues:
+    """Return what the nodes have, but for what a run has left on them, killed or parked."""
     own = {}
+    before = before_run(record) or {}
+    parked = _parked(record.study, before) if before else {}
     for node, values in now.items():
         left = nodes.before_killed(node, values)
         for name, value in left.items():
             of_killed = said_of_killed(node, name, values[name])
             _warn(f"{of_killed}; the previous value is {brief(str(value))}")
-        own[node] = {**values, **left}
+        still = {
+            name: before[node][name]
+            for name, value in parked.get(node, {}).items()
+            if checks.same_value(values[name], value)
+        }
+        own[node] = {**values, **still, **left}
     return own
+
+
+def _parked(study: Study, before: NodeValues) -> NodeValues:
+    """Return what a run leaves on nodes at its end, in place of what they had before."""
+    keys = {study.nodes[item.node].node: item.node for item in study.parameters.values()}
+    safe = named_safe(study, {keys[node]: values for node, values in before.items()})
+    return {node: safe.get(keys[node], {}) for node in before}
 
 
 def _show(rows: list[Difference], title: str) -> None:

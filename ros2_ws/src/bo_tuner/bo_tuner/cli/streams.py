@@ -13,6 +13,8 @@ from bo_tuner.text import one_line
 
 STREAMS = (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
 
+_closed: set[str] = set()
+
 
 def open_streams() -> None:
     """Open what was closed (``>&-``) on /dev/null.
@@ -26,11 +28,17 @@ def open_streams() -> None:
         except OSError:
             # The lowest free descriptor is this one.
             os.open(os.devnull, os.O_RDWR)
+            _closed.add(name)
             setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             # A character that the terminal cannot show becomes a question mark, not an error.
             stream.reconfigure(errors="replace")
+
+
+def output_was_closed() -> bool:
+    """Whether standard output was closed when the command began, so that nobody sees it."""
+    return "stdout" in _closed
 
 
 def say_error(text: str) -> None:

@@ -54,6 +54,15 @@ class Nodes(Protocol):
             If the node does not answer; it may have set them.
         """
 
+    def watch(self, values: NodeValues) -> None:
+        """Look on for a while whether nodes keep the values that they have been set.
+
+        Raises
+        ------
+        NodeError
+            If a node tells that it has another one.
+        """
+
 
 def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
     """Read from live nodes the parameters that are in `like`.
@@ -67,10 +76,11 @@ def read_values(nodes: Nodes, like: NodeValues) -> dict[str, dict[str, object]]:
 
 
 def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
-    """Set on live nodes what they have otherwise, and read all values back.
+    """Set on live nodes what they have otherwise, and read all values back, twice.
 
-    If a node refuses, does not answer or reads back another value, the previous values of all are
-    restored, in reverse order, and read back.
+    A node may take values and go back on them when it next computes with them, so they are watched
+    for a while between the two readings. If a node refuses, does not answer or has another value,
+    the previous values of all are restored, in reverse order, and read back.
 
     Parameters
     ----------
@@ -100,6 +110,10 @@ def set_values(nodes: Nodes, before: NodeValues, new: NodeValues) -> None:
                 raise
         for node, values in new.items():
             _read_back(nodes, node, values)
+        if touched:
+            nodes.watch(new)
+            for node, values in new.items():
+                _read_back(nodes, node, values)
     except NodeError as error:
         # What was set last goes first, as the nodes had it together before.
         failed = _set_back(nodes, {node: before[node] for node in reversed(touched)}, new)

@@ -18,7 +18,7 @@ from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.csv_tables import csv_text
 from bo_tuner.storage.parameter_file import NodeValues, from_yaml, node_values, to_yaml
 from bo_tuner.storage.record import RunRecord
-from bo_tuner.storage.run_files import read_text
+from bo_tuner.storage.run_files import LOGS, PREVIOUS_PARAMETERS, read_text
 from bo_tuner.storage.run_folder import REPORT
 from bo_tuner.study import checks
 from bo_tuner.study.study import Study
@@ -94,7 +94,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
         The run.
     rollback
         Values of the nodes before the result was set. Without it an existing rollback file is kept;
-        a new one has the study's defaults.
+        a new one has what the nodes had `before_run`, or else the study's defaults.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def write_bundle(record: RunRecord, rollback: NodeValues | None = None) -> Path:
             # Its links lead into the run folder, which is one level up from here.
             files[REPORT] = files[REPORT].replace(b'href="./', b'href="../')
         if rollback is not None or not (folder / ROLLBACK).exists():
-            files[ROLLBACK] = _sealed(default if rollback is None else rollback).encode()
+            files[ROLLBACK] = _sealed(rollback or before_run(record) or default).encode()
         else:
             # What cannot be restored is left alone, and nothing vouches for it.
             with contextlib.suppress(RunRecordError):
@@ -163,6 +163,27 @@ def _copied(record: RunRecord, trial: Trial) -> dict[str, Path | None]:
         EVALUATIONS: None if certificate is None else evaluations_path(certificate),
         REPORT: record.path / REPORT,
     }
+
+
+def before_run(record: RunRecord) -> NodeValues | None:
+    """Return what attached nodes had before the run set anything.
+
+    None of a run on nodes of its own, and where the note is gone, or is not of these nodes,
+    parameters and types.
+    """
+    if not record.attached:
+        return None
+    default = node_values(record.study, record.study.search_space().defaults)
+    try:
+        noted = json.loads(read_text(record.path / LOGS / PREVIOUS_PARAMETERS))
+        nodes = {record.study.nodes[key].node: values for key, values in noted.items()}
+        found = {
+            node: {name: nodes[node][name] for name in values} for node, values in default.items()
+        }
+        _check_like(found, default)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+    return found
 
 
 def read_rollback(record: RunRecord) -> dict[str, dict[str, object]]:

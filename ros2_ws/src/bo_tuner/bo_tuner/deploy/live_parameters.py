@@ -11,7 +11,7 @@ from bo_tuner.backends.ros.errors import SilentError
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameter_note import ParameterNote
-from bo_tuner.backends.ros.parameters import to_value
+from bo_tuner.backends.ros.parameters import ParameterWatch, UnknownType, to_value
 from bo_tuner.backends.ros.tuner_node import (
     CALL_TIMEOUT,
     END_OTHERS,
@@ -20,10 +20,14 @@ from bo_tuner.backends.ros.tuner_node import (
 )
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError, OutputError
+from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
 DISCOVERY_TIMEOUT = 10.0
+SETTLED = 2.0
+"""Time [s] in which a node that was set new values shows whether it keeps them: one that judges
+them in its own cycle, or is told others by a supervisor, does so within a period of these."""
 
 
 class LiveParameters:
@@ -39,7 +43,7 @@ class LiveParameters:
     ros_arguments
         ``--ros-args`` of this node.
     watch
-        Called again and again while waiting for the nodes; an exception ends the wait.
+        Called again and again while waiting for a node; an exception ends the wait.
 
     Raises
     ------
@@ -53,16 +57,15 @@ class LiveParameters:
     ) -> None:
         self._claim: DomainClaim | None = None
         self._present: dict[str, dict[str, object]] = {}
-        # Once the nodes are there, nothing is to come between two requests.
-        self._tuner = TunerNode(None, ros_arguments, lambda: None, NODE_NAME)
+        self._tuner = TunerNode(None, ros_arguments, watch, NODE_NAME)
         try:
             self._claim = DomainClaim(self._tuner.node.get_namespace(), self._tuner.domain)
             self._clients = {
                 node: ParameterClient(self._tuner, node, SetParametersAtomically, GetParameters)
                 for node in nodes
             }
-            with self._tuner.watched_by(watch):
-                self._wait_for_nodes()
+            self._events = ParameterWatch(self._tuner.node, {node: node for node in nodes})
+            self._wait_for_nodes()
             self._tuner.refuse_other_tuner()
             self._note = ParameterNote(self._tuner.domain, self._tuner.node.get_namespace())
         except BaseException:
@@ -86,6 +89,9 @@ class LiveParameters:
         self._keep(node, dict(zip(names, values, strict=True)))
         if missing := [name for name, value in zip(names, values, strict=True) if value is None]:
             raise NodeError(f"{node}: has no parameter {' and no '.join(missing)}")
+        for name, value in zip(names, values, strict=True):
+            if isinstance(value, UnknownType):
+                raise NodeError(f"{node}: {name} is {value}")
         return dict(zip(names, values, strict=True))
 
     def set(self, node: str, values: Mapping[str, object]) -> None:
@@ -101,6 +107,15 @@ class LiveParameters:
         if not result.successful:
             reason = brief(str(result.reason)) or "no reason given"
             raise RefusedError(f"{node} refuses: {reason}")
+
+    def watch(self, values: NodeValues) -> None:
+        """Look on for `SETTLED` seconds whether nodes keep values, as `Nodes.watch`."""
+        self._events.expect(values)
+        self._tuner.spin_for(SETTLED)
+        if self._events.problem:
+            raise NodeError(self._events.problem)
+        if changed := self._events.take_seen():
+            raise NodeError(f"{changed[0]} (it did not keep what it was set to)")
 
     def before_killed(self, node: str, values: Mapping[str, object]) -> dict[str, object]:
         """Return what a node had before a tuner that was killed, of what that has left on it."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from bo_tuner.backends.ros.parameters import differences
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.atomic import write_atomically
-from bo_tuner.storage.run_files import HELD_PARAMETERS, read_text
+from bo_tuner.storage.run_files import HELD_PARAMETERS, PREVIOUS_PARAMETERS, read_text
 from bo_tuner.study.checks import same_value
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief, shown
@@ -81,6 +81,15 @@ def _shown(value: object) -> str:
 
 def _assigned(study: Study, parameters: Mapping[str, Value]) -> dict[str, dict[str, object]]:
     return {key: dict(v) for key, v in study.nominal_assignments(parameters).items()}
+
+
+def note_previous(folder: Path, values: Mapping[str, Mapping[str, object]]) -> None:
+    """Note down in a folder what nodes had, by key, unless that was done when its run began."""
+    file = folder / PREVIOUS_PARAMETERS
+    # Without the file the way back is to the study's defaults, which the bundle says.
+    with contextlib.suppress(OutputError):
+        if not file.exists():
+            write_atomically(file, json.dumps(values, indent=1, default=str))
 
 
 def compare_with_earlier(

@@ -1,7 +1,8 @@
 """The note of what attached nodes had before a tuner came.
 
-A tuner that is killed leaves nodes with the parameters of its last evaluation. Whoever reads them
-next must not take these for the nodes' own.
+A tuner that is killed leaves nodes with the parameters of its last evaluation, and one that ends
+may leave them with the study's safe ones. Whoever reads them next must not take these for the
+nodes' own.
 """
 
 import contextlib
@@ -37,8 +38,10 @@ class ParameterNote:
     Attributes
     ----------
     content : dict
-        By the nodes' names what they had before, and by parameter the values that a tuner has told
-        them last. Nodes of other studies stay in it.
+        By the nodes' names what they had when the last tuner came and must have again
+        (``previous``), by parameter the values that a tuner has told them last (``told``), and what
+        of that they had before the first of several tuners that left it parked (``original``).
+        Nodes of other studies stay in it.
     """
 
     def __init__(self, domain: int, namespace: str) -> None:
@@ -49,7 +52,7 @@ class ParameterNote:
             OutputError, OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError
         ):
             self.content = {
-                node: {"previous": dict(item["previous"]), "told": dict(item["told"])}
+                node: {part: dict(item[part]) for part in ("previous", "told", "original")}
                 for node, item in json.loads(read_text(self._path())).items()
             }
 
@@ -59,10 +62,20 @@ class ParameterNote:
         A parameter that has another value by now, since the node was started anew or somebody has
         set it, is not among it.
         """
+        return self._told(node, "previous", now)
+
+    def original(self, node: str, now: Mapping[str, object]) -> dict[str, object]:
+        """Return what a node had before any tuner, of what it still has as one has left it parked.
+
+        As in `left_behind`, what has been set since then is not among it.
+        """
+        return self._told(node, "original", now)
+
+    def _told(self, node: str, part: str, now: Mapping[str, object]) -> dict[str, object]:
         noted = self.content.get(node, {})
         found = {}
-        for name, value in noted.get("previous", {}).items():
-            told = noted["told"].get(name, [])
+        for name, value in noted.get(part, {}).items():
+            told = [*noted["told"].get(name, []), noted["previous"].get(name)]
             is_told = name in now and any(same_value(now[name], item) for item in told)
             if is_told and not same_value(now[name], value):
                 found[name] = value
@@ -72,8 +85,9 @@ class ParameterNote:
         """Forget parameters of a node, which somebody has set on purpose."""
         noted = self.content.get(node, {})
         for name in names:
-            noted.get("previous", {}).pop(name, None)
-        if not noted.get("previous"):
+            for part in ("previous", "original"):
+                noted.get(part, {}).pop(name, None)
+        if not (noted.get("previous") or noted.get("original")):
             self.content.pop(node, None)
 
     def write(self) -> None:

@@ -29,6 +29,7 @@ class PreviousParameters:
         self._parameters = parameters
         self._note = ParameterNote(tuner.domain, tuner.node.get_namespace())
         self._previous: dict[str, dict[str, object]] = {}
+        self._original: dict[str, dict[str, object]] = {}
         self._safe: Values = {}
 
     def undo_killed(self, found: dict[str, dict[str, object]]) -> None:
@@ -67,9 +68,18 @@ class PreviousParameters:
     def begin(self, previous: Values, safe: Values) -> None:
         """Note what nodes have, by key, and what they will have between evaluations."""
         self._previous = {key: dict(values) for key, values in previous.items()}
+        self._original = {
+            key: self._note.original(self._study.nodes[key].node, values)
+            for key, values in previous.items()
+        }
         self._safe = safe
         # The constants are set next.
         self.tell({key: spec.parameters for key, spec in self._study.nodes.items()})
+
+    @property
+    def before_tuning(self) -> Values:
+        """What nodes had, by key, before this tuner, or an earlier one that left them parked."""
+        return {key: values | self._original[key] for key, values in self._previous.items()}
 
     def tell(self, told: Values) -> None:
         """Note what nodes, by key, are about to have, ahead of telling them.
@@ -85,7 +95,9 @@ class PreviousParameters:
                 by_name[name] = [s[name] for s in sets if name in s]
                 if name not in known:
                     by_name[name] += earlier.get(name, [])
-            self._note.content[node] = {"previous": values, "told": by_name}
+            original = self._original[key]
+            entry = {"previous": values, "told": by_name, "original": original}
+            self._note.content[node] = entry
         self._write()
 
     def restore(self, timeout: float) -> list[str]:
@@ -119,6 +131,16 @@ class PreviousParameters:
         failed |= self._parameters.assign_side_by_side(again, timeout)
         for key in previous.keys() - failed.keys():
             self._note.content.pop(study.nodes[key].node, None)
+            parked = self._still_parked(key)
+            if key not in refused:
+                parked |= safe.get(key, {})
+            if parked:
+                before = self.before_tuning[key]
+                self._note.content[study.nodes[key].node] = {
+                    "previous": {},
+                    "told": {name: [value] for name, value in parked.items()},
+                    "original": {name: before[name] for name in parked if name in before},
+                }
         self._write()
         for key, values in safe.items():
             if key in failed or not values:
@@ -130,6 +152,10 @@ class PreviousParameters:
         return [
             f"{study.nodes[key].node} could not be restored: {why}" for key, why in failed.items()
         ]
+
+    def _still_parked(self, key: str) -> dict[str, object]:
+        """Return what an earlier tuner has left parked, and this one has given back like that."""
+        return {name: self._previous[key][name] for name in self._original[key]}
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""

@@ -3,7 +3,12 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from bo_tuner.backends.ros.held_parameters import compare_with_earlier, divide, safe_parameters
+from bo_tuner.backends.ros.held_parameters import (
+    compare_with_earlier,
+    divide,
+    note_previous,
+    safe_parameters,
+)
 from bo_tuner.backends.ros.initial_parameters import InitialParameters
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.previous_parameters import PreviousParameters
@@ -69,6 +74,8 @@ def take_over(
     safe = safe_parameters(study)
     if previous is not None:
         previous.begin(own, safe)
+        if not is_repeat:
+            note_previous(folder, previous.before_tuning)
     initial = InitialParameters(study, tuner, parameters)
     initial.set_constants()
     is_first = compare_with_earlier(folder, others, refuse=previous is not None, note=not is_repeat)
