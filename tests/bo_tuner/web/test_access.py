@@ -1,10 +1,12 @@
 """Who may read the page of a run in progress, and where it is."""
 
+import contextlib
 import socket
 
 import pytest
 from axis import write_study
 from commands import Fork, finish
+from waiting import wait_until
 
 from bo_tuner.errors import OutputError
 from bo_tuner.storage.record import read_run
@@ -88,6 +90,25 @@ class TestWhoMayRead:
         # All addresses of 127.0.0.0/8 are this machine's, but only one is listened to.
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", run.port), timeout=5.0)
+
+
+class TestConnectionsWithoutARequest:
+    def test_they_keep_no_reader_out_for_long(self, run):
+        """Without a bound and a time limit, enough of them would take all descriptors."""
+        with contextlib.ExitStack() as stack:
+            for _ in range(300):
+                stack.enter_context(socket.create_connection(("127.0.0.1", run.port)))
+
+            def is_answered():
+                try:
+                    return run.ask("/")[0] == 200
+                except OSError:
+                    return False
+
+            wait_until(is_answered, "the page while they are open")
+        log = (run.folder / "log" / "web.log").read_text()
+        assert log.count("more than 100 connections at a time") == 1
+        assert "Traceback" not in log
 
 
 class TestAddress:

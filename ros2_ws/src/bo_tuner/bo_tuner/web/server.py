@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bo_tuner.errors import BoTunerError
@@ -41,6 +42,10 @@ LEFT = 2.0
 """Time [s] without a request for news after which all readers have left."""
 LARGEST_REQUEST = 16_384
 """Size of a request's head [byte]."""
+LONGEST_REQUEST = 5.0
+"""Time [s] in which the head of a request must be there: a browser sends it at once."""
+MOST_CONNECTIONS = 100
+"""Connections at a time, those of some ten browsers; each takes a file descriptor of few."""
 NO_RUN = "there is no such run here"
 HEADERS = {
     "Cache-Control": "no-store",
@@ -237,6 +242,38 @@ class Missing(Page):
         raise HTTPError(404, "there is no such page")
 
 
+class Server(HTTPServer):
+    """Takes up to `MOST_CONNECTIONS` at a time, and closes further ones at once.
+
+    Without a bound the descriptors of the process run out, of which tornado logs a traceback at
+    each of its vain attempts to accept the next connection.
+    """
+
+    def initialize(self, *arguments: Any, **settings: Any) -> None:
+        """Begin without connections."""
+        super().initialize(*arguments, **settings)
+        self._count = 0
+        self._has_refused = False
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        """Serve a connection, or close it."""
+        if self._count >= MOST_CONNECTIONS:
+            stream.close()
+            if not self._has_refused:
+                self._has_refused = True
+                logging.getLogger(__name__).warning(
+                    "more than %d connections at a time: further ones are closed", MOST_CONNECTIONS
+                )
+            return
+        self._count += 1
+        super().handle_stream(stream, address)
+
+    def on_close(self, server_conn: object) -> None:
+        """Count a connection that has ended."""
+        self._count -= 1
+        super().on_close(server_conn)
+
+
 async def serve(listening: socket.socket, settings: Mapping[str, Any], told: BinaryIO) -> None:
     """Serve the page of a run until its end.
 
@@ -269,7 +306,12 @@ async def serve(listening: socket.socket, settings: Mapping[str, Any], told: Bin
         # A log of requests would hold the token.
         log_function=lambda handler: None,
     )
-    server = HTTPServer(application, max_header_size=LARGEST_REQUEST, max_body_size=0)
+    server = Server(
+        application,
+        max_header_size=LARGEST_REQUEST,
+        max_body_size=0,
+        idle_connection_timeout=LONGEST_REQUEST,
+    )
     listening.setblocking(False)
     server.add_sockets([listening])
     keeping_up = asyncio.create_task(state.keep_up())
