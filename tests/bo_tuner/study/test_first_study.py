@@ -228,6 +228,7 @@ class TestStudy:
         text, study = written([pid()], [STATES, SETPOINT, TORQUE], signals)
         (before, settled), (start,), (after,) = study.run.before, study.run.start, study.run.after
         # From where the motor is, at 0.1.
+        assert "{data: 0.1}}  # where it is now" in text
         assert before.publish.message == after.publish.message == {"data": 0.1}
         assert (start.publish.topic, start.publish.message) == ("/setpoint", {"data": 1.1})
         assert settled.wait_until.condition == "abs(position_motor - 0.1) < 0.02"

@@ -246,6 +246,7 @@ class TestStart:
         text, study = written(node, [goal, replace(odometry, is_silent=True)])
         assert study.run.start[0].publish.message["pose"]["position"] == {"x": 1.0}
         assert len(study.run.before) == 1
+        assert "# CHECK: where it is now is not known" in text
         assert study.metrics["error"].of == "goal_pose_position_x - odom_position_x"
 
     def test_a_pose_has_no_rotation_of_zeros(self):

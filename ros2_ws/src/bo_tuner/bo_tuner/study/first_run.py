@@ -40,12 +40,15 @@ class Step:
         What the start adds.
     beside
         Values of other fields of the message, which stay as they are.
+    is_known
+        Whether the system is known to be at rest there.
     """
 
     wanted: SignalOffer
     rest: float
     size: float
     beside: Mapping[str, float] = field(default_factory=dict, hash=False)
+    is_known: bool = True
 
     @property
     def back(self) -> dict[str, Any]:
@@ -73,7 +76,7 @@ def step_of(wanted: SignalOffer | None, measured: SignalOffer | None) -> Step | 
     if wanted.topic.joints:
         return Step(wanted, round(wanted.value, 2) + 0.0, size)
     if measured is None or measured.topic.is_silent or not is_sure(wanted, measured):
-        return Step(wanted, 0.0, size)
+        return Step(wanted, 0.0, size, is_known=False)
     # To rest is a speed of 0, and an effort.
     is_place = measured.quantity not in ("velocity", "effort")
     rest = measured.value if is_place else 0.0
@@ -153,8 +156,11 @@ def _before_lines(
     offered = "    # " if messages else margin
     yield f"{mark}before:"
     for message in messages:
-        here = step is not None and step.rest != 0.0 and message == step.back
-        remark = "  # where it is now" if here else ""
+        remark = ""
+        if step is not None and message == step.back and not step.is_known:
+            remark = f"  # {CHECK}: where it is now is not known"
+        elif step is not None and message == step.back and step.rest != 0.0:
+            remark = "  # where it is now"
         yield f"{margin}- publish: {dump_line(message)}{remark}"
     for service in seen.services:
         yield f"{offered}- call: {dump_line({'service': service})}"

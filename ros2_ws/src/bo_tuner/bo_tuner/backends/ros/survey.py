@@ -14,9 +14,9 @@ from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
-    has_numbers_in_arrays,
     interface_class,
     is_bulky,
+    number_arrays,
     number_fields,
     number_reader,
     type_name,
@@ -211,11 +211,12 @@ def _topics(
             found.append(replace(topic, is_silent=bool(publishers) and name not in heard))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
-        elif has_numbers_in_arrays(cls) and name not in bulky:
+        elif (arrays := number_arrays(cls)) and name not in bulky:
             why = (
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )
-            notes.append(f"{name}: {why}; to record an item, name it: --signals {name}:data[0]")
+            item = f"{name}:{arrays[0]}[0]"
+            notes.append(f"{name}: {why}; to record an item, name it: --signals {item}")
     if bulky:
         notes.append(
             f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
