@@ -11,6 +11,7 @@ from bo_tuner.study.offers import parameter_offers
 from bo_tuner.study.seen import Seen, SeenNode, SeenTopic, with_joints
 from bo_tuner.study.signal_offers import (
     SignalOffer,
+    is_sure,
     partner,
     reference,
     signal_offers,
@@ -172,6 +173,37 @@ class TestReference:
         ]
         assert str(partner(wanted, offers, NODES)) == "/c:data"
 
+    @pytest.mark.parametrize(
+        ("wanted", "measured", "sure"),
+        [
+            ("/setpoint", "/heater_temperature", True),
+            ("/setpoint", "/angle", True),
+            ("/setpoint", "/speed", False),
+            ("/speed_setpoint", "/velocity", True),
+            ("/speed_setpoint", "/angle", False),
+            ("/altitude_goal", "/altitude", True),
+            ("/altitude_goal", "/y", False),
+        ],
+    )
+    def test_a_partner_is_sure_if_names_say_so(self, wanted, measured, sure):
+        pair = [
+            SignalOffer(scalar(name, publishers, ("base",)), "data")
+            for name, publishers in ((wanted, ()), (measured, ("plant",)))
+        ]
+        assert is_sure(*pair) == sure
+
+    def test_a_step_that_is_not_sure_waits_for_nothing(self):
+        """Who names both gets a study of both, which says what is not known."""
+        height, other = scalar("/height_goal", (), ("base",)), scalar("/y", ("plant",))
+        node = SeenNode("base", {"kp": Described("double", 0.5)})
+        signals = [SignalOffer(height, "data"), SignalOffer(other, "data")]
+        seen = Seen((node,), (height, other))
+        text = first_study("first.yaml", seen, [node], parameter_offers(node)[0], signals)
+        study = parse_study(text)
+        assert [step.waits for step in study.run.before] == [False]
+        assert "{data: 0.0}}  # CHECK: where it is now is not known" in text
+        assert "# CHECK: what good means, and whether y is to follow height_goal" in text
+
 
 class TestStart:
     def test_a_twist_is_the_reference_of_the_speed(self):
@@ -213,6 +245,12 @@ class TestStart:
         wanted = study.signals["joint_trajectory_turn"]
         assert (wanted.topic, wanted.field) == (path.name, "points[0].positions[0]")
         assert study.metrics["error"].of == "joint_trajectory_turn - position_turn"
+        # Offered in a comment, where nothing tells what follows it, it moves as little.
+        seen = Seen((node,), (path, states))
+        signals = signal_offers(states)[-1:]
+        text = first_study("first.yaml", seen, [node], parameter_offers(node)[0], signals)
+        assert "#   - publish: {topic: /arm/joint_trajectory," in text
+        assert "positions: [-1.1, 0.5]" in text
         condition = study.run.before[1].wait_until.condition
         assert condition == "abs(position_turn + 1.2) < 0.01"
 

@@ -164,7 +164,7 @@ def _before_lines(
         yield f"{margin}- publish: {dump_line(message)}{remark}"
     for service in seen.services:
         yield f"{offered}- call: {dump_line({'service': service})}"
-    if step is None or measured is None or measured.topic.is_silent:
+    if step is None or measured is None or not step.is_known or measured.topic.is_silent:
         settled = {"condition": "abs(SPEED) < 0.01", "hold": 0.5}
         yield f"{offered}- wait_until: {dump_line(settled)}  # {CHECK}: at rest"
         return
@@ -193,8 +193,8 @@ def _start_lines(seen: Seen, step: Step | None) -> Iterator[str]:
     nothing = not silent and not seen.actions
     yield f"  # start:{'  # docs/procedure.md lists the steps' if nothing else ''}"
     for topic in silent[:MOST_INPUTS]:
-        offer = Step(signal_offers(topic)[0], 0.0, STEP)
-        yield f"  #   - publish: {dump_line(offer.forth)}  # {known(topic)}"
+        if (offer := step_of(signal_offers(topic)[0], None)) is not None:
+            yield f"  #   - publish: {dump_line(offer.forth)}  # {known(topic)}"
     yield from (f"  #   {line}" for line in _goals(seen.actions))
 
 

@@ -192,8 +192,12 @@ def is_sure(wanted: SignalOffer, measured: SignalOffer) -> bool:
     subject = _subject(wanted)
     if _is_same(wanted, measured) or subject & _subject(measured):
         return True
-    quantity = wanted.quantity or ("" if subject else "position")
-    return bool(quantity) and quantity == measured.quantity
+    if wanted.quantity or subject:
+        return bool(wanted.quantity) and wanted.quantity == measured.quantity
+    # A plain "setpoint": of a position, or of the plain number that its listener measures.
+    both = set(wanted.topic.listeners) & set(measured.topic.listeners)
+    is_plain = len(measured.topic.fields) == 1 and measured.quantity not in ("velocity", "effort")
+    return measured.quantity == "position" or (bool(both) and is_plain)
 
 
 def _is_same(wanted: SignalOffer, offer: SignalOffer) -> bool:
