@@ -409,5 +409,30 @@ def test_the_unchanged_system_is_tuned(tmp_path, monkeypatch):
         assert metrics["effort"] > 0.0
 
 
+@pytest.mark.ros
+def test_the_first_study_of_the_unchanged_system_passes_the_check(tmp_path, monkeypatch):
+    """By the tutorial's own command, and by what the nodes suggest: both are the same study."""
+    scripts = [UNCHANGED / "motor_node.py", UNCHANGED / "pid_node.py"]
+    text = (ROOT / "docs" / "tutorial_unchanged_system.md").read_text(encoding="utf-8")
+    command = shlex.split(re.search("^tune --init first.yaml.*", text, re.MULTILINE)[0])
+    with nodes_of_example(tmp_path, monkeypatch, *scripts) as environment:
+        for arguments in (command, ["tune", "--init", "suggested.yaml"]):
+            code, said, err = finish(Fork(*arguments, folder=tmp_path, env=environment))
+            assert (code, err) == (0, ""), said
+        code, said, err = finish(
+            Fork("tune", "--check", "first.yaml", folder=tmp_path, env=environment)
+        )
+    assert (code, err) == (0, ""), said
+    studies = [load_study(tmp_path / f"{name}.yaml") for name in ("first", "suggested")]
+    hand_made = load_study(UNCHANGED / "study.yaml")
+    for study in studies:
+        assert study.parameters.keys() == hand_made.parameters.keys()
+        assert {(s.topic, s.field) for s in study.signals.values()} == {
+            (s.topic, s.field) for s in hand_made.signals.values()
+        }
+        assert study.run.start == hand_made.run.start
+        assert study.metrics.keys() == hand_made.metrics.keys()
+
+
 def test_the_study_of_the_unchanged_system_is_short():
     assert len((UNCHANGED / "study.yaml").read_text().splitlines()) <= 40

@@ -4,6 +4,7 @@ import errno
 import math
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -22,14 +23,15 @@ from servo import System, study
 from std_msgs.msg import Float64, Float64MultiArray
 from terminals import converse
 from test_msgs.action import Fibonacci
+from trajectory_msgs.msg import JointTrajectory
 from waiting import DEADLINE
 
 from bo_tuner.backends.ros.graph import _described
 from bo_tuner.backends.ros.isolation import DomainClaim
 from bo_tuner.backends.ros.messages import (
-    has_numbers_in_arrays,
     interface_class,
     is_bulky,
+    number_arrays,
     number_fields,
     number_reader,
 )
@@ -88,17 +90,19 @@ def test_without_a_terminal_the_suggestions_are_taken(servo, tmp_path):
     assert (code, err) == (0, "")
     assert "tune --check study.yaml" in out
     study = load_study(tmp_path / "study.yaml")
-    assert list(study.parameters) == ["gain", "limited"]
-    assert study.parameters["limited"].bounds == (0.0, 2.0)
+    assert list(study.parameters) == ["gain"]
     assert study.parameters["gain"].default == servo.get_parameter("gain").value
-    assert {signal.field for signal in study.signals.values()} == {
-        "position[other]",
-        "position[motor]",
-        "data[0]",
-        "data[1]",
-        "data",
+    assert {(signal.topic, signal.field) for signal in study.signals.values()} == {
+        ("/setpoint", "data"),
+        ("/joint_states", "position[other]"),
+        ("/joint_states", "position[motor]"),
+        ("/plain", "data[0]"),
+        ("/plain", "data[1]"),
+        ("/limit", "data"),
     }
+    assert study.run.start[0].publish.topic == "/setpoint"
     text = (tmp_path / "study.yaml").read_text()
+    assert "# limited: {node: servo, type: double, bounds: [0.0, 2.0]," in text
     assert "# count: {node: servo, type: integer," in text
     assert "# serial of servo: read-only" in text
     assert "- call: {service: /servo/reset}" in text
@@ -127,8 +131,8 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
     monkeypatch.setattr("bo_tuner.backends.ros.survey.QUIET", 0.0)
     looks = []
 
-    def look(tuner):
-        seen, notes = _look(tuner)
+    def look(tuner, named):
+        seen, notes = _look(tuner, named)
         looks.append(seen)
         if len(looks) == 2:
             servo.declare_parameter("late", 1.0)
@@ -145,6 +149,82 @@ def test_what_is_named_is_waited_for(servo, quick, tmp_path, capsys, monkeypatch
     assert len(looks) >= 3
     assert "nodes found: servo\n" in out
     assert list(load_study(tmp_path / "study.yaml").parameters) == ["late"]
+
+
+class Lidar(Node):
+    """Publishes 360 ranges, and an empty list; takes a trajectory, and an array."""
+
+    def __init__(self, context):
+        super().__init__("lidar", context=context)
+        self.declare_parameter("kp", 1.0)
+        self.declare_parameter("joints", ["left", "right"])
+        scan = self.create_publisher(LaserScan, "scan", 10)
+        state = self.create_publisher(JointState, "joint_states", 10)
+        self.create_publisher(JointState, "silent", 10)
+        self.create_subscription(JointTrajectory, "joint_trajectory", lambda _: None, 10)
+        self.create_subscription(Float64MultiArray, "currents", lambda _: None, 10)
+        self.create_timer(0.02, lambda: scan.publish(LaserScan(ranges=[2.0] * 360)))
+        joints = JointState(name=["right", "left"], position=[0.25, -0.5])
+        self.create_timer(0.02, lambda: state.publish(joints))
+
+
+def test_an_item_of_a_long_or_silent_array_is_taken_by_its_name(empty_domain, tmp_path):
+    """As by a study; of an array that the run is to publish, with all items before it."""
+    names = ("/scan:ranges[17]", "/silent:position[elbow]", "/currents:data[2]")
+    with at_work(Lidar):
+        code, _, err = run("tune", "--init", "--signals", *names, folder=tmp_path)
+        assert (code, err) == (0, "")
+        for name, problem in (
+            ("/scan:ranges[360]", "a message has 360 items in ranges, none for [360]"),
+            ("/scan:rangs[0]", "sensor_msgs/msg/LaserScan has no field 'rangs'; did you mean"),
+            ("/scan:ranges[", "expected a field such as data, "),
+        ):
+            code, _, err = run("tune", "--init", "no.yaml", "--signals", name, folder=tmp_path)
+            assert code == 2
+            assert err.splitlines()[-1].startswith(f"error: --signals: {name}: {problem}")
+    study = load_study(tmp_path / "study.yaml")
+    assert [f"{s.topic}:{s.field}" for s in study.signals.values()] == list(names)
+    assert study.run.before[0].publish.message == {"data": [0.0, 0.0, 0.0]}
+
+
+def test_a_trajectory_starts_a_run(empty_domain, tmp_path):
+    with at_work(Lidar):
+        code, out, err = run("tune", "--init", folder=tmp_path)
+        assert (code, err) == (0, "")
+        code, out, err = run("tune", "--check", "study.yaml", folder=tmp_path)
+    study = load_study(tmp_path / "study.yaml")
+    (start,) = study.run.start
+    assert start.publish.topic == "/joint_trajectory"
+    assert start.publish.message["joint_names"] == ["left", "right"]
+    assert start.publish.message["points"][0]["positions"] == [-0.4, 0.25]
+    # Nothing there moves the joints, but the message is one that the node takes.
+    assert "the nodes match the study: 1 parameter and 3 signals" in out
+    assert not any(signal.topic == "/scan" for signal in study.signals.values())
+
+
+def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, tmp_path):
+    arguments = ("--ros-args", "-r", "__ns:=/left")
+
+    def moved(context):
+        node = Node("pid", context=context, namespace="/left")
+        node.declare_parameter("kp", 1.0)
+        node.declare_parameter("mass", 2.0, ParameterDescriptor(description="of the arm [kg]"))
+        node.create_subscription(Float64, "setpoint", lambda _: None, 10)
+        angle = node.create_publisher(Float64, "angle", 10)
+        node.create_timer(0.01, lambda: angle.publish(Float64(data=0.0)))
+        return node
+
+    with at_work(moved):
+        code, out, err = run("tune", "--init", *arguments, folder=tmp_path)
+        assert (code, err) == (0, "")
+        text = (tmp_path / "study.yaml").read_text()
+        command = re.search("Then: (tune --check .*)\n", text)[1]
+        assert command in out
+        code, out, err = run(*shlex.split(command), folder=tmp_path)
+        assert (code, err) == (0, "")
+    assert "\n#       tune --study study.yaml --attach --ros-args -r __ns:=/left\n" in text
+    mass = "mass: {node: pid, distribution: uniform, bounds: [1.6, 2.4], nominal: 2.0, unit: kg}"
+    assert f"#   {mass}  # CHECK: a guess, 20% around its value; of the arm [kg]\n" in text
 
 
 def test_a_file_that_cannot_be_written(servo, quick, tmp_path, capsys, monkeypatch):
@@ -178,7 +258,7 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
 
     def other(context):
         node = Node("other", context=context)
-        node.declare_parameter("mass", 2.0)
+        node.declare_parameter("offset", 2.0)
         return node
 
     with at_work(other):
@@ -189,9 +269,9 @@ def test_the_offers_of_a_node_that_is_not_tuned_have_their_node(servo, tmp_path)
     assert (code, err) == (0, "")
     assert "study.yaml: 1 parameter and 1 signal; now review it and" in out
     text = (tmp_path / "study.yaml").read_text()
-    offered = re.sub(r"^  # (other: |mass: )", r"  \1", text, flags=re.MULTILINE)
+    offered = re.sub(r"^  # (other: |offset: )", r"  \1", text, flags=re.MULTILINE)
     assert offered != text
-    assert parse_study(offered).parameters["mass"].node == "other"
+    assert parse_study(offered).parameters["offset"].node == "other"
 
 
 def test_a_text_that_is_named_is_not_offered(servo, tmp_path):
@@ -331,8 +411,9 @@ def test_images_are_not_listened_to():
     assert [is_bulky(cls) for cls in (Image, PointCloud2, JointState, LaserScan)] == [
         True, True, False, False,
     ]  # fmt: skip
-    assert has_numbers_in_arrays(Float64MultiArray)
-    assert not has_numbers_in_arrays(Float64)
+    assert number_arrays(Float64MultiArray) == ["data"]
+    assert number_arrays(JointState) == ["position", "velocity", "effort"]
+    assert number_arrays(Float64) == []
 
 
 @pytest.mark.parametrize(

@@ -7,18 +7,9 @@ import pytest
 from bo_tuner.numerics.signal_metrics import MEASURES
 from bo_tuner.study.descriptors import Described
 from bo_tuner.study.first_study import first_study
-from bo_tuner.study.offers import (
-    Seen,
-    SeenAction,
-    SeenNode,
-    SeenTopic,
-    SignalOffer,
-    parameter_offers,
-    signal_offers,
-    suggested_nodes,
-    suggested_parameters,
-    suggested_signals,
-)
+from bo_tuner.study.offers import parameter_offers, suggested_nodes, suggested_parameters
+from bo_tuner.study.seen import Seen, SeenAction, SeenNode, SeenTopic
+from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
 from bo_tuner.study.strict_yaml import dump_line, parse
 from bo_tuner.study.study_file import parse_study
 
@@ -32,6 +23,9 @@ STATES = SeenTopic(
 TORQUE = SeenTopic("/torque", "std_msgs/msg/Float64", {"data": 0.2}, ("pid",), ("motor",))
 SETPOINT = SeenTopic("/setpoint", "std_msgs/msg/Float64", {"data": 0.0}, (), ("pid",))
 CAMERA = SeenTopic("/exposure", "std_msgs/msg/Int32", {"data": 3}, ("camera",))
+
+
+HALF = Described("double", 0.5)
 
 
 def pid(**parameters):
@@ -132,7 +126,7 @@ class TestParameters:
         assert set(others) == {"frame", "serial"}
 
     def test_of_many_those_are_suggested_whose_names_tell_of_tuning(self):
-        plain = {f"mass_{k}": Described("double", 1.0, 0.1, 9.0) for k in range(20)}
+        plain = {f"number_{k}": Described("double", 1.0, 0.1, 9.0) for k in range(20)}
         tuning = {
             name: Described("double", 1.0, 0.1, 9.0)
             for name in ("kp", "pid.i", "FollowPath.lookahead_dist", "process_noise", "lambda_mpc")
@@ -155,11 +149,16 @@ class TestParameters:
         }
         assert suggested_nodes(found) == ["pid", "observer"]
         del found["pid"], found["observer"]
-        assert suggested_nodes(found) == ["plant"]
+        # No mass or friction is a choice.
+        assert suggested_nodes(found) == []
+        found["other"] = parameter_offers(SeenNode("other", {"offset": Described("double", 1.0)}))[
+            0
+        ]
+        assert suggested_nodes(found) == ["other"]
 
     def test_few_are_all_suggested_and_many_without_a_telling_name_are_cut(self):
         for count, expected in ((8, 8), (9, 8), (30, 8)):
-            found, _ = offers(**{f"mass_{k}": Described("double", 1.0) for k in range(count)})
+            found, _ = offers(**{f"offset_{k}": Described("double", 1.0) for k in range(count)})
             assert len(suggested_parameters(found.values())) == expected
 
     @pytest.mark.parametrize(
@@ -180,6 +179,28 @@ class TestParameters:
         assert not found
         assert list(others) == ["odd"]
 
+    def test_set_points_limits_periods_and_the_plant_are_offered_and_not_suggested(self):
+        settings = ("target_speed", "max_torque", "stop_distance", "sample_time", "friction")
+        found, _ = offers(kp=Described("double", 0.5), **dict.fromkeys(settings, HALF))
+        assert [offer.name for offer in suggested_parameters(found.values())] == ["kp"]
+        assert set(found) == {"kp", *settings}
+        assert found["max_torque"].remark == (
+            "by its name a limit; CHECK: a guess; the node gives no range"
+        )
+        # Few or many, also where nothing else is there.
+        found, _ = offers(**dict.fromkeys(settings, HALF))
+        assert suggested_parameters(found.values()) == []
+
+    def test_the_unit_is_that_of_the_description(self):
+        found, _ = offers(
+            kp=Described("double", 0.5, description="gain [V/rad]"),
+            ki=Described("double", 0.5, 0.0, 1.0, description="gain in [0, 1]"),
+            w=Described("double_array", [1.0], description="weights [1/m]"),
+        )
+        assert found["kp"].fields["unit"] == "V/rad"
+        assert "unit" not in found["ki"].fields
+        assert found["w[0]"].fields["unit"] == "1/m"
+
     def test_a_long_array_offers_its_first_items(self):
         found, others = offers(covariance=Described("double_array", [1.0] * 36))
         assert list(found) == [f"covariance[{i}]" for i in range(12)]
@@ -187,42 +208,88 @@ class TestParameters:
 
 
 class TestStudy:
-    def test_a_passive_study_of_what_the_tuned_nodes_publish_and_hear(self):
+    def test_what_the_tuned_nodes_publish_and_hear_is_recorded_with_the_reference_first(self):
         text, study = written([pid()], [CAMERA, STATES, SETPOINT, TORQUE])
         assert {n: (s.topic, s.field) for n, s in study.signals.items()} == {
+            "setpoint": ("/setpoint", "data"),
             "position_motor": ("/joint_states", "position[motor]"),
-            "velocity_motor": ("/joint_states", "velocity[motor]"),
             "torque": ("/torque", "data"),
         }
-        assert study.run.start == study.run.before == ()
         assert study.objective.metric == "error"
         assert "# /exposure (std_msgs/msg/Int32): data" in text
-        assert "#   - call: {service: /motor/reset}" in text
-        assert "#   - publish: {topic: /setpoint, message: {data: 1.0}}" in text
+        assert "    # - call: {service: /motor/reset}" in text
 
-    def test_a_topic_that_nobody_publishes_is_published_by_the_run_and_followed(self):
+    def test_the_run_moves_the_reference_and_brings_it_back(self):
         signals = [
             *signal_offers(SETPOINT),
             SignalOffer(STATES, "position[motor]"),
             *signal_offers(TORQUE),
         ]
-        _, study = written([pid()], [STATES, SETPOINT, TORQUE], signals)
-        (before, _), (start,) = study.run.before, study.run.start
-        assert before.publish.message == {"data": 0.0}
-        assert (start.publish.topic, start.publish.message) == ("/setpoint", {"data": 1.0})
+        text, study = written([pid()], [STATES, SETPOINT, TORQUE], signals)
+        (before, settled), (start,), (after,) = study.run.before, study.run.start, study.run.after
+        # From where the motor is, at 0.1.
+        assert "{data: 0.1}}  # where it is now" in text
+        assert before.publish.message == after.publish.message == {"data": 0.1}
+        assert (start.publish.topic, start.publish.message) == ("/setpoint", {"data": 1.1})
+        assert settled.wait_until.condition == "abs(position_motor - 0.1) < 0.02"
         assert study.metrics["error"].of == "setpoint - position_motor"
         assert study.metrics["overshoot"].target == "setpoint"
         assert study.metrics["effort"].of == "torque"
         assert {metric.measure for metric in study.metrics.values()} <= set(MEASURES)
+        assert (
+            "  # Nobody publishes /setpoint, pid listens to it; by its name it is the reference.\n"
+            "  start:  # CHECK: this moves the machine, by a step of 1\n"
+        ) in text
+        uncommented = text.replace("  # abort_when", "  abort_when")
+        assert parse_study(uncommented).run.abort_when == "abs(position_motor - 0.1) > 2"
+
+    def test_a_topic_that_nobody_publishes_is_no_reference_for_that_alone(self):
+        """It may be a disturbance, or the brake."""
+        brake = SeenTopic("/brake", "std_msgs/msg/Float64", {"data": 0.0}, (), ("pid",))
+        text, study = written([pid()], [STATES, brake, TORQUE])
+        assert "/brake" not in {signal.topic for signal in study.signals.values()}
+        assert study.run.start == study.run.before == ()
+        step = "  #   - publish: {topic: /brake, message: {data: 1.0}}"
+        assert (
+            f"{step}  # Nobody publishes /brake, pid listens to it; whether it is the reference is "
+            "not known."
+        ) in text
+        # Who names it gets it published at rest, and nothing that moves the machine.
+        _, study = written(
+            [pid()], [STATES, brake], [*signal_offers(brake), *signal_offers(STATES)]
+        )
+        assert [step.publish.message for step in study.run.before] == [{"data": 0.0}]
+        assert study.run.start == ()
+        assert study.metrics["error"].of == "position_motor"
+
+    def test_what_a_tuned_node_publishes_is_not_its_reference(self):
+        command = SeenTopic("/cmd", "std_msgs/msg/Float64", {"data": 0.0}, ("pid",), ("motor",))
+        _, study = written([pid()], [STATES, command])
+        assert study.metrics["error"].of == "position_motor"
+        assert study.metrics["effort"].of == "cmd"
+        assert study.run.start == ()
+
+    def test_a_reference_that_another_node_publishes_is_followed(self):
+        planned = SeenTopic(
+            "/target", "std_msgs/msg/Float64", {"data": 0.0}, ("planner",), ("pid",)
+        )
+        text, study = written([pid()], [STATES, planned, TORQUE])
+        assert study.metrics["error"].of == "target - position_motor"
+        assert study.run.start == ()
+        assert "# planner publishes /target, pid listens to it; by its name" in text
 
     @pytest.mark.parametrize(
         ("fields", "message"),
         [
-            ({"linear.x": 0.0, "angular.z": 0.0}, {"linear": {"x": 1.0}}),
+            ({"linear.x": 0.0, "angular.z": 0.0}, {"linear": {"x": 0.2}}),
             ({"data": 0}, {"data": 1}),
             ({"data": False}, {"data": True}),
             ({"data[0]": 0.0}, {"data": [1.0]}),
             ({"a.x[0]": 0.0, "a.x[1]": 0.0, "y[0]": 0.0}, {"a": {"x": [1.0, 0.0]}}),
+            (
+                {"pose.position.x": 0.0, "pose.orientation.w": 0.0},
+                {"pose": {"position": {"x": 1.0}, "orientation": {"w": 1.0}}},
+            ),
         ],
     )
     def test_the_step_has_the_form_of_the_message(self, fields, message):
@@ -295,6 +362,70 @@ class TestStudy:
         study = parse_study(text.replace("# seed_parameter:", "seed_parameter:"))
         assert (study.seed_parameter.node, study.seed_parameter.parameter) == ("pid", "seed")
 
+    def test_properties_of_a_plant_are_offered_as_contexts(self):
+        """Of every node, since a plant is not the node that is tuned."""
+        plant = SeenNode(
+            "plant",
+            {
+                "mass": Described("double", 2.0, description="of the load [kg]"),
+                "friction": Described("double", 0.5, 0.45, 9.0),
+                "wind": Described("double", 0.0, -3.0, 3.0),
+                "delay": Described("double", 0.0),
+                "slope": Described("double", -0.5),
+                "gear": Described("integer", 3),
+                "inertia": Described("double", 1.0, read_only=True),
+                "noise": Described("double", math.nan),
+            },
+        )
+        node = pid(mass=Described("double", 1.0))
+        parameters = [o for o in parameter_offers(node)[0] if o.suggested]
+        seen = Seen((node, plant), (STATES,))
+        text = first_study("first.yaml", seen, [node], parameters, signal_offers(STATES))
+        study = parse_study(text)
+        assert set(study.parameters) == {"kp"}
+        assert set(study.nodes) == {"pid"}
+        assert study.contexts == {}
+        # Uncommented, it is a part of the study.
+        head, _, rest = text.partition("# contexts:\n")
+        offered, _, rest = rest.partition("\n\n")
+        lines = [line.removeprefix("#") for line in offered.splitlines()]
+        head = head.replace("  # plant: {", "  plant: {")
+        study = parse_study("\n".join([head, "contexts:", *lines, "", rest]))
+        bounds = {
+            name: (
+                context.node, context.parameter, context.unit,
+                context.distribution.bounds, context.distribution.nominal,
+            )
+            for name, context in study.contexts.items()
+        }  # fmt: skip
+        # A fifth around the value, within the range of the node.
+        assert bounds == {
+            "mass": ("pid", "mass", "", (0.8, 1.2), 1.0),
+            "plant.mass": ("plant", "mass", "kg", (1.6, 2.4), 2.0),
+            "friction": ("plant", "friction", "", (0.45, 0.6), 0.5),
+            "wind": ("plant", "wind", "", (-3.0, 3.0), 0.0),
+            "delay": ("plant", "delay", "", (0.0, 0.1), 0.0),
+            "slope": ("plant", "slope", "", (-0.6, -0.4), -0.5),
+        }
+        assert offered.count("CHECK") == 6
+
+    def test_a_property_that_is_named_is_a_parameter_and_no_context(self):
+        text, study = written([pid(mass=Described("double", 1.0))], [STATES], take=lambda _: True)
+        assert set(study.parameters) == {"kp", "mass"}
+        assert "# contexts:" not in text
+
+    def test_the_commands_that_follow_have_the_arguments_of_ros(self):
+        seen = Seen((pid(),), (STATES,))
+        parameters = parameter_offers(pid())[0]
+        arguments = ["--ros-args", "-r", "__ns:=/arm one"]
+        text = first_study(
+            "first.yaml", seen, seen.nodes, parameters, signal_offers(STATES), arguments
+        )
+        assert (
+            "# Then: tune --check first.yaml --ros-args -r '__ns:=/arm one'\n"
+            "#       tune --study first.yaml --attach --ros-args -r '__ns:=/arm one'\n"
+        ) in text
+
     def test_names_of_signals_are_valid_and_differ(self):
         topics = [
             SeenTopic("/a/data", "x_msgs/msg/X", {"data": 0.0}, ("pid",)),
@@ -303,7 +434,8 @@ class TestStudy:
             SeenTopic(f"/{'long/' * 20}x", "x_msgs/msg/X", {"x" * 80: 1.0}, ("pid",)),
             SeenTopic("/c", "x_msgs/msg/X", {"position[a b]": 0.0, "position[a.b]": 0.0}, ("pid",)),
         ]
-        _, study = written([pid()], topics)
+        signals = [offer for topic in topics for offer in signal_offers(topic)]
+        _, study = written([pid()], topics, signals)
         assert len(study.signals) == 8
 
     def test_text_of_a_node_stays_in_its_comment(self):

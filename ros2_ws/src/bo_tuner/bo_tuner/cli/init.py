@@ -21,15 +21,12 @@ from bo_tuner.study import checks
 from bo_tuner.study.first_study import first_study
 from bo_tuner.study.offers import (
     ParameterOffer,
-    Seen,
-    SeenNode,
-    SignalOffer,
     parameter_offers,
-    signal_offers,
     suggested_nodes,
     suggested_parameters,
-    suggested_signals,
 )
+from bo_tuner.study.seen import Seen, SeenNode
+from bo_tuner.study.signal_offers import SignalOffer, signal_offers, suggested_signals
 from bo_tuner.study.study_file import parse_study
 from bo_tuner.text import counted, one_line, shown
 
@@ -88,7 +85,8 @@ class Chooser:
         if not chosen:
             known = [names(offer)[0] for offer in offers]
             hint = f"name some of {', '.join(known[:10])}" if known else "there are none"
-            raise StudyError(f"--{what}: nothing is chosen; {hint}")
+            why = "nothing is chosen" if suggested or not known else "no name tells which to take"
+            raise StudyError(f"--{what}: {why}; {hint}")
         return chosen
 
     def _asked(
@@ -183,14 +181,18 @@ def write_first_study(
     """
     _check_path(path)
     with opened_node(ros_arguments, interruption.check) as tuner:
-        seen, notes = survey(tuner, lambda seen: _has(seen, nodes, parameters, signals))
+        seen, notes = survey(
+            tuner, lambda seen: _has(seen, nodes, parameters, signals), signals or ()
+        )
     for note in notes:
         say(f"note: {note}")
+    if not seen.nodes:
+        raise BackendError("no node is left whose parameters can be had")
     say(f"nodes found: {', '.join(node.name for node in seen.nodes)}")
     if not seen.topics:
         raise BackendError("no topic has a number that could be a signal while the nodes are idle")
     tuned, chosen, recorded = _choose(seen, nodes, parameters, signals, Chooser(interruption))
-    text = first_study(str(path), seen, tuned, chosen, recorded)
+    text = first_study(str(path), seen, tuned, chosen, recorded, ros_arguments)
     # Nothing is written that `tune --study` would refuse.
     parse_study(text, str(path))
     with writing(path):

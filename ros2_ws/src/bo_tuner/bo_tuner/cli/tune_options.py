@@ -180,7 +180,7 @@ def _add_running_nodes(parser: Parser) -> None:
     for option, what in (
         ("--nodes", "nodes to tune"),
         ("--parameters", "parameters to tune, such as gain or node:gain"),
-        ("--signals", "signals to record, such as /topic or /topic:field"),
+        ("--signals", "signals to record, such as /topic, /topic:field or /scan:ranges[0]"),
     ):
         parser.add_argument(
             option, nargs="+", metavar="NAME", help=f"with --init: {what}, instead of being asked"

@@ -5,33 +5,22 @@ silently: each guess is marked `CHECK`.
 """
 
 import re
+import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.offers import (
-    CHECK,
-    ParameterOffer,
-    Seen,
-    SeenAction,
-    SeenNode,
-    SeenTopic,
-    SignalOffer,
-    is_seed,
-    parameter_offers,
-    signal_offers,
-)
+from bo_tuner.study.first_run import known, run_lines
+from bo_tuner.study.offers import CHECK, ParameterOffer, context_offers, is_seed, parameter_offers
 from bo_tuner.study.parameter import array_and_item
+from bo_tuner.study.parameter_kinds import Kind
+from bo_tuner.study.seen import Seen, SeenNode, SeenTopic
+from bo_tuner.study.signal_offers import SignalOffer, partner, reference, signal_offers
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.strict_yaml import dump_line
 from bo_tuner.text import one_line
-
-WANTED = re.compile(r"set_?point|reference|target|desired|wanted|goal", re.IGNORECASE)
-"""In the name of a topic: it carries what another signal shall follow."""
-SECONDS = 2.0
-"""Of a run, until somebody says better."""
 
 
 def first_study(
@@ -40,6 +29,7 @@ def first_study(
     nodes: Sequence[SeenNode],
     parameters: Sequence[ParameterOffer],
     signals: Sequence[SignalOffer],
+    ros_arguments: Sequence[str] = (),
 ) -> str:
     """Write a study.
 
@@ -53,6 +43,8 @@ def first_study(
         Those to tune; of these only the ones with a parameter that is taken are written.
     parameters, signals
         Those to take, at least one each.
+    ros_arguments
+        ``--ros-args`` of the commands that follow.
 
     Returns
     -------
@@ -61,40 +53,58 @@ def first_study(
     """
     stem = PurePath(source).stem
     tuned = [node for node in nodes if any(offer.node == node.name for offer in parameters)]
-    keys = _node_keys([node.name for node in nodes])
+    keys = _node_keys([*nodes, *seen.nodes])
     names = _signal_names(signals)
-    wanted = next((s for s in signals if not s.topic.publishers), None) or next(
-        (s for s in signals if WANTED.search(s.topic.name)), None
-    )
+    own = {node.name for node in tuned}
+    wanted = reference(signals, own)
+    measured = _measured(signals, wanted, own)
     lines = [
         "# A first study, written by `tune --init` from the nodes that were running.",
         f"# What it could not know is marked {CHECK}. Lines in comments are offers.",
-        f"# Then: tune --check {source}",
-        f"#       tune --study {source} --attach",
+        f"# Then: {_command('--check', source, ros_arguments)}",
+        f"#       {_command('--study', source, ['--attach', *ros_arguments])}",
         f"name: {stem if checks.SIMPLE_NAME.fullmatch(stem) else 'first'}",
         "",
         "nodes:",
         *(f"  {keys[node.name]}: {dump_line(_node_fields(node, parameters))}" for node in tuned),
         *(
             f"  # {keys[node.name]}: {dump_line({'node': node.name})}"
-            for node in nodes
-            if node not in tuned
+            for node in seen.nodes
+            if node.name not in own and (node in nodes or context_offers(node))
         ),
         "",
         "parameters:",
         *_parameter_lines(nodes, parameters, keys),
+        *_context_lines(seen.nodes, parameters, keys),
         *_seed_lines(nodes, keys),
         "",
         "signals:",
         *_signal_lines(seen.topics, names),
         "",
-        *_run_lines(seen, tuned, names, wanted),
+        *run_lines(
+            seen, names, wanted, measured, is_simulated=any(node.uses_sim_time for node in tuned)
+        ),
         "",
-        *_metric_lines(names, wanted, {node.name for node in tuned}),
+        *_metric_lines(names, wanted, measured, own),
         "",
         "budget: {trials: 20, initial_trials: 8, drawn_contexts: 1, validation_draws: 5}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _command(option: str, source: str, others: Sequence[str]) -> str:
+    return one_line(shlex.join(["tune", option, source, *others]))
+
+
+def _measured(
+    signals: Sequence[SignalOffer], wanted: SignalOffer | None, tuned: Collection[str]
+) -> SignalOffer | None:
+    """Return the signal that is to be good: what follows the reference, or else no command."""
+    if wanted is not None:
+        return partner(wanted, signals, tuned)
+    possible = [offer for offer in signals if offer.topic.publishers] or list(signals)
+    of_others = [offer for offer in possible if not set(offer.topic.publishers) & set(tuned)]
+    return next(iter(of_others or possible))
 
 
 def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[str, Any]:
@@ -108,8 +118,9 @@ def _node_fields(node: SeenNode, parameters: Iterable[ParameterOffer]) -> dict[s
     return {"node": node.name} | ({"parameters": values} if values else {})
 
 
-def _node_keys(names: Sequence[str]) -> dict[str, str]:
+def _node_keys(nodes: Iterable[SeenNode]) -> dict[str, str]:
     """Return the keys of nodes in the study: the last part of the name where that is clear."""
+    names = list(dict.fromkeys(node.name for node in nodes))
     last = [name.rpartition("/")[2] for name in names]
     return {
         name: short if last.count(short) == 1 else name.replace("/", "_")
@@ -123,8 +134,9 @@ def _parameter_lines(
     names = [offer.name for offer in taken]
     for node in nodes:
         offers, others = parameter_offers(node)
-        # Those that are taken first.
-        for offer in sorted(offers, key=lambda offer: offer not in taken):
+        possible = [offer for offer in offers if offer in taken or offer.kind is not Kind.PLANT]
+        # Those that are taken first, and those last that are hardly meant.
+        for offer in sorted(possible, key=lambda o: 0 if o in taken else 2 - o.suggested):
             key = keys[node.name]
             fields: dict[str, Any] = {"node": key, **offer.fields}
             name = offer.name
@@ -138,6 +150,30 @@ def _parameter_lines(
             yield f"  # {one_line(name)} of {keys[node.name]}: {one_line(why)}"
 
 
+def _context_lines(
+    nodes: Iterable[SeenNode], taken: Sequence[ParameterOffer], keys: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield the properties of a plant as offers."""
+    names = [offer.name for offer in taken]
+    lines = []
+    for node in nodes:
+        for offer in context_offers(node):
+            if any((other.node, other.name) == (node.name, offer.name) for other in taken):
+                continue
+            fields, name = {"node": keys[node.name], **offer.fields}, offer.name
+            if name in names:
+                fields["parameter"] = name
+                name = f"{keys[node.name]}.{name}"
+            names.append(name)
+            lines.append(f"#   {dump_line(name)}: {dump_line(fields)}  # {offer.remark}")
+    if lines:
+        yield ""
+        yield f"# {CHECK}: properties of the plant by their names; which differ in operation,"
+        yield "# and by how much? They are set before each run, so a simulation has to have them."
+        yield "# contexts:"
+        yield from lines
+
+
 def _seed_lines(nodes: Sequence[SeenNode], keys: Mapping[str, str]) -> Iterator[str]:
     for node in nodes:
         for name, described in node.parameters.items():
@@ -149,17 +185,31 @@ def _seed_lines(nodes: Sequence[SeenNode], keys: Mapping[str, str]) -> Iterator[
 
 
 def _signal_names(signals: Iterable[SignalOffer]) -> dict[SignalOffer, str]:
-    """Name signals: a field by its own words, and `data` by its topic."""
+    """Name signals: a field by its last words, and `data` by its topic."""
     names: dict[SignalOffer, str] = {}
-    for offer in signals:
+    signals = list(signals)
+    shorts = [_short_name(offer) for offer in signals]
+    for offer, short in zip(signals, shorts, strict=True):
         topic = _words(offer.topic.name)
-        last = offer.topic.name.rpartition("/")[2]
-        short = _words(last if offer.field == "data" else offer.field)
-        candidates = [short, f"{topic}_{short}", *(f"signal_{i}" for i in range(len(names) + 1))]
+        last = _words(offer.topic.name.rpartition("/")[2])
+        candidates = [short, f"{last}_{short}", f"{topic}_{_words(offer.field)}"]
+        # Of two that are alike both have their topic.
+        candidates = candidates[shorts.count(short) > 1 and offer.field != "data" :]
+        candidates += [f"signal_{i}" for i in range(len(names) + 1)]
         names[offer] = next(
             name for name in candidates if name not in names.values() and _is_signal(name, offer)
         )
     return names
+
+
+def _short_name(offer: SignalOffer) -> str:
+    last = offer.topic.name.rpartition("/")[2]
+    if offer.joint:
+        return _words(f"{last}_{offer.joint}")
+    if offer.field == "data":
+        return _words(last)
+    # As linear.x of twist.twist.linear.x: one letter alone says too little.
+    return _words(".".join(offer.field.split(".")[-2:]))
 
 
 def _words(text: str) -> str:
@@ -185,86 +235,30 @@ def _signal_lines(topics: Iterable[SeenTopic], names: Mapping[SignalOffer, str])
             yield f"  # {topic.name} ({topic.type}): {shown}"
 
 
-def _run_lines(
-    seen: Seen,
-    nodes: Sequence[SeenNode],
+def _metric_lines(
     names: Mapping[SignalOffer, str],
     wanted: SignalOffer | None,
+    measured: SignalOffer | None,
+    tuned: Collection[str],
 ) -> Iterator[str]:
-    own = list({offer.topic.name: offer for offer in names if not offer.topic.publishers}.values())
-    yield "run:"
-    yield f"  # {CHECK}: what brings the system to where every run starts."
-    if own:
-        yield "  before:"
-        for offer in own:
-            yield f"    - publish: {dump_line(_message(offer, 0.0))}"
-    else:
-        yield "  # before:"
-    for service in seen.services:
-        yield f"{'    # ' if own else '  #   '}- call: {dump_line({'service': service})}"
-    yield f"{'    ' if own else '  #   '}- wait: 0.5"
-    if wanted is not None and not wanted.topic.publishers:
-        yield f"  start:  # {CHECK}: this moves the machine."
-        yield f"    - publish: {dump_line(_message(wanted, 1.0))}"
-        yield from (f"    # {line}" for line in _goals(seen.actions))
-    else:
-        yield f"  # {CHECK}: what sets it in motion; without it a run only watches."
-        silent = [topic for topic in seen.topics if not topic.publishers and topic.fields]
-        offers = [SignalOffer(topic, next(iter(topic.fields))) for topic in silent[:1]]
-        known = offers or seen.actions
-        yield f"  # start:{'' if known else '  # docs/procedure.md lists the steps'}"
-        yield from (f"  #   - publish: {dump_line(_message(offer, 1.0))}" for offer in offers)
-        yield from (f"  #   {line}" for line in _goals(seen.actions))
-    until = ", or result: until a goal of start is done" if seen.actions else ""
-    yield f"  end: {{after: {SECONDS}}}  # {CHECK}: [s]{until}"
-    if any(node.uses_sim_time for node in nodes):
-        yield f"  clock: sim  # {CHECK}: the nodes use simulated time; its seconds are those of end"
-    measured = next((name for offer, name in names.items() if offer != wanted), None)
-    if measured is not None:
-        yield f"  # abort_when: abs({measured}) > 2  # ends a bad run at once"
-
-
-def _goals(actions: Iterable[SeenAction]) -> Iterator[str]:
-    for action in actions:
-        fields = ", ".join(f"{name} ({kind})" for name, kind in action.fields.items())
-        step = dump_line({"action": action.name, "goal": {}})
-        yield f"- send_goal: {step}  # {action.type}: {fields or 'no fields'}"
-
-
-def _message(offer: SignalOffer, value: float) -> dict[str, Any]:
-    """Return a step's topic and message, in which one field has a value."""
-    fields = offer.topic.fields
-    # As the message has it: an integer takes no 1.0, and a truth value no number.
-    kind = type(fields[offer.field])
-    nested: Any = kind(value)
-    path, is_item, _ = offer.field.partition("[")
-    if is_item:
-        items = [name for name in fields if name.startswith(f"{path}[")]
-        nested = [kind(value if name == offer.field else 0) for name in items]
-    for part in reversed(path.split(".")):
-        nested = {part: nested}
-    return {"topic": offer.topic.name, "message": nested}
-
-
-def _metric_lines(
-    names: Mapping[SignalOffer, str], wanted: SignalOffer | None, tuned: Collection[str]
-) -> Iterator[str]:
-    followers = [offer for offer in names if wanted is None or offer.topic != wanted.topic]
-    outputs = [offer for offer in followers if set(offer.topic.publishers) & set(tuned)]
-    measured = next(
-        (offer for offer in followers if offer not in outputs),
-        followers[0] if followers else next(iter(names)),
-    )
+    outputs = [
+        offer
+        for offer in names
+        if set(offer.topic.publishers) & set(tuned) and offer not in (wanted, measured)
+    ]
     constraints = []
-    name = names[measured]
-    yield f"metrics:  # {CHECK}: what good means"
-    if wanted is not None and measured != wanted:
-        target = names[wanted]
+    if wanted is not None and measured is not None:
+        name, target = names[measured], names[wanted]
+        if wanted.topic.publishers:
+            yield f"# {known(wanted.topic)}"
+        yield f"metrics:  # {CHECK}: what good means, and whether {name} is to follow {target}"
         yield f"  error: {dump_line({'of': f'{target} - {name}', 'measure': 'iae'})}"
         overshoot = {"of": name, "measure": "overshoot", "target": target, "unit": "%"}
         yield f"  overshoot: {dump_line(overshoot)}"
         constraints.append(("overshoot", 5.0))
     else:
+        name = names[measured] if measured is not None else next(iter(names.values()))
+        yield f"metrics:  # {CHECK}: what good means"
         yield f"  # Subtract what {name} shall be: {{of: 1.5 - {name}, measure: iae}}."
         yield f"  error: {dump_line({'of': name, 'measure': 'rms'})}"
     if outputs:

@@ -79,24 +79,24 @@ def interface_class(name: str) -> Any:
 
 def is_bulky(cls: Any) -> bool:
     """Whether messages are raw bytes in any number, as images and point clouds are."""
-    arrays = _arrays(cls)
+    arrays = list(_arrays(cls).values())
     return bool(arrays) and all(
         isinstance(kind, UnboundedSequence) and kind.value_type.typename in BYTES for kind in arrays
     )
 
 
-def has_numbers_in_arrays(cls: Any) -> bool:
-    """Whether messages have arrays of numbers."""
-    return any(kind.value_type.typename != OCTET for kind in _arrays(cls))
+def number_arrays(cls: Any) -> list[str]:
+    """Return the names of the fields that are arrays of numbers."""
+    return [name for name, kind in _arrays(cls).items() if kind.value_type.typename != OCTET]
 
 
-def _arrays(cls: Any) -> list[AbstractNestedType]:
+def _arrays(cls: Any) -> dict[str, AbstractNestedType]:
     """Return the types of the fields that are arrays of numbers, truth values or bytes."""
-    return [
-        kind
-        for kind in _types(cls).values()
+    return {
+        name: kind
+        for name, kind in _types(cls).items()
         if isinstance(kind, AbstractNestedType) and isinstance(kind.value_type, BasicType)
-    ]
+    }
 
 
 def type_name(cls: Any) -> str:

@@ -3,7 +3,9 @@
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -11,16 +13,26 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.graph import DISCOVERY, describe
 from bo_tuner.backends.ros.messages import (
-    has_numbers_in_arrays,
+    ItemMissingError,
     interface_class,
     is_bulky,
+    number_arrays,
     number_fields,
+    number_reader,
     type_name,
 )
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden, relative
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name
 from bo_tuner.errors import BackendError, StudyError
-from bo_tuner.study.offers import Seen, SeenAction, SeenNode, SeenTopic
+from bo_tuner.study.seen import (
+    JOINT_TRAJECTORY,
+    Seen,
+    SeenAction,
+    SeenNode,
+    SeenTopic,
+    with_joints,
+)
+from bo_tuner.study.signals import field_path
 
 QUIET = 1.0
 """Time [s] without anything new after which the graph counts as found."""
@@ -31,7 +43,9 @@ GOAL_SERVICE, GOAL_TYPE = "/_action/send_goal", "_SendGoal"
 WITHOUT_REQUEST = ("std_srvs/srv/Empty", "std_srvs/srv/Trigger")
 
 
-def survey(tuner: TunerNode, is_whole: Callable[[Seen], bool]) -> tuple[Seen, list[str]]:
+def survey(
+    tuner: TunerNode, is_whole: Callable[[Seen], bool], named: Sequence[str] = ()
+) -> tuple[Seen, list[str]]:
     """Look at all that runs.
 
     Parameters
@@ -40,6 +54,9 @@ def survey(tuner: TunerNode, is_whole: Callable[[Seen], bool]) -> tuple[Seen, li
         The node that looks.
     is_whole
         Whether nothing is missing that is known to run; else it is looked for, up to `DISCOVERY`.
+    named
+        Signals that are wanted in any case, such as ``/scan:ranges[0]``: an item of a long array,
+        or of one that is empty yet.
 
     Returns
     -------
@@ -53,16 +70,23 @@ def survey(tuner: TunerNode, is_whole: Callable[[Seen], bool]) -> tuple[Seen, li
     ------
     BackendError
         If there is no node with parameters.
+    StudyError
+        If the messages of a topic do not have what is named.
     """
+    fields: dict[str, list[str]] = {}
+    for name in named:
+        topic, has_field, path = name.partition(":")
+        if has_field:
+            fields.setdefault(topic, []).append(path)
     deadline = time.monotonic() + DISCOVERY
     while True:
         _settle(tuner)
-        seen, notes = _look(tuner)
+        seen, notes = _look(tuner, fields)
         if is_whole(seen) or time.monotonic() > deadline:
             return seen, notes
 
 
-def _look(tuner: TunerNode) -> tuple[Seen, list[str]]:
+def _look(tuner: TunerNode, named: Mapping[str, Sequence[str]]) -> tuple[Seen, list[str]]:
     names = _nodes(tuner)
     if not names:
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
@@ -76,7 +100,10 @@ def _look(tuner: TunerNode) -> tuple[Seen, list[str]]:
             nodes.append(SeenNode(name, describe(tuner, name)))
         except BackendError as error:
             notes.append(f"left out: {error}")
-    topics, unknown = _topics(tuner)
+    topics, unknown = _topics(tuner, named)
+    topics = [with_joints(topic, nodes, topics) for topic in topics]
+    unknown += [f"{topic.name}: its joints are unknown" for topic in topics if not topic.fields]
+    topics = [topic for topic in topics if topic.fields]
     notes += [f"left out: {text}" for text in unknown]
     found = sorted(tuner.node.get_service_names_and_types())
     services = [n for n, types in found if types[0] in WITHOUT_REQUEST and not is_hidden(n)]
@@ -126,8 +153,10 @@ def _nodes(tuner: TunerNode) -> list[str]:
     return sorted(name for name in found if name and not is_hidden(name))
 
 
-def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
-    """Return the topics with numbers, and why others are left out."""
+def _topics(
+    tuner: TunerNode, named: Mapping[str, Sequence[str]]
+) -> tuple[list[SeenTopic], list[str]]:
+    """Return the topics with numbers, or with what is `named`, and why others are left out."""
     found, notes = [], []
     heard: dict[str, bytes] = {}
     listened = {}
@@ -170,22 +199,61 @@ def _topics(tuner: TunerNode) -> tuple[list[SeenTopic], list[str]]:
         except UnreadableError as error:
             notes.append(f"{name} {error}")
             continue
-        if fields := number_fields(message):
-            publishers = _ends(tuner, tuner.node.get_publishers_info_by_topic(name))
-            listeners = _ends(tuner, tuner.node.get_subscriptions_info_by_topic(name))
-            found.append(SeenTopic(name, type_name(cls), fields, publishers, listeners))
+        publishers = _ends(tuner, tuner.node.get_publishers_info_by_topic(name))
+        listeners = _ends(tuner, tuner.node.get_subscriptions_info_by_topic(name))
+        fields = number_fields(message)
+        for path in named.get(name, ()):
+            if path not in fields:
+                fields |= _named(name, path, message, heard=name in heard, silent=not publishers)
+        is_trajectory = type_name(cls) == JOINT_TRAJECTORY and listeners and not publishers
+        if fields or is_trajectory:
+            topic = SeenTopic(name, type_name(cls), fields, publishers, listeners)
+            found.append(replace(topic, is_silent=bool(publishers) and name not in heard))
         elif name in listened and name not in heard:
             notes.append(f"{name}: silent for {LISTEN:g} s, so the items of its arrays are unknown")
-        elif has_numbers_in_arrays(cls) and name not in bulky:
+        elif (arrays := number_arrays(cls)) and name not in bulky:
             why = (
                 "long arrays" if name in heard else "nobody publishes it, and its arrays are empty"
             )
-            notes.append(f"{name}: {why}; to record an item, name it in the study, such as data[0]")
+            item = f"{name}:{arrays[0]}[0]"
+            notes.append(f"{name}: {why}; to record an item, name it: --signals {item}")
     if bulky:
         notes.append(
             f"items of {', '.join(bulky)}: raw bytes, as of an image, which were not listened to"
         )
     return found, notes
+
+
+def _named(
+    topic: str, path: str, message: Any, *, heard: bool, silent: bool
+) -> dict[str, bool | int | float]:
+    """Return a number that is named, by its field.
+
+    Of an array that a run is to publish it comes with all items before it.
+
+    Parameters
+    ----------
+    topic, path
+        Of the signal.
+    message
+        A message of the topic; an empty one unless it was `heard`.
+    heard, silent
+        Whether there was one, and whether nobody publishes it.
+    """
+    try:
+        parts = field_path(path)
+        read = number_reader(type(message), parts)
+        return {path: read(message)}
+    except StudyError as error:
+        raise StudyError(f"--signals: {topic}:{path}: {error.problem}") from None
+    except ItemMissingError as error:
+        if heard:
+            raise StudyError(f"--signals: {topic}:{path}: a message {error}") from None
+    item = parts[-1].item
+    if silent and isinstance(item, int):
+        array = path.removesuffix(f"[{item}]")
+        return {f"{array}[{index}]": 0.0 for index in range(item + 1)}
+    return {path: 0.0}
 
 
 def _ends(tuner: TunerNode, found: Sequence[TopicEndpointInfo]) -> tuple[str, ...]:

@@ -1,0 +1,103 @@
+"""What runs: nodes with their parameters, topics with their numbers, services and actions."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from bo_tuner.study.descriptors import Described
+from bo_tuner.study.nodes import USE_SIM_TIME
+
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+JOINTS = ("joints", "joint_names", "dof_names")
+"""Names of the parameter in which the controllers of ros2_control have their joints."""
+
+
+@dataclass(frozen=True)
+class SeenNode:
+    """A node, by its name relative to the namespace, and what it says of its parameters."""
+
+    name: str
+    parameters: Mapping[str, Described]
+
+    @property
+    def uses_sim_time(self) -> bool:
+        """Whether its time is that of ``/clock``."""
+        return USE_SIM_TIME in self.parameters and self.parameters[USE_SIM_TIME].value is True
+
+
+@dataclass(frozen=True)
+class SeenTopic:
+    """A topic with numbers.
+
+    Attributes
+    ----------
+    name, type
+        Of the topic, and of its messages.
+    fields
+        The numbers that can be signals: their value in a message that was heard, by field. Of a
+        topic that was silent those that every message has, as in an empty one.
+    publishers, listeners
+        Names of nodes.
+    joints
+        Those of a trajectory that a controller waits for, in the order of `fields`.
+    is_silent
+        Whether it has a publisher, and nothing was heard of it.
+    """
+
+    name: str
+    type: str
+    fields: Mapping[str, bool | int | float] = field(hash=False)
+    publishers: tuple[str, ...] = ()
+    listeners: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    is_silent: bool = False
+
+
+@dataclass(frozen=True)
+class SeenAction:
+    """An action: its name and type, and the types of a goal's fields by their names."""
+
+    name: str
+    type: str
+    fields: Mapping[str, str] = field(hash=False)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What runs: nodes with parameters, topics with numbers, services without request, actions."""
+
+    nodes: tuple[SeenNode, ...]
+    topics: tuple[SeenTopic, ...]
+    services: tuple[str, ...] = ()
+    actions: tuple[SeenAction, ...] = ()
+
+
+def with_joints(
+    topic: SeenTopic, nodes: Iterable[SeenNode], topics: Iterable[SeenTopic]
+) -> SeenTopic:
+    """Fill in the joints of a trajectory that nobody publishes yet, and where they are now.
+
+    They are those of the parameters of the node that waits for it, or else all whose positions are
+    published.
+    """
+    if topic.type != JOINT_TRAJECTORY or topic.publishers:
+        return topic
+    positions = {
+        name.removeprefix("position[").removesuffix("]"): float(value)
+        for other in topics
+        for name, value in other.fields.items()
+        if name.startswith("position[")
+    }
+    known = (_joints(node) for node in nodes if node.name in topic.listeners)
+    joints = next((found for found in known if found), tuple(positions))
+    fields = {
+        f"points[0].positions[{i}]": positions.get(joint, 0.0) for i, joint in enumerate(joints)
+    }
+    return replace(topic, fields=fields, joints=joints)
+
+
+def _joints(node: SeenNode) -> tuple[str, ...]:
+    for key in JOINTS:
+        value = node.parameters[key].value if key in node.parameters else None
+        if isinstance(value, (list, tuple)):
+            return tuple(str(joint) for joint in value)
+    return ()

@@ -1,0 +1,228 @@
+"""What running nodes offer to a first study: signals, and which of them follows which.
+
+Which topic carries the reference, and which number follows it, can only be guessed by names and by
+who listens to what; a study says so beside the guess.
+"""
+
+import math
+import re
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+from bo_tuner.study.seen import SeenTopic
+
+MOST_SIGNALS = 6
+"""Signals that are suggested."""
+MOST_OF_TOPIC = 3
+"""Numbers of a message that are suggested, of those that are named below any."""
+REFERENCE = re.compile(
+    r"set_?point|reference|target|desired|wanted|demand|goal|command|trajectory"
+    r"|(^|[/_])(ref|cmd|sp)([/_]|$)",
+    re.IGNORECASE,
+)
+"""In the name of a topic: it carries what another signal shall follow."""
+USUAL = (
+    re.compile(r"position\["),
+    re.compile(r"velocity\["),
+    re.compile(r"(^|\.)(linear\.x|angular\.z)$"),
+    re.compile(r"(^|\.)(position\.[xyz]|angular_velocity\.[xyz])$"),
+)
+"""Fields that a controller controls, of messages with many, in the order of their use."""
+UNUSUAL = re.compile(r"(^|[._])(min|max|increment|time|seq|id|status|variance|w)([._]|$)")
+"""Fields that say how something is measured or for how long it is valid, not what is measured."""
+NO_SUBJECT = {
+    *("data", "x", "y", "z", "w", "position", "velocity", "effort", "linear", "angular", "pose"),
+    *("point", "points", "positions", "vector", "twist", "state", "states", "joint", "cmd", "ref"),
+}
+"""Words in the name of a signal that do not say of what it is."""
+QUANTITIES = (
+    ("velocity", re.compile(r"veloc|speed|twist|(^|[/_])(cmd_)?vel([/_:]|$)|rpm", re.IGNORECASE)),
+    (
+        "effort",
+        re.compile(
+            r"torque|effort|force|voltage|(motor|phase)_current|(^|[/_])current:", re.IGNORECASE
+        ),
+    ),
+    ("temperature", re.compile(r"temp(erature)?([/_:]|$)", re.IGNORECASE)),
+    ("position", re.compile(r"position|angle|pose|joint", re.IGNORECASE)),
+)
+
+
+@dataclass(frozen=True)
+class SignalOffer:
+    """A field of a topic that could be a signal."""
+
+    topic: SeenTopic
+    field: str
+
+    def __str__(self) -> str:
+        return f"{self.topic.name}:{self.field}"
+
+    @property
+    def remark(self) -> str:
+        """Who publishes it."""
+        if not self.topic.publishers:
+            return "nobody publishes it, so the run will"
+        names = " and ".join(self.topic.publishers)
+        mixed = ", which would mix" if len(self.topic.publishers) > 1 else ""
+        now = "; silent now" if self.topic.is_silent else ""
+        return f"from {names}{mixed}{now}" + ("" if self.is_finite else "; not finite now")
+
+    @property
+    def value(self) -> float:
+        """Its present value; 0 where no message was heard."""
+        return float(self.topic.fields[self.field])
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether its present value is a number; a run with one that is none fails."""
+        return math.isfinite(self.value)
+
+    @property
+    def joint(self) -> str:
+        """The joint of a part of a trajectory; empty for anything else."""
+        fields = list(self.topic.fields)
+        return self.topic.joints[fields.index(self.field)] if self.topic.joints else ""
+
+    @property
+    def quantity(self) -> str:
+        """What it is by its name, such as a velocity; empty if that tells nothing."""
+        return next((name for name, pattern in QUANTITIES if pattern.search(str(self))), "")
+
+
+def signal_offers(topic: SeenTopic) -> list[SignalOffer]:
+    """Return the signals that a topic could give."""
+    return [SignalOffer(topic, name) for name in topic.fields]
+
+
+def suggested_signals(topics: Iterable[SeenTopic], nodes: Collection[str]) -> list[SignalOffer]:
+    """Return the signals that are taken unless somebody says otherwise, the most useful first.
+
+    These are the reference and what follows it, where names say which, and what the tuned nodes
+    publish and hear from others, each from one publisher: plain numbers before parts of larger
+    messages. All topics serve if that is nothing.
+
+    Parameters
+    ----------
+    topics
+        All topics.
+    nodes
+        Names of the nodes that are tuned.
+    """
+    topics = list(topics)
+    single = [topic for topic in topics if len(topic.publishers) == 1]
+    near = [topic for topic in single if {*topic.publishers, *topic.listeners} & set(nodes)]
+    # What is silent may be published in runs only, or never.
+    pools = ([t for t in near if not t.is_silent], [t for t in single if not t.is_silent], near)
+    usual = next((found for pool in pools if (found := [o for t in pool for o in _usual(t)])), [])
+    heard = [topic for topic in topics if set(topic.listeners) & set(nodes)]
+    wanted = reference([o for t in heard if REFERENCE.search(t.name) for o in _usual(t)], nodes)
+    measured = None
+    if wanted is not None:
+        possible = [offer for topic in single for offer in signal_offers(topic)]
+        measured = partner(wanted, [o for o in possible if not UNUSUAL.search(o.field)], nodes)
+    if wanted is not None and (measured is None or not is_sure(wanted, measured)):
+        # A step into the unknown is nothing to suggest.
+        wanted = measured = None
+    first = [offer for offer in (wanted, measured) if offer is not None]
+    outputs = [offer for offer in usual if set(offer.topic.publishers) & set(nodes)]
+    usual.sort(key=lambda offer: (offer not in outputs[:1], len(offer.topic.fields) > 1))
+    # Of the reference one number is enough: a run moves one.
+    rest = [o for o in usual if o not in first and (wanted is None or o.topic != wanted.topic)]
+    return [*first, *rest][:MOST_SIGNALS]
+
+
+def reference(offers: Sequence[SignalOffer], nodes: Collection[str]) -> SignalOffer | None:
+    """Return the signal that others shall follow by the name of its topic, if any.
+
+    Parameters
+    ----------
+    offers
+        Signals to choose of.
+    nodes
+        Names of the nodes that are tuned; what they publish is no reference of theirs.
+    """
+    possible = [
+        offer
+        for offer in offers
+        if REFERENCE.search(offer.topic.name)
+        and len(offer.topic.publishers) <= 1
+        and not set(offer.topic.publishers) & set(nodes)
+    ]
+    # What nobody publishes the run can.
+    rank = {
+        offer: (bool(offer.topic.publishers), not set(offer.topic.listeners) & set(nodes))
+        for offer in possible
+    }
+    return min(possible, key=lambda offer: rank[offer], default=None)
+
+
+def partner(
+    wanted: SignalOffer, offers: Iterable[SignalOffer], nodes: Collection[str]
+) -> SignalOffer | None:
+    """Return the signal that probably follows a reference, if there is any.
+
+    Parameters
+    ----------
+    wanted
+        The reference.
+    offers
+        Signals to choose of.
+    nodes
+        Names of the nodes that are tuned, whose own outputs come last.
+    """
+
+    def rank(offer: SignalOffer) -> tuple[bool, ...]:
+        both = set(wanted.topic.listeners) & set(offer.topic.listeners)
+        return (
+            not _is_same(wanted, offer),
+            not _subject(wanted) & _subject(offer),
+            offer.quantity != (wanted.quantity or "position"),
+            bool(set(offer.topic.publishers) & set(nodes)),
+            not both,
+            offer.topic.is_silent,
+        )
+
+    possible = [o for o in offers if o.topic != wanted.topic and o.topic.publishers and o.is_finite]
+    return min(possible, key=rank, default=None)
+
+
+def is_sure(wanted: SignalOffer, measured: SignalOffer) -> bool:
+    """Whether names say that one signal follows another, and not only that nothing else could."""
+    subject = _subject(wanted)
+    if _is_same(wanted, measured) or subject & _subject(measured):
+        return True
+    if wanted.quantity or subject:
+        return bool(wanted.quantity) and wanted.quantity == measured.quantity
+    # A plain "setpoint": of a position, or of the plain number that its listener measures.
+    both = set(wanted.topic.listeners) & set(measured.topic.listeners)
+    is_plain = len(measured.topic.fields) == 1 and measured.quantity not in ("velocity", "effort")
+    return measured.quantity == "position" or (bool(both) and is_plain)
+
+
+def _is_same(wanted: SignalOffer, offer: SignalOffer) -> bool:
+    """Whether a signal is the same part of another message, or the joint of a trajectory."""
+    if wanted.joint:
+        return offer.field == f"position[{wanted.joint}]"
+    tail = wanted.field.split(".")[-2:]
+    return len(tail) > 1 and offer.field.split(".")[-2:] == tail
+
+
+def _subject(offer: SignalOffer) -> set[str]:
+    """Return the words of which a topic is, without those that say that it is a reference."""
+    last = offer.topic.name.rpartition("/")[2]
+    text = f"{REFERENCE.sub('_', last)}_{offer.field}".lower()
+    return set(re.findall(r"[a-z]+", text)) - NO_SUBJECT
+
+
+def _usual(topic: SeenTopic) -> list[SignalOffer]:
+    """Return what is worth to be recorded of a topic, unless somebody says otherwise."""
+    offers = [offer for offer in signal_offers(topic) if offer.is_finite]
+    if len(topic.fields) == 1:
+        return offers
+    for pattern in USUAL:
+        if found := [offer for offer in offers if pattern.search(offer.field)]:
+            return found
+    # Integers and truth values beside other fields count, or tell of a state.
+    numbers = [o for o in offers if type(topic.fields[o.field]) is float]
+    return [o for o in numbers if not UNUSUAL.search(o.field)][:MOST_OF_TOPIC]
