@@ -30,7 +30,7 @@ from bo_tuner.storage.carrying import carried_over
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, read_journal
-from bo_tuner.storage.journal_repair import salvage
+from bo_tuner.storage.journal_repair import salvage, withdraw_lost
 from bo_tuner.storage.provenance import (
     ATTACHED,
     CARRIED,
@@ -46,7 +46,7 @@ from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_re
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import TUNING, Trial, count_evaluations
+from bo_tuner.trials import TUNING, Trial, count_evaluations, count_trials
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
@@ -177,6 +177,7 @@ class Session:
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
+                earlier = withdraw_lost(folder.journal, earlier)
             elif self._options.carried:
                 earlier = carried_over(self._options.carried, self._options.carried_from)
             provenance = self._provenance(earlier, damage)
@@ -222,7 +223,7 @@ class Session:
         One that may stop early may have none to come; its files are written again at the end.
         """
         done = count_evaluations(earlier.trials)
-        return not self._study.budget.is_spent(len(earlier.trials), done)
+        return not self._study.budget.is_spent(count_trials(earlier.trials), done)
 
     def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
         """Return what works on the run from now on, and warn of what has changed."""

@@ -31,7 +31,14 @@ from bo_tuner.study.constraint import EXPECTATION, Constraint
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, values
-from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations
+from bo_tuner.trials import (
+    TUNING,
+    EvaluationState,
+    Trial,
+    TrialState,
+    count_evaluations,
+    count_trials,
+)
 from bo_tuner.tuning.limits import worst_case_holds
 from bo_tuner.tuning.summary import continued
 
@@ -68,7 +75,7 @@ def convergence(analysis: Analysis) -> Section:
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
     evaluations = count_evaluations(trials)
-    lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
+    lead = f"{count_trials(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
     if study.budget.evaluations is not None:
         lead += f" of {study.budget.evaluations}"
     return Section(
