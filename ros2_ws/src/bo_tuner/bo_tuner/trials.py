@@ -281,9 +281,7 @@ def count_trials(trials: Iterable[Trial]) -> int:
 
 def count_evaluations(trials: Iterable[Trial]) -> int:
     """Return how many evaluations count for the budget: without checks, of `count_trials`."""
-    return sum(
-        e.stage in TUNING for trial in trials if not trial.spoilt for e in trial.evaluations
-    )
+    return sum(e.stage in TUNING for trial in trials if not trial.spoilt for e in trial.evaluations)
 
 
 def count_checks(trials: Iterable[Trial]) -> int:

@@ -27,6 +27,7 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
+from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import EXPECTATION, Constraint
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
@@ -380,7 +381,9 @@ def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
 
 def _notes(analysis: Analysis) -> list[str]:
     notes = []
-    total = len(analysis.record.trials)
+    total, provenance = len(analysis.record.trials), analysis.record.provenance
+    if CARRIED in provenance:
+        notes.append(f"Begins with {provenance[CARRIED]}, of {provenance[CARRIED_FROM]}.")
     if total > MOST_INCUMBENTS:
         points = len(_counts(total))
         text = f"The incumbent is shown at {points} points, not after each trial"
