@@ -15,6 +15,7 @@ from reaper import marked
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.storage.journal_reader import read_journal
+from bo_tuner.trials import EvaluationState
 
 MARK = "TUNE_TEST_MARK"
 
@@ -248,6 +249,11 @@ class Tune:
 
     def trials(self):
         return list(read_journal(self.run_folder / "journal.sqlite").trials)
+
+    def lost(self):
+        """Return the evaluations that were lost with their nodes."""
+        evaluations = read_journal(self.run_folder / "journal.sqlite").evaluations
+        return [e for e in evaluations if e.outcome.state is EvaluationState.LOST]
 
     def close(self):
         if self.popen.poll() is None:

@@ -24,7 +24,7 @@ from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.storage.record import read_run
 from bo_tuner.storage.run_folder import RunFolder
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import CHECKS, EvaluationState, Outcome, Stage
+from bo_tuner.trials import CHECKS, EvaluationState, Outcome, Stage, TrialState
 from bo_tuner.tuning.summary import summary_from_record, with_summary
 
 
@@ -334,6 +334,38 @@ class TestLost:
         assert found.summary["verdict"] == expected.summary["verdict"]
         # A reader of the journal alone sees no more than the run did.
         assert summary_from_record(found) == without_verdict(found.summary)
+
+    @pytest.mark.parametrize("trials", [1, 2])
+    def test_trials_that_were_lost_last_are_run_again(self, runs, whole, trials):
+        """As when the nodes are gone for good: the run ends, and goes on as if nothing had been."""
+        complete = read_run(runs.latest(whole))
+        begun = complete.trials[: trials + 2]
+        gone = Outcome(EvaluationState.LOST, {}, "the node stopped")
+        # In the second evaluation of a trial; the first one is not run again.
+        lost = [
+            replace(
+                trial,
+                state=TrialState.FAILED,
+                reason=gone.reason,
+                evaluations=(trial.evaluations[0], replace(trial.evaluations[1], outcome=gone)),
+                worst_cases={},
+            )
+            for trial in begun[2:]
+        ]
+        known = [*begun[:2], *lost]
+        name = f"lost-trials-{trials}"
+        runs.copy(whole, name)
+        journal = runs.latest(name).resolve() / "journal.sqlite"
+        evaluations = [e for trial in known for e in trial.evaluations]
+        create_journal(journal, read_journal(journal).sessions, evaluations, known)
+        code, _, err = runs.resume(name)
+        assert code == 0, err
+        found = read_run(runs.latest(name))
+        assert found.trials == complete.trials
+        assert found.summary["tuned"] == complete.summary["tuned"]
+        # What was lost is still on record, once.
+        assert sum(e.outcome.spoilt for e in found.evaluations) == trials
+        assert runs.evaluations(name) == len(complete.evaluations) - len(evaluations) + trials
 
     def test_a_reader_counts_it_as_failed(self, runs, whole):
         folder = self.lose(

@@ -10,7 +10,6 @@ from bo_tuner.monitoring.status import RunStatus, Snapshot
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
-from bo_tuner.storage.carrying import carried_over
 from bo_tuner.trials import EvaluationState
 from bo_tuner.tuning.observer import Phase
 
@@ -115,9 +114,10 @@ def test_counts_of_what_went_wrong(status, make_trial, failed):
 
 
 def test_a_space_filling_trial_that_was_carried_over_counts_as_one(status, make_trial):
-    trial = dataclasses.replace(make_trial(0, {"gain": 0.5}, [1.0]), origin="space-filling")
+    origin = "space-filling (from runs/earlier, trial 7)"
+    trial = dataclasses.replace(make_trial(0, {"gain": 0.5}, [1.0]), origin=origin)
     status.begin(Phase.TUNING, 5)
-    status.recall(carried_over([trial], "runs/earlier").trials, None)
+    status.recall([trial], None)
     assert status.now.fallbacks == 1
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from bo_tuner.monitoring.time_left import TimeLeft
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.storage.carrying import carried_over
 from bo_tuner.trials import Stage
 from bo_tuner.tuning.observer import Phase
 
@@ -296,5 +295,10 @@ def test_a_design_that_was_carried_over_counts_as_one(machine):
     for run in (one, other):
         run.left.begin(Phase.TUNING)
     trials = [one.trial(count, proposal=p) for count, p in ((8, 0.0), (2, 4.0))]
-    other.left.recall(carried_over(trials, "runs/earlier").trials)
+    other.left.recall(
+        [
+            dataclasses.replace(t, origin=f"{t.origin} (from runs/earlier, trial {t.number})")
+            for t in trials
+        ]
+    )
     assert other.left.estimate() == pytest.approx(one.left.estimate())

@@ -12,7 +12,15 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
-from bo_tuner.trials import DISTURBED, EvaluationState, Outcome, Stage, TrialState
+from bo_tuner.trials import (
+    DISTURBED,
+    EvaluationState,
+    Outcome,
+    Stage,
+    TrialState,
+    count_evaluations,
+    count_trials,
+)
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 
@@ -213,17 +221,53 @@ class TestFailures:
             iter_into(again, [])
 
     def test_others_in_between_do_not(self, make_study, function_backend, failed):
-        study = make_study().replace(trials=8, initial_trials=8)
-        fates = iter(["lost", "lost", "failed", "lost", "lost", *["whole"] * 4, "lost", "lost"])
+        study = make_study().replace(trials=3, initial_trials=3)
+        gone = ["lost"] * 4
+        fates = iter([*gone, "failed", *gone, *["whole"] * 4, *gone, "failed"])
 
         def fate(**values):
             now = next(fates)
             return smooth(**values) if now == "whole" else failed(now, EvaluationState(now))
 
         trials = run(study, function_backend(study, fate))
+        # Each was run twice, and none of them counts as one of the three.
         assert [trial.reason for trial in trials] == [
-            "lost", "lost", "failed", "lost", "lost", "", "lost", "lost",
+            "lost", "lost", "failed", "lost", "lost", "", "lost", "lost", "failed",
         ]  # fmt: skip
+
+    @pytest.mark.parametrize("algorithm", ALGORITHMS)
+    @pytest.mark.parametrize("at", [0, 1, 9])
+    def test_a_loss_changes_nothing(self, make_study, function_backend, failed, algorithm, at):
+        """The evaluation is run again in its place, and none is missing in the end."""
+        study, algorithm = make_study().replace(trials=4), ALGORITHMS[algorithm]
+        expected = run(study, function_backend(study, smooth), algorithm)
+        at = min(at, sum(len(trial.evaluations) for trial in expected) - 1)
+        count = itertools.count()
+
+        def lost_once(**values):
+            lost = failed("axis was ended by SIGKILL", EvaluationState.LOST)
+            return lost if next(count) == at else smooth(**values)
+
+        backend, watcher = function_backend(study, lost_once), Watcher()
+        found = list(Tuning(study, backend, algorithm, observer=watcher))
+        assert found == expected
+        # The loss is on record.
+        assert [e.outcome.state for e in watcher.evaluations].count(EvaluationState.LOST) == 1
+
+    def test_lost_trials_take_no_evaluations_of_the_budget(
+        self, make_study, function_backend, failed
+    ):
+        study = make_study(constraints={}).replace(evaluations=6, initial_trials=3)
+        fates = iter([True, False, False, *[True] * 10])
+
+        def fate(**values):
+            return smooth(**values) if next(fates) else failed("gone", EvaluationState.LOST)
+
+        trials = run(study, function_backend(study, fate))
+        # Two evaluations a trial; of the first one, the second was lost twice.
+        assert [trial.ending for trial in trials] == ["lost", "complete", "complete", "complete"]
+        assert count_trials(trials) == 3
+        assert count_evaluations(trials) == 6
 
 
 def iter_into(tuning, seen):

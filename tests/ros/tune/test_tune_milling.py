@@ -12,7 +12,7 @@ from tuner import environment_of_nodes
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM
 from bo_tuner.study.study_file import study_from_mapping
-from bo_tuner.trials import EvaluationState, TrialState
+from bo_tuner.trials import TrialState
 from bo_tuner.tuning.loop import Tuning
 
 pytestmark = pytest.mark.ros
@@ -98,18 +98,16 @@ class TestRun:
 
 class TestRecovery:
     def test_killed_nodes_are_replaced(self, tune):
-        """Each in turn; the trial at hand is lost, with the reason, and the run goes on."""
+        """Each in turn; the evaluation at hand is lost, with the reason, and run again."""
         command = tune(study=small_study(6), AMENT_PREFIX_PATH="")
         for number, name in ((0, "mpc_controller"), (2, "milling_plant")):
             command.wait_for_trial(number)
             (pid,) = command.nodes(name)
             os.kill(pid, signal.SIGKILL)
         assert command.finish() in (0, 3), command.err
-        trials = command.trials()
-        lost = {trial.number: trial.reason for trial in trials if trial.reason}
-        assert list(lost.values()) == [f"{name} was ended by SIGKILL" for name in NODES[::-1]]
-        assert len(trials) == 6
-        assert all(trials[k].evaluations[-1].outcome.state is EvaluationState.LOST for k in lost)
+        lost = [evaluation.outcome.reason for evaluation in command.lost()]
+        assert lost == [f"{name} was ended by SIGKILL" for name in NODES[::-1]]
+        assert [trial.ending for trial in command.trials()] == ["complete"] * 6
 
     def test_a_frozen_controller_is_replaced(self, tune):
         """The plant misses its command and fails the cut, but it is the controller that is lost."""
@@ -120,9 +118,8 @@ class TestRecovery:
         (pid,) = command.nodes("mpc_controller")
         os.kill(pid, signal.SIGSTOP)
         assert command.finish() in (0, 3), command.err
-        reasons = [trial.reason for trial in command.trials() if trial.reason]
-        (reason,) = reasons
-        assert reason.startswith("mpc_controller does not answer ")
+        (lost,) = command.lost()
+        assert lost.outcome.reason.startswith("mpc_controller does not answer ")
 
     @pytest.mark.parametrize(
         ("signum", "code"),

@@ -274,9 +274,14 @@ class Trial:
         return replace(self, evaluations=tuning)
 
 
+def count_trials(trials: Iterable[Trial]) -> int:
+    """Return how many trials count for the budget; one that is `Trial.spoilt` does not."""
+    return sum(not trial.spoilt for trial in trials)
+
+
 def count_evaluations(trials: Iterable[Trial]) -> int:
-    """Return how many evaluations the trials have together; those that check them do not count."""
-    return sum(e.stage in TUNING for trial in trials for e in trial.evaluations)
+    """Return how many evaluations count for the budget: without checks, of `count_trials`."""
+    return sum(e.stage in TUNING for trial in trials if not trial.spoilt for e in trial.evaluations)
 
 
 def count_checks(trials: Iterable[Trial]) -> int:

@@ -26,14 +26,15 @@ from bo_tuner.recording.retention import Policy, RecordOptions
 from bo_tuner.recording.run_recording import RunRecording
 from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.report.sections.convergence import known_incumbents
-from bo_tuner.storage.carrying import carried_over
+from bo_tuner.storage.carrying import Carried
 from bo_tuner.storage.csv_tables import export_csv
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, read_journal
-from bo_tuner.storage.journal_repair import salvage
+from bo_tuner.storage.journal_repair import salvage, withdraw_lost
 from bo_tuner.storage.provenance import (
     ATTACHED,
     CARRIED,
+    CARRIED_FROM,
     NAMESPACE,
     RECORD,
     RECORD_LIMIT,
@@ -46,7 +47,7 @@ from bo_tuner.storage.run_folder import RECORDING, SUMMARY, RunFolder, how_to_re
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
-from bo_tuner.trials import TUNING, Trial, count_evaluations
+from bo_tuner.trials import TUNING, Trial, count_evaluations, count_trials
 from bo_tuner.tuning.journaling import JournalObserver
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.observer import Observers, Phase, RunObserver
@@ -80,9 +81,7 @@ class RunOptions:
     stop_early
         Follow the advice to stop.
     carried
-        Trials of an earlier run that a new run begins with.
-    carried_from
-        The folder of that run.
+        What a new run takes of an earlier one; None for nothing.
     web
         Where to serve the live page; None for no page.
     web_control
@@ -96,8 +95,7 @@ class RunOptions:
     record: RecordOptions = dataclasses.field(default_factory=RecordOptions)
     output: Output = Output.PROGRESS
     stop_early: bool = False
-    carried: Sequence[Trial] = ()
-    carried_from: str = ""
+    carried: Carried | None = None
     web: Address | None = None
     web_control: bool = False
 
@@ -177,8 +175,10 @@ class Session:
             earlier, damage = NOTHING, ""
             if folder.journal.exists():
                 earlier, damage = salvage(folder.journal)
-            elif self._options.carried:
-                earlier = carried_over(self._options.carried, self._options.carried_from)
+                earlier = withdraw_lost(folder.journal, earlier)
+            elif (carried := self._options.carried) is not None:
+                every = tuple(e for trial in carried.trials for e in trial.evaluations)
+                earlier = JournalContent((), carried.trials, every, "")
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
             begun = folder.journal.exists()
@@ -222,7 +222,7 @@ class Session:
         One that may stop early may have none to come; its files are written again at the end.
         """
         done = count_evaluations(earlier.trials)
-        return not self._study.budget.is_spent(len(earlier.trials), done)
+        return not self._study.budget.is_spent(count_trials(earlier.trials), done)
 
     def _provenance(self, earlier: JournalContent, damage: str) -> dict[str, str]:
         """Return what works on the run from now on, and warn of what has changed."""
@@ -236,8 +236,9 @@ class Session:
             provenance[STOP_EARLY] = "yes"
         provenance[RECORD] = str(options.record.policy)
         provenance[RECORD_LIMIT] = str(options.record.limit)
-        if options.carried:
-            provenance[CARRIED] = options.carried_from
+        if options.carried is not None:
+            provenance[CARRIED_FROM] = options.carried.run
+            provenance[CARRIED] = options.carried.text
         if damage:
             self._display.warn(f"the record was damaged: {damage}")
             provenance["salvaged"] = damage
@@ -269,11 +270,12 @@ class Session:
         self._folder.link_latest()
         options = self._options
         self._display.start(self._folder.path, options.backend, options.algorithm)
-        if earlier.evaluations:
-            on_record = f"of {options.carried_from}" if options.carried else "on record"
+        if options.carried is not None:
+            self._display.tell(f"begins with {options.carried.text}, of {options.carried.run}")
+        elif earlier.evaluations:
             self._display.tell(
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
-                f"{counted(len(earlier.evaluations), 'evaluation')} {on_record}"
+                f"{counted(len(earlier.evaluations), 'evaluation')} on record"
             )
         study, observers = self._study, self._observers
         known = continued(

@@ -23,26 +23,38 @@ from bo_tuner.cli.common import (
 from bo_tuner.cli.init import write_first_study
 from bo_tuner.cli.session import RunOptions, Session
 from bo_tuner.cli.tune_options import STUDY, make_parser
-from bo_tuner.errors import OutputError, RunRecordError, StudyError
+from bo_tuner.errors import OutputError, StudyError
 from bo_tuner.interruption import Interruption
-from bo_tuner.optimizers.algorithms import default_algorithm, several_objectives_problem
+from bo_tuner.optimizers.algorithms import (
+    ALGORITHMS,
+    default_algorithm,
+    several_objectives_problem,
+)
 from bo_tuner.recording.retention import Policy, RecordOptions
+from bo_tuner.replay.recompute import measure_again
+from bo_tuner.storage.carrying import (
+    Carried,
+    carry_over,
+    check_comparable,
+    is_carried,
+    remeasured,
+)
 from bo_tuner.storage.parameter_set_file import read_parameter_set
 from bo_tuner.storage.record import RunRecord, read_run
 from bo_tuner.storage.run_folder import RunFolder
-from bo_tuner.storage.trust import trust
-from bo_tuner.study.changes import incomparable_changes, summarized
+from bo_tuner.storage.trust import is_trusted, trust
+from bo_tuner.study.parameter import Number
 from bo_tuner.study.parts import BACKENDS, ROS
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import Describe, load_study
-from bo_tuner.trials import count_evaluations
+from bo_tuner.trials import count_evaluations, count_trials
 from bo_tuner.web.address import listen
 
 FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
 OF_INIT = ("nodes", "parameters", "signals")
 """Options that go with ``--init``, and with nothing else."""
-OF_CHECK = ("trials", "evaluations", "seed")
+OF_CHECK = ("trials", "evaluations", "seed", "bounds")
 """Options that go with ``--check``."""
 
 
@@ -56,8 +68,8 @@ class Plan:
         As in `RunOptions`.
     resumed
         The run that it continues.
-    earlier
-        The run that it takes its first trials from.
+    carried
+        What it takes of an earlier run.
     """
 
     study: Study
@@ -66,7 +78,7 @@ class Plan:
     attach: bool
     stop_early: bool
     resumed: RunRecord | None = None
-    earlier: RunRecord | None = None
+    carried: Carried | None = None
 
 
 @guarded
@@ -130,8 +142,7 @@ def _run(
         record=_recording(arguments, plan.resumed),
         output=arguments.output_mode,
         stop_early=plan.stop_early,
-        carried=plan.earlier.trials if plan.earlier else (),
-        carried_from=str(plan.earlier.path.resolve()) if plan.earlier else "",
+        carried=plan.carried,
         web=None if arguments.web is None else listen(arguments.web),
         web_control=arguments.web_control,
     )
@@ -168,6 +179,8 @@ def _refuse_beside_resume(arguments: argparse.Namespace, parser: Parser) -> None
     given = [name for name in FROM_THE_RECORD if getattr(arguments, name) is not None]
     if given:
         parser.error(f"--resume takes --{given[0]} from the run's record; leave it out")
+    if arguments.bounds:
+        parser.error("--resume goes on with the bounds of the run; --from begins a new run")
 
 
 def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -> Plan:
@@ -189,13 +202,41 @@ def _after_earlier(
     """Plan a run that begins with the trials of an earlier one."""
     backend = recorded_backend(record)
     attach = attached(arguments, parser, backend, record)
+    for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
+        if getattr(arguments, name) not in (None, found):
+            parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
     if arguments.study is not None:
         study = _given(arguments.study, attach, arguments, look)
     else:
         study = _changed(record.study, arguments)
         allow_programs(record, trusted=arguments.trust, attach=attach)
-    _check_comparable(record, study, arguments, parser)
-    return Plan(study, record.algorithm, backend, attach, arguments.stop_early, earlier=record)
+        if is_trusted(record.study):
+            # With other bounds it names the same programs.
+            _trust(study)
+    if problem := several_objectives_problem(record.algorithm, study):
+        parser.error(f"--from: {problem}")
+    algorithm = ALGORITHMS[record.algorithm]
+    check_comparable(record, study, algorithm)
+    measure = measure_again(record, study) if remeasured(record.study, study) else None
+    carried = carry_over(record, study, algorithm, measure)
+    if all(given is None for given in (arguments.study, arguments.trials, arguments.evaluations)):
+        study = _as_much_again(record, study, carried)
+    _check_budget(study, carried, parser)
+    return Plan(study, record.algorithm, backend, attach, arguments.stop_early, carried=carried)
+
+
+def _as_much_again(record: RunRecord, study: Study, carried: Carried) -> Study:
+    """Return the study with a budget for as much as a run had itself, beside what is taken of it.
+
+    The budget of a study counts all trials, also those that the run had taken from another one.
+    """
+    budget, taken = record.study.budget, carried.trials
+    had = [trial for trial in record.trials if is_carried(trial)]
+    trials = budget.trials - count_trials(had) + count_trials(taken)
+    evaluations = budget.evaluations
+    if evaluations is not None:
+        evaluations += count_evaluations(taken) - count_evaluations(had)
+    return study.replace(trials=trials, evaluations=evaluations)
 
 
 def _new(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
@@ -213,10 +254,14 @@ def _new(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
 def _given(named: str, attach: bool, arguments: argparse.Namespace, look: Describe) -> Study:
     """Read the study that the user has given to be run, and trust it."""
     study = _changed(_load(named, attach, look), arguments)
-    # Where that cannot be noted down, the commands on this run will ask for --trust.
+    _trust(study)
+    return study
+
+
+def _trust(study: Study) -> None:
+    """Trust a study; where that cannot be noted down, commands on its run ask for --trust."""
     with contextlib.suppress(OutputError):
         trust(study)
-    return study
 
 
 def _load(named: str, attach: bool, look: Describe) -> Study:
@@ -254,7 +299,7 @@ def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser
     done = count_evaluations(record.trials)
     if evaluations is not None:
         # The run may have ended before its last trial.
-        trials = len(record.trials)
+        trials = count_trials(record.trials)
     for name, given, had in (
         ("trials", arguments.trials, trials),
         ("evaluations", arguments.evaluations, max(done, evaluations or 0)),
@@ -263,32 +308,22 @@ def _check_more(arguments: argparse.Namespace, record: RunRecord, parser: Parser
             parser.error(f"--{name}: expected more than the {had} of the run, found {given}")
 
 
-def _check_comparable(
-    record: RunRecord, study: Study, arguments: argparse.Namespace, parser: Parser
-) -> None:
-    """Refuse to begin with trials that are of another study, or were made in another way."""
-    for name, found in (("backend", record.backend), ("algorithm", record.algorithm)):
-        if getattr(arguments, name) not in (None, found):
-            parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
-    if differences := incomparable_changes(record.study, study):
-        raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
-    if not record.trials:
-        raise RunRecordError(f"{record.path}: has no whole trial to begin with")
-    evaluations = count_evaluations(record.trials)
-    if study.budget.is_spent(len(record.trials), evaluations):
-        if study.budget.evaluations is not None and evaluations >= study.budget.evaluations:
-            parser.error(
-                f"--evaluations: expected more than the {evaluations} of --from, found "
-                f"{study.budget.evaluations}"
-            )
-        parser.error(
-            f"--trials: expected more than the {len(record.trials)} of --from, found "
-            f"{study.budget.trials}"
-        )
+def _check_budget(study: Study, carried: Carried, parser: Parser) -> None:
+    """Refuse to begin with as many trials as there are to be in all."""
+    trials, evaluations = count_trials(carried.trials), count_evaluations(carried.trials)
+    budget = study.budget
+    if not budget.is_spent(trials, evaluations):
+        return
+    name, most, taken = "trials", budget.trials, trials
+    if budget.evaluations is not None and evaluations >= budget.evaluations:
+        name, most, taken = "evaluations", budget.evaluations, evaluations
+    parser.error(f"--{name}: expected more than the {taken} of --from, found {most}")
 
 
 def _changed(study: Study, arguments: argparse.Namespace) -> Study:
     """Return the study with the options of the command line."""
+    if arguments.bounds:
+        study = _with_bounds(study, arguments.bounds)
     sets = [read_parameter_set(path, study) for path in arguments.start or ()]
     try:
         return study.replace(
@@ -300,3 +335,14 @@ def _changed(study: Study, arguments: argparse.Namespace) -> Study:
     except StudyError as error:
         option = error.path[-1] if error.path else ""
         raise StudyError(f"--{option}: {error.problem}") from error
+
+
+def _with_bounds(study: Study, given: Sequence[tuple[str, tuple[Number, Number]]]) -> Study:
+    bounds = dict(given)
+    if len(bounds) < len(given):
+        twice = next(name for name, _ in given if [n for n, _ in given].count(name) > 1)
+        raise StudyError(f"--bounds: {twice} has more than one; leave all but one out")
+    try:
+        return study.with_bounds(bounds)
+    except StudyError as error:
+        raise StudyError(f"--bounds: {error}") from error

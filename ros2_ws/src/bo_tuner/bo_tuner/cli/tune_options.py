@@ -9,6 +9,7 @@ from bo_tuner.monitoring.display import Output
 from bo_tuner.optimizers.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, SEVERAL_OBJECTIVES
 from bo_tuner.recording.retention import MEGABYTE, Policy, RecordOptions
 from bo_tuner.study import maxima
+from bo_tuner.study.parameter import Number
 from bo_tuner.study.parts import BACKENDS
 from bo_tuner.study.study_file import shipped_studies
 
@@ -43,6 +44,7 @@ examples:
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
   tune --from latest --trials 60       begin with the trials of an earlier run
+  tune --from latest --bounds kp=0.1:20   the same, with wider bounds
   tune --stop-early                    stop when further trials are not worth it
   tune --web                           the report, live, in a browser
   tune --web --web-control             the same, with buttons to pause and end
@@ -153,8 +155,17 @@ def _add_known(parser: Parser) -> None:
         type=Path,
         dest="earlier",
         metavar="RUN",
-        help="begin with the trials of an earlier run of the same study, which stays as it is; "
-        "with --trials N, N trials in all",
+        help="begin with the trials of an earlier run, which stays as it is, as far as they are "
+        "data of the study: by default that of the run, with --study or --bounds one with other "
+        "bounds, limits, metrics or objective; with --trials N, N trials in all (default: as many "
+        "more as the run had, or with --study as that says)",
+    )
+    parser.add_argument(
+        "--bounds",
+        type=_bounds,
+        action="append",
+        metavar="NAME=LOWER:UPPER",
+        help="other bounds of a tuned number than the study has, such as kp=0.1:20; once for each",
     )
 
 
@@ -222,6 +233,28 @@ def _add_web(parser: Parser) -> None:
         action="store_true",
         help="with --web: the page may pause, continue and end the run",
     )
+
+
+def _bounds(text: str) -> tuple[str, tuple[Number, Number]]:
+    """Read the name of a parameter, and its bounds."""
+    name, _, pair = text.rpartition("=")
+    lower, _, upper = pair.partition(":")
+    try:
+        if not name:
+            raise ValueError
+        return name, (_number(lower), _number(upper))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text}: expected NAME=LOWER:UPPER, such as kp=0.1:20"
+        ) from None
+
+
+def _number(text: str) -> Number:
+    """Read a number; an integer parameter takes no 3.0."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
 
 
 def _port(text: str) -> int:

@@ -145,6 +145,9 @@ class Fitting:
         self, complete: Sequence[Trial], objective: Objective, name: str
     ) -> frozenset[int]:
         x, y, number = self._observations(complete, objective.metric)
+        if not len(y):
+            # All are from contexts of another distribution.
+            return frozenset()
         # On the metric's own scale, where off-the-charts values stand out the most.
         mask, bulk = find_outliers(
             self._coding.encode(x),

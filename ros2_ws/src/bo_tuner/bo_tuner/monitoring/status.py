@@ -10,7 +10,14 @@ from bo_tuner.optimizers.base import SPACE_FILLING
 from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, EvaluationState, Trial, TrialState, count_evaluations
+from bo_tuner.trials import (
+    Evaluation,
+    EvaluationState,
+    Trial,
+    TrialState,
+    count_evaluations,
+    count_trials,
+)
 from bo_tuner.tuning.limits import violated
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.verdict.verdict import Verdict
@@ -91,7 +98,8 @@ class RunStatus(RunObserver):
     ) -> None:
         self._study = study
         self._times = TimeLeft(study, algorithm, clock)
-        self._evaluations = 0
+        # What counts for the budget.
+        self._counted = self._evaluations = 0
         self._evaluation_seconds = 0.0
         self._optimizer_seconds = 0.0
         self.now = Snapshot()
@@ -155,11 +163,12 @@ class RunStatus(RunObserver):
         complete = trial.state is TrialState.COMPLETE
         violating = complete and bool(violated(self._study, trial))
         trials = self.now.trials + 1
+        self._counted += count_trials([trial])
         self._evaluations += count_evaluations([trial])
         self._update(
             done=self.now.done + 1,
-            # Fewer trials than planned where evaluations limit them.
-            total=trials + self._study.budget.remaining(trials, self._evaluations),
+            # Fewer trials than planned where evaluations limit them, more where some were lost.
+            total=trials + self._study.budget.remaining(self._counted, self._evaluations),
             trials=trials,
             last=trial,
             failed=self.now.failed + failed,

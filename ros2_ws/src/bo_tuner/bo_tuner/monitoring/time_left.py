@@ -20,7 +20,7 @@ from bo_tuner.optimizers.algorithms import Algorithm
 from bo_tuner.optimizers.base import DEFAULT, INITIAL, START
 from bo_tuner.optimizers.boundary import evaluations_ahead
 from bo_tuner.study.study import Study
-from bo_tuner.trials import Evaluation, Stage, Trial, count_checks
+from bo_tuner.trials import Evaluation, Stage, Trial, count_checks, count_trials
 from bo_tuner.tuning.observer import Phase
 from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
@@ -79,7 +79,7 @@ class TimeLeft:
         self._algorithm = algorithm
         self._clock = clock
         self._trials: list[_Times] = []
-        self._evaluations = 0
+        self._counted = self._evaluations = 0
         # Before this session, by runs that had ended.
         self._repeated = 0
         # Of an evaluation with no search or proposal before it.
@@ -149,10 +149,11 @@ class TimeLeft:
         count = len(trial.evaluations)
         known = count + (self._trials[-1].known if self._trials else 0)
         self._trials.append(_Times(count, known, evaluating, other, ranking, proposed))
+        self._counted += count_trials([trial])
 
     def _until_settled(self) -> float:
         """Return the time [s] until the repetitions end, where models pool all evaluations."""
-        trials, evaluations = len(self._trials), float(self._evaluations)
+        trials, evaluations = self._counted, float(self._evaluations)
         repeated, seconds = 0, 0.0
         if self._phase == Phase.CHECKING:
             repeated = self._in_phase
@@ -177,7 +178,7 @@ class TimeLeft:
         if self._phase == Phase.CHECKING:
             count = min(self._steps + CANDIDATES, self._algorithm.most_checked)
             return max(0, size * count - self._in_phase) * self._measured(cost)
-        trials = self._study.budget.remaining(len(self._trials), self._evaluations)
+        trials = self._study.budget.remaining(self._counted, self._evaluations)
         seconds = self._evaluations_of_trial() * self._recent_evaluation()
         seconds += self._beside_evaluations(trials)
         return trials * seconds + min(CANDIDATES, self._algorithm.most_checked) * size * cost

@@ -32,7 +32,7 @@ from bo_tuner.optimizers.base import ACQUISITION, Proposal
 from bo_tuner.optimizers.bayesian import AcquisitionSearch, BayesianOptimization
 from bo_tuner.optimizers.ranking import lowest_cost
 from bo_tuner.study.study import Study
-from bo_tuner.trials import TrialState, count_evaluations
+from bo_tuner.trials import TrialState, count_evaluations, count_trials
 
 SEARCHING = 0.5
 """Part of the budget for the search."""
@@ -68,7 +68,7 @@ class BoundaryOptimization(BayesianOptimization):
 
     def ask(self) -> Proposal:
         """Propose the next trial and its evaluations."""
-        if searches(self.study, len(self.trials), count_evaluations(self.trials)):
+        if searches(self.study, count_trials(self.trials), count_evaluations(self.trials)):
             return super().ask()
         return self.initial() or self.propose(self._at_boundary, new_point(self.study))
 

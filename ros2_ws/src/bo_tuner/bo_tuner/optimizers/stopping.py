@@ -44,7 +44,7 @@ from bo_tuner.optimizers.bayesian import AcquisitionSearch, latest_hyperparamete
 from bo_tuner.optimizers.boundary import provable
 from bo_tuner.optimizers.ranking import first_by
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Trial, count_evaluations
+from bo_tuner.trials import EvaluationState, Trial, count_evaluations, count_trials
 
 PERIOD = 5
 """Number of trials between two computations, each of which costs about as much as a proposal."""
@@ -129,7 +129,7 @@ class StopAdvisor:
         """
         budget = self._study.budget
         done = len(trials)
-        remaining = budget.remaining(done, count_evaluations(trials))
+        remaining = budget.remaining(count_trials(trials), count_evaluations(trials))
         if self.advice is not None or self._algorithm.random or remaining <= 0:
             return None
         # The gain in one scalarization of several objectives says nothing of the others.

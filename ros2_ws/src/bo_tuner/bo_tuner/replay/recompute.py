@@ -1,7 +1,8 @@
-"""Metrics of recorded runs, computed again from their bags."""
+"""Metrics of recorded runs, computed again from their bags, or from what nodes reported."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.metrics.collect import Collector
@@ -9,11 +10,13 @@ from bo_tuner.metrics.recording import FailedRunError
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.retention import is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
+from bo_tuner.storage.carrying import Measure, remeasured
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.study.metrics import ReportedMetric
+from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
-from bo_tuner.trials import EvaluationState, Outcome
+from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Outcome
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ def check_recorded(record: RunRecord, study: Study) -> None:
             )
     for name, signal in study.signals.items():
         known = recorded.get(name)
-        if known is None or (known.topic, known.field) != (signal.topic, signal.field):
+        if known is None or _source(known) != _source(signal):
             raise RunRecordError(
                 f"{record.path}: has no recording of signal {name} ({signal.topic} "
                 f"{signal.field}); it has {', '.join(recorded) or 'none'}"
@@ -80,6 +83,65 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
         raise RunRecordError(
             f"{record.path}: has no bag with signals; tune with --record notable or all"
         )
+
+
+def measure_again(record: RunRecord, study: Study) -> Measure:
+    """Return what computes the metrics of another study for the evaluations of a record's trials.
+
+    Parameters
+    ----------
+    record
+        The run.
+    study
+        The other study.
+
+    Raises
+    ------
+    RunRecordError
+        As `recompute`.
+    """
+    anew = [study.metrics[name] for name in remeasured(record.study, study)]
+    reported = [metric for metric in anew if isinstance(metric, ReportedMetric)]
+    if reported:
+        return partial(_from_reports, study, reported)
+    runs = {
+        (found.run.trial, found.run.evaluation["index"]): found
+        for found in recompute(record, study)
+        if found.run.evaluation.get("stage") in TUNING
+        and found.run.evaluation.get("state") == EvaluationState.COMPLETE
+    }
+
+    def measure(evaluation: Evaluation) -> Outcome | None:
+        found = runs.get((evaluation.trial, evaluation.index))
+        # What the run has taken from another one is not in its bags.
+        if found is None or found.run.evaluation["metrics"] != evaluation.outcome.metrics:
+            return None
+        return found.outcome
+
+    return measure
+
+
+def _from_reports(
+    study: Study, reported: Sequence[ReportedMetric], evaluation: Evaluation
+) -> Outcome | None:
+    """Compute metrics of what the nodes have reported; None if a figure is not among that."""
+    details = evaluation.outcome.details
+    if any(f"{metric.node}.{metric.key}" not in details for metric in reported):
+        return None
+    results = {
+        node: {
+            key.removeprefix(f"{node}."): value
+            for key, value in details.items()
+            if key.startswith(f"{node}.")
+        }
+        for node in study.nodes
+    }
+    return Collector(study).outcome({node: pairs for node, pairs in results.items() if pairs})
+
+
+def _source(signal: Signal) -> tuple[str, str, str]:
+    """Return what decides which numbers a signal has, at which times."""
+    return signal.topic, signal.field, signal.time
 
 
 def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:

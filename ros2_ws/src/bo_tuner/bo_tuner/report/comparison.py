@@ -12,7 +12,7 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.report.sections.convergence import incumbents
 from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, simulate
 from bo_tuner.text import with_unit
-from bo_tuner.trials import Evaluation, Stage
+from bo_tuner.trials import Evaluation, Stage, count_trials
 from bo_tuner.tuning.limits import tightest
 from bo_tuner.verdict.verdict import Quantity, Status, Verdict
 
@@ -67,7 +67,7 @@ def verdicts_table(runs: Mapping[str, Analysis], caption: str) -> Table:
                 verdict.evidence,
                 analysis.study.name,
                 f"{record.algorithm}, {record.backend}, seed {record.study.seed}",
-                f"{len(record.trials)} of {analysis.study.budget.trials}",
+                f"{count_trials(record.trials)} of {analysis.study.budget.trials}",
             ]
         )
     return Table(

@@ -1,42 +1,402 @@
-"""Trials of an earlier run that a new run of the same study begins with."""
+"""Trials of an earlier run that a new run begins with, of the same study or a similar one.
+
+An evaluation is a fact about its parameter set in its context: it stays one when a study gets other
+bounds, another budget, limit or objective. What is made of it may not:
+
+- A parameter set that the new study does not permit (outside its bounds, off a step, against the
+  order, of another fixed value) is left out: models, reports and a result know those only that it
+  permits.
+- Where the distribution of the contexts has changed, evaluations in contexts that are still
+  possible are data of a process over parameter set and context, as `boundary` has it. They are no
+  draws any more, so no mean of theirs stands for an expectation: they count as those of a search.
+  The other algorithms take means over draws, and are refused; but for I, which has the nominal
+  context alone.
+- An estimated worst case is kept where the same metric was searched on the same side, over the same
+  contexts. Elsewhere it is estimated anew by the models of all evaluations that are taken; an
+  algorithm that only searches trial by trial is refused.
+- Hyperparameters are those of the old unit cube and the old responses, and are dropped if anything
+  but the amount has changed.
+- What was lost or disturbed tells nothing, and is left out.
+"""
 
 import dataclasses
-from collections.abc import Sequence
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
-from bo_tuner.storage.journal_reader import JournalContent
-from bo_tuner.trials import Trial
+from bo_tuner.errors import ParameterError, RunRecordError, StudyError
+from bo_tuner.metrics.collect import judged
+from bo_tuner.models.surrogates import Surrogates
+from bo_tuner.numerics.seeds import Stream, generator
+from bo_tuner.optimizers.algorithms import Algorithm
+from bo_tuner.optimizers.base import Proposal
+from bo_tuner.storage.record import RunRecord
+from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
+from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.distributions import Discrete, Distribution
+from bo_tuner.study.metrics import PythonMetric, SignalMetric, StudyMetric
+from bo_tuner.study.parts import LOG
+from bo_tuner.study.signals import expression
+from bo_tuner.study.study import Study
+from bo_tuner.text import counted
+from bo_tuner.trials import (
+    Evaluation,
+    Outcome,
+    Stage,
+    Trial,
+    TrialState,
+    WorstCase,
+    count_evaluations,
+)
 
 ORIGIN = "from"
 """Key of an evaluation's details that names the run it comes from."""
 
+OF_MEASURING = re.compile(r"\b(metric|signal) ")
+"""What the reason of a failure has that lies in how a run was measured."""
 
-def carried_over(trials: Sequence[Trial], run: str) -> JournalContent:
-    """Return what a journal begins with that has the trials of another run.
+Measure = Callable[[Evaluation], Outcome | None]
+"""Computes the metrics of an evaluation again, as another study defines them; None if it cannot."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a run takes of an earlier one.
+
+    Attributes
+    ----------
+    run
+        The folder of that run.
+    trials
+        What it takes, numbered from 0.
+    text
+        What it takes and what not, with counts and reasons, in a line.
+    """
+
+    run: str
+    trials: tuple[Trial, ...]
+    text: str
+
+
+class _LeftOutError(Exception):
+    """A trial or an evaluation cannot be data of the new study, for this reason."""
+
+
+def is_carried(trial: Trial) -> bool:
+    """Whether a trial was taken over from another run."""
+    return any(ORIGIN in evaluation.outcome.details for evaluation in trial.evaluations)
+
+
+def remeasured(then: Study, now: Study) -> list[str]:
+    """Return the metrics of a study that an earlier one does not have, or measures otherwise."""
+    return [
+        name
+        for name, metric in now.metrics.items()
+        if not _same_metric(metric, then.metrics.get(name), then, now)
+    ]
+
+
+def check_comparable(record: RunRecord, study: Study, algorithm: Algorithm) -> None:
+    """Refuse a study of which no trial of a run can be data.
+
+    Raises
+    ------
+    RunRecordError
+        With what differs.
+    """
+    then = record.study
+    if differences := incomparable_changes(then, study):
+        raise RunRecordError(f"{record.path}: is a run of another study: {summarized(differences)}")
+    moved = _moved_contexts(then, study)
+    if moved and algorithm.nominal:
+        moved = [
+            name
+            for name in moved
+            if then.contexts[name].distribution.nominal != study.contexts[name].distribution.nominal
+        ]
+    if moved and not algorithm.models.pooled:
+        what = "evaluates the nominal context" if algorithm.nominal else "takes means over draws"
+        raise RunRecordError(
+            f"{record.path}: contexts.{moved[0]} has another distribution, and the algorithm of "
+            f"this run {what}; start a new run"
+        )
+    new = [c.name for c in study.worst_case_constraints if _searched(c, then, study) is None]
+    models = algorithm.models
+    if new and not (algorithm.nominal or models.pooled or models.joint):
+        raise RunRecordError(
+            f"{record.path}: the worst case of constraints.{new[0]} was not searched for in this "
+            "run, and its algorithm searches for it in each trial; start a new run"
+        )
+    if not record.trials:
+        raise RunRecordError(f"{record.path}: has no whole trial to begin with")
+
+
+def carry_over(
+    record: RunRecord, study: Study, algorithm: Algorithm, measure: Measure | None = None
+) -> Carried:
+    """Take the trials of a run as far as they are data of a study.
 
     Parameters
     ----------
-    trials
-        The whole trials of that run.
-    run
-        Its folder, which trials and evaluations name as their origin; what was carried over before
-        keeps the first one.
+    record
+        The earlier run.
+    study
+        Of the new run.
+    algorithm
+        Of both runs; `check_comparable` has not refused them.
+    measure
+        Computes metrics again where there are any `remeasured`.
+
+    Raises
+    ------
+    RunRecordError
+        If no trial is left.
     """
-    carried = []
-    for trial in trials:
-        known = trial.evaluations[0].outcome.details.get(ORIGIN) if trial.evaluations else None
-        if known is not None:
-            carried.append(trial)
-            continue
+    taking = _Taking(record, study, algorithm, measure)
+    found = list(taking.trials())
+    if not found:
+        raise RunRecordError(
+            f"{record.path}: none of its {counted(len(record.trials), 'trial')} can be used: "
+            f"{taking.left_out}"
+        )
+    trials = _with_worst_cases(study, algorithm, found)
+    run = str(record.path.resolve())
+    return Carried(run, tuple(_named(trial, run) for trial in trials), taking.summary(trials))
+
+
+class _Taking:
+    """Goes through the trials of a run, and counts what it leaves out."""
+
+    def __init__(
+        self, record: RunRecord, study: Study, algorithm: Algorithm, measure: Measure | None
+    ) -> None:
+        self._record = record
+        self._then, self._study, self._algorithm = record.study, study, algorithm
+        self._space = study.search_space()
+        self._measure = measure
+        self._changed = bool(changes_of_data(self._then, study))
+        self._anew = set(remeasured(self._then, study))
+        self._measured_otherwise = _measured_otherwise(self._then, study, self._anew)
+        self._moved = _moved_contexts(self._then, study)
+        self._trials: Counter[str] = Counter()
+        self._evaluations: Counter[str] = Counter()
+
+    def trials(self) -> Iterator[Trial]:
+        """Yield what is taken, numbered from 0; a complete trial may lack worst cases."""
+        number = 0
+        for trial in self._record.trials:
+            try:
+                taken = self._trial(trial, number)
+            except _LeftOutError as reason:
+                self._trials[str(reason)] += 1
+                continue
+            number += 1
+            yield taken
+
+    @property
+    def left_out(self) -> str:
+        """Counts and reasons."""
+        kinds = ((self._trials, "trial"), (self._evaluations, "evaluation"))
+        found = [
+            f"{counted(n, kind)} {reason}"
+            for reasons, kind in kinds
+            for reason, n in reasons.most_common()
+        ]
+        return "; ".join(found)
+
+    def summary(self, taken: Sequence[Trial]) -> str:
+        """Return what is taken and what not, in a line."""
+        before = self._record.trials
+        text = (
+            f"{len(taken)} of {counted(len(before), 'trial')} and {count_evaluations(taken)} of "
+            f"{counted(sum(len(t.evaluations) for t in before), 'evaluation')}"
+        )
+        return f"{text}; left out: {self.left_out}" if self.left_out else text
+
+    def _trial(self, trial: Trial, number: int) -> Trial:
+        if trial.spoilt:
+            raise _LeftOutError(trial.ending)
+        self._check_parameters(trial)
+        kept, reasons = [], []
+        for evaluation in trial.evaluations:
+            try:
+                kept.append(self._evaluation(evaluation))
+            except _LeftOutError as reason:
+                reasons.append(str(reason))
+        if reasons and (not kept or not self._algorithm.models.pooled):
+            # Elsewhere a trial is its mean and its worst case, which are those of all evaluations.
+            raise _LeftOutError(reasons[0])
+        self._evaluations.update(reasons)
         evaluations = tuple(
+            dataclasses.replace(evaluation, trial=number, index=index)
+            for index, evaluation in enumerate(kept)
+        )
+        failed = [e.outcome for e in kept if not e.outcome.complete]
+        return dataclasses.replace(
+            trial,
+            number=number,
+            origin=trial.origin if is_carried(trial) else self._origin(trial),
+            state=TrialState.FAILED if failed else TrialState.COMPLETE,
+            reason=failed[0].reason if failed else "",
+            evaluations=evaluations,
+            worst_cases={} if failed or reasons else self._worst_cases(trial),
+            hyperparameters={} if self._changed else trial.hyperparameters,
+        )
+
+    def _origin(self, trial: Trial) -> str:
+        return f"{trial.origin} ({ORIGIN} {self._record.path.resolve()}, trial {trial.number})"
+
+    def _check_parameters(self, trial: Trial) -> None:
+        """Refuse a parameter set that the study does not permit, and say why in a few words."""
+        tuned = {name: trial.parameters[name] for name in self._space.names}
+        for name, value in tuned.items():
+            item = self._study.parameters[name]
+            try:
+                self._space.completed(self._space.defaults | {name: value})
+                item.check_grid(value, name)
+            except ParameterError:
+                what = "bounds" if item.is_number else "choices"
+                raise _LeftOutError(f"outside the {what} of {name}") from None
+            except StudyError:
+                raise _LeftOutError(f"off the step of {name}") from None
+        try:
+            complete = self._space.permitted(tuned)
+        except ParameterError:
+            raise _LeftOutError("against the order of the parameters") from None
+        for name, value in complete.items():
+            # For a node, 3 and 3.0 differ.
+            if repr(value) != repr(trial.parameters[name]):
+                raise _LeftOutError(f"with another value of {name}")
+
+    def _evaluation(self, evaluation: Evaluation) -> Evaluation:
+        """Return an evaluation as the study judges it."""
+        for name, variable in self._study.contexts.items():
+            if not _is_possible(variable.distribution, evaluation.context[name]):
+                raise _LeftOutError(f"outside the distribution of {name}")
+        drawn = evaluation.stage is Stage.DRAWN
+        stage = Stage.SEARCH if drawn and self._moved else evaluation.stage
+        return dataclasses.replace(
+            evaluation, stage=stage, outcome=judged(self._study, self._outcome(evaluation))
+        )
+
+    def _outcome(self, evaluation: Evaluation) -> Outcome:
+        outcome = evaluation.outcome
+        if not outcome.complete:
+            if self._measured_otherwise and OF_MEASURING.search(outcome.reason):
+                raise _LeftOutError("failed by what is measured otherwise now")
+            return outcome
+        known = {n: outcome.metrics[n] for n in self._study.metrics if n not in self._anew}
+        if not self._anew:
+            return dataclasses.replace(outcome, metrics=known)
+        found = None if self._measure is None else self._measure(evaluation)
+        if found is None:
+            raise _LeftOutError(f"without a record of {', '.join(sorted(self._anew))}")
+        if not found.complete:
+            return dataclasses.replace(found, details=outcome.details)
+        metrics = {name: known.get(name, found.metrics[name]) for name in self._study.metrics}
+        return dataclasses.replace(outcome, metrics=metrics)
+
+    def _worst_cases(self, trial: Trial) -> dict[str, WorstCase]:
+        """Return the estimates that hold under the study, by the names of its constraints."""
+        if not trial.worst_cases:
+            return {}
+        found = {
+            constraint.name: _searched(constraint, self._then, self._study)
+            for constraint in self._study.worst_case_constraints
+        }
+        return {name: trial.worst_cases[then] for name, then in found.items() if then is not None}
+
+
+def _with_worst_cases(study: Study, algorithm: Algorithm, trials: Sequence[Trial]) -> list[Trial]:
+    """Estimate the worst cases of complete trials that lack any, by all evaluations."""
+    names = {constraint.name for constraint in study.worst_case_constraints}
+    lacking = [
+        trial.number
+        for trial in trials
+        if trial.state is TrialState.COMPLETE and trial.worst_cases.keys() != names
+    ]
+    if not lacking:
+        return list(trials)
+    known: dict[str, tuple[float, ...]] = {}
+    if not algorithm.nominal:
+        rng = generator(study.seed, Stream.SEARCH, len(trials))
+        known = Surrogates.fit(study, trials, rng=rng, options=algorithm.models).warm_starts
+    found = list(trials)
+    for number in lacking:
+        trial = trials[number]
+        proposal = Proposal(dict(trial.parameters), trial.origin, hyperparameters=known)
+        others = [other for other in trials if other.number != number]
+        searches = algorithm.worst_case_searches(study, proposal, others)
+        for evaluation in trial.evaluations:
+            searches.tell(evaluation.context, evaluation.outcome.metrics)
+        rng = generator(study.seed, Stream.SEARCH, number, len(trial.evaluations))
+        found[number] = dataclasses.replace(trial, worst_cases=searches.worst_cases(rng))
+    return found
+
+
+def _named(trial: Trial, run: str) -> Trial:
+    """Let evaluations name the run that they come from, unless they name an earlier one."""
+    return dataclasses.replace(
+        trial,
+        evaluations=tuple(
             dataclasses.replace(
                 evaluation,
                 outcome=dataclasses.replace(
-                    evaluation.outcome, details={**evaluation.outcome.details, ORIGIN: run}
+                    evaluation.outcome, details={ORIGIN: run, **evaluation.outcome.details}
                 ),
             )
             for evaluation in trial.evaluations
-        )
-        origin = f"{trial.origin} ({ORIGIN} {run})"
-        carried.append(dataclasses.replace(trial, origin=origin, evaluations=evaluations))
-    every = tuple(evaluation for trial in carried for evaluation in trial.evaluations)
-    return JournalContent((), tuple(carried), every, "")
+        ),
+    )
+
+
+def _moved_contexts(then: Study, now: Study) -> list[str]:
+    """Return the context variables whose distribution is another one."""
+    return [
+        name
+        for name, variable in now.contexts.items()
+        if variable.distribution != then.contexts[name].distribution
+    ]
+
+
+def _is_possible(distribution: Distribution, value: float) -> bool:
+    if isinstance(distribution, Discrete):
+        return value in distribution.values
+    return distribution.lower <= value <= distribution.upper
+
+
+def _searched(constraint: Constraint, then: Study, now: Study) -> str | None:
+    """Return the constraint of an earlier study that searched for the same worst case, if any."""
+    if constraint.metric in remeasured(then, now) or _moved_contexts(then, now):
+        return None
+    same = (
+        other.name
+        for other in then.worst_case_constraints
+        if (other.metric, other.sign) == (constraint.metric, constraint.sign)
+    )
+    return next(same, None)
+
+
+def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, now: Study) -> bool:
+    """Whether two studies measure the same; the unit is for display only."""
+    if type(metric) is not type(other) or other is None:
+        return False
+    if dataclasses.replace(metric, unit="") != dataclasses.replace(other, unit=""):
+        return False
+    if isinstance(metric, PythonMetric):
+        return then.signals == now.signals
+    if isinstance(metric, SignalMetric):
+        texts = (text for text in (metric.of, metric.target) if isinstance(text, str))
+        used = {name for text in texts for name in expression(text, now.signals).names}
+        return all(then.signals.get(name) == now.signals.get(name) for name in used)
+    return True
+
+
+def _measured_otherwise(then: Study, now: Study, anew: set[str]) -> bool:
+    """Whether a run that failed when it was measured may not fail now."""
+    logarithmic = ({o.metric for o in study.objectives if o.scale == LOG} for study in (then, now))
+    gone_log = set.difference(*logarithmic)
+    return bool(
+        anew or then.metrics.keys() - now.metrics or then.signals != now.signals or gone_log
+    )

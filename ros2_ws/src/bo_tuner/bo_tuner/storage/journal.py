@@ -1,7 +1,7 @@
 """The durable record of a run: one SQLite file, a committed row for each evaluation and each trial.
 
-`bo_tuner.storage.journal_reader` reads it. Rows are only ever added. Each carries a checksum of its
-values, since SQLite itself notices damage to its structure, but not to what is stored.
+`bo_tuner.storage.journal_reader` reads it. A session only ever adds rows. Each carries a checksum
+of its values, since SQLite itself notices damage to its structure, but not to what is stored.
 """
 
 import contextlib

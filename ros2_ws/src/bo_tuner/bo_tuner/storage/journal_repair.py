@@ -1,4 +1,6 @@
-"""Making a damaged journal whole, before a run goes on.
+"""What a journal needs before a run goes on: one that is damaged is made whole.
+
+A trial that was lost at its end is withdrawn, to be run again.
 
 The new journal stands beside the damaged one until it takes its place. A kill in between loses
 nothing: the next call finishes what was begun.
@@ -7,6 +9,7 @@ nothing: the next call finishes what was begun.
 import sqlite3
 import struct
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 from bo_tuner.errors import JournalError
@@ -50,6 +53,35 @@ def salvage(path: Path) -> tuple[JournalContent, str]:
     create_journal(_whole(path), (*sessions, session), content.evaluations, content.trials)
     _finish_replacement(path)
     return content, f"{content.damage}; {used}, the damaged file is kept as {kept.name}"
+
+
+def withdraw_lost(path: Path, content: JournalContent) -> JournalContent:
+    """Take back the trials that were lost last, so that they are run again; returns the rest.
+
+    Nothing was made of them yet. Their evaluations stay on record, and those that are complete are
+    not run again. A trial that others follow stays: it was lost twice, and they know of it.
+
+    Parameters
+    ----------
+    path
+        A journal that no process is writing.
+    content
+        What it holds, undamaged.
+
+    Raises
+    ------
+    JournalError
+        If it cannot be written.
+    """
+    kept = len(content.trials)
+    while kept and content.trials[kept - 1].spoilt:
+        kept -= 1
+    if kept == len(content.trials):
+        return content
+    rest = replace(content, trials=content.trials[:kept])
+    create_journal(_whole(path), rest.sessions, rest.evaluations, rest.trials)
+    _finish_replacement(path)
+    return rest
 
 
 def _lost_commits(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What differs between two studies."""
+"""What differs between two studies, and whether evaluations of one can be data of the other."""
 
 from collections.abc import Iterator, Mapping
 
@@ -8,26 +8,32 @@ from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
 OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate")
-"""Sections that may differ between runs whose trials can be compared."""
+"""Sections that say how much is run: all data of a run are those of a study that differs there."""
+JUDGED = ("objective", "further_objectives", "constraints", "metrics", "signals", "order")
+"""Sections that say what is made of an evaluation, not how it is run."""
+SAME_PARAMETER = ("node", "parameter", "type")
+SAME_CONTEXT = ("node", "parameter")
+"""Keys that make a parameter, or a context variable, the same one for its node."""
+
+Path = tuple[str, ...]
 
 
 def changes(then: Study, now: Study) -> list[str]:
     """Return what has changed, as ``key.path then -> now``; empty if the studies are equal."""
-    before = dict(_leaves(study_to_mapping(then)))
-    after = dict(_leaves(study_to_mapping(now)))
-    return [
-        f"{path} {_shown(before, path)} -> {_shown(after, path)}"
-        for path in before | after
-        # By their text: for a node, 3 and 3.0 differ.
-        if repr(before.get(path)) != repr(after.get(path)) or (path in before) != (path in after)
-    ]
+    return [text for _, text in _changes(then, now)]
+
+
+def changes_of_data(then: Study, now: Study) -> list[str]:
+    """Return the `changes` but for those `OF_A_RUN`."""
+    return [text for path, text in _changes(then, now) if path[0] not in OF_A_RUN]
 
 
 def incomparable_changes(then: Study, now: Study) -> list[str]:
-    """Return the `changes` after which trials cannot be compared with the earlier ones."""
-    return [
-        change for change in changes(then, now) if change.split()[0].split(".")[0] not in OF_A_RUN
-    ]
+    """Return the `changes` after which no evaluation can be compared with the earlier ones.
+
+    They were run in another way, or another parameter or context variable was set, or not set.
+    """
+    return [text for path, text in _changes(then, now) if _is_incomparable(path)]
 
 
 def summarized(found: list[str]) -> str:
@@ -36,13 +42,33 @@ def summarized(found: list[str]) -> str:
     return "; ".join(found[:MOST_SHOWN]) + (f"; and {more} more" if more > 0 else "")
 
 
-def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+def _is_incomparable(path: Path) -> bool:
+    section, key = path[0], path[-1]
+    if section == "parameters":
+        return key in SAME_PARAMETER
+    if section == "contexts":
+        return key in SAME_CONTEXT
+    return section not in (*OF_A_RUN, *JUDGED)
+
+
+def _changes(then: Study, now: Study) -> list[tuple[Path, str]]:
+    before = dict(_leaves(study_to_mapping(then)))
+    after = dict(_leaves(study_to_mapping(now)))
+    return [
+        (path, f"{'.'.join(path)} {_shown(before, path)} -> {_shown(after, path)}")
+        for path in before | after
+        # By their text: for a node, 3 and 3.0 differ.
+        if repr(before.get(path)) != repr(after.get(path)) or (path in before) != (path in after)
+    ]
+
+
+def _leaves(value: object, path: Path = ()) -> Iterator[tuple[Path, object]]:
     if not isinstance(value, Mapping) or not value:
         yield path, value
         return
     for key, item in value.items():
-        yield from _leaves(item, f"{path}.{key}" if path else str(key))
+        yield from _leaves(item, (*path, str(key)))
 
 
-def _shown(leaves: Mapping[str, object], path: str) -> str:
+def _shown(leaves: Mapping[Path, object], path: Path) -> str:
     return checks.show(leaves[path]) if path in leaves else "nothing"

@@ -23,7 +23,7 @@ from bo_tuner.study.constraint import (
 from bo_tuner.study.context_space import ContextSpace
 from bo_tuner.study.metrics import ReportedMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
-from bo_tuner.study.parameter import Parameter
+from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import (
@@ -379,6 +379,29 @@ class Study:
             seed=self.seed if seed is None else seed,
             start=(*self.start, *start),
         )
+
+    def with_bounds(self, bounds: Mapping[str, tuple[Number, Number]]) -> "Study":
+        """Return the study with other bounds of some tuned numbers, checked again.
+
+        Parameters
+        ----------
+        bounds : mapping from str to tuple of two numbers
+            Smallest and largest value, in the parameter's unit, by its name.
+
+        Raises
+        ------
+        StudyError
+            If there is no such tuned number, or its bounds violate a rule.
+        """
+        parameters = dict(self.parameters)
+        for name, pair in bounds.items():
+            checks.reference(name, "parameter", parameters)
+            item = parameters[name]
+            if item.bounds is None:
+                raise StudyError("has no bounds; expected a tuned number", (name,))
+            with under("parameters", name):
+                parameters[name] = dataclasses.replace(item, bounds=pair)
+        return dataclasses.replace(self, parameters=parameters)
 
     def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
         for section in ("parameters", "contexts", "metrics"):

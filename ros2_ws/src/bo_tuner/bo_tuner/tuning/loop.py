@@ -18,9 +18,13 @@ from bo_tuner.trials import (
     TrialState,
     WorstCase,
     count_evaluations,
+    count_trials,
 )
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+
+ATTEMPTS = 2
+"""Runs of an evaluation that is lost or disturbed; its parameters may be what ends a node."""
 
 
 class Tuning:
@@ -68,12 +72,16 @@ class Tuning:
     def __iter__(self) -> Iterator[Trial]:
         """Run the remaining trials, and yield each when it has ended.
 
+        An evaluation that was lost or disturbed is run again at once. A trial that is lost all the
+        same does not use up the budget.
+
         Raises
         ------
         RunError
             If three trials in a row were lost with their nodes or disturbed.
         """
-        while not self._study.budget.is_spent(len(self.trials), count_evaluations(self.trials)):
+        budget = self._study.budget
+        while not budget.is_spent(count_trials(self.trials), count_evaluations(self.trials)):
             begin = time.monotonic()
             proposal = self._optimizer.ask()
             seconds = time.monotonic() - begin
@@ -113,8 +121,12 @@ class Tuning:
         def run(stage: Stage, context: Mapping[str, float]) -> Outcome:
             seed = noise_seed(self._study.seed, Stream.NOISE, number, len(done))
             planned = Evaluation(number, len(done), stage, proposal.parameters, context, seed)
-            done.append(evaluate(self._backend, planned, self._observer))
-            return done[-1].outcome
+            for _ in range(ATTEMPTS):
+                evaluation = evaluate(self._backend, planned, self._observer)
+                if not evaluation.outcome.spoilt:
+                    break
+            done.append(evaluation)
+            return evaluation.outcome
 
         def rng() -> np.random.Generator:
             return generator(self._study.seed, Stream.SEARCH, number, len(done))

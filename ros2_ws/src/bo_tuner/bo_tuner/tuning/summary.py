@@ -24,6 +24,7 @@ from bo_tuner.trials import (
     Trial,
     count_checks,
     count_evaluations,
+    count_trials,
     parameter_set,
 )
 from bo_tuner.tuning.front import pareto_front
@@ -119,7 +120,7 @@ def continued(
     """
     if stop_early or not algorithm.models.pooled:
         return list(trials)
-    more = not study.budget.is_spent(len(trials), count_evaluations(trials))
+    more = not study.budget.is_spent(count_trials(trials), count_evaluations(trials))
     return with_known_repetitions(trials, evaluations, more=more)
 
 
@@ -236,7 +237,7 @@ def with_summary(record: RunRecord, warn: Callable[[str], None]) -> RunRecord:
 def summary_from_record(record: RunRecord) -> dict[str, object] | None:
     """Return the summary of a run from its journal alone; None if the run has not ended."""
     study, algorithm = record.study, ALGORITHMS[record.algorithm]
-    spent = study.budget.is_spent(len(record.trials), count_evaluations(record.trials))
+    spent = study.budget.is_spent(count_trials(record.trials), count_evaluations(record.trials))
     if not spent and not record.stop_early:
         return None
     advisor = StopAdvisor(study, algorithm)

@@ -15,6 +15,7 @@ from bo_tuner.trials import (
     TrialState,
     Value,
     count_evaluations,
+    count_trials,
     evaluations_of,
 )
 from bo_tuner.tuning.front import RULE
@@ -30,10 +31,10 @@ FAILURES = "failed evaluations"
 
 def open_verdict(study: Study, trials: Sequence[Trial]) -> Verdict:
     """Return the verdict of a run that has no result, or none yet."""
-    done, planned = len(trials), study.budget.trials
+    done, planned = count_trials(trials), study.budget.trials
     spent = study.budget.is_spent(done, count_evaluations(trials))
     failed = sum(trial.state is TrialState.FAILED for trial in trials)
-    if spent and failed == done:
+    if spent and failed == len(trials):
         why = {trial.reason for trial in trials}
         common = f": {why.pop()}" if len(why) == 1 else ""
         reasons = (f"All {failed} trials failed{common}",)

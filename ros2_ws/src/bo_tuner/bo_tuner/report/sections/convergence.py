@@ -27,11 +27,19 @@ from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import Candidate, first_by, ranking_models
 from bo_tuner.report.analysis import Analysis, TrialOutcome
 from bo_tuner.report.content import Section, numbered, quantity
+from bo_tuner.storage.provenance import CARRIED, CARRIED_FROM
 from bo_tuner.study.constraint import EXPECTATION, Constraint
 from bo_tuner.study.parts import Objective
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted, values
-from bo_tuner.trials import TUNING, EvaluationState, Trial, TrialState, count_evaluations
+from bo_tuner.trials import (
+    TUNING,
+    EvaluationState,
+    Trial,
+    TrialState,
+    count_evaluations,
+    count_trials,
+)
 from bo_tuner.tuning.limits import worst_case_holds
 from bo_tuner.tuning.summary import continued
 
@@ -68,7 +76,7 @@ def convergence(analysis: Analysis) -> Section:
     counts = [sum(analysis.outcome(t) == kind for t in analysis.trials) for kind in LOOKS]
     outcomes = ", ".join(f"{n} {kind}" for n, kind in zip(counts, LOOKS, strict=True) if n)
     evaluations = count_evaluations(trials)
-    lead = f"{len(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
+    lead = f"{count_trials(trials)} of {study.budget.trials} trials in {evaluations} evaluations"
     if study.budget.evaluations is not None:
         lead += f" of {study.budget.evaluations}"
     return Section(
@@ -373,7 +381,9 @@ def _summary(analysis: Analysis, found: Sequence[tuple[int, Candidate]]) -> str:
 
 def _notes(analysis: Analysis) -> list[str]:
     notes = []
-    total = len(analysis.record.trials)
+    total, provenance = len(analysis.record.trials), analysis.record.provenance
+    if CARRIED in provenance:
+        notes.append(f"Begins with {provenance[CARRIED]}, of {provenance[CARRIED_FROM]}.")
     if total > MOST_INCUMBENTS:
         points = len(_counts(total))
         text = f"The incumbent is shown at {points} points, not after each trial"
