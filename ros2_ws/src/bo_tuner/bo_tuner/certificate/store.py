@@ -24,7 +24,7 @@ from bo_tuner.trials import Trial, Value
 from bo_tuner.verdict.verdict import FAIL, PASS
 
 CERTIFICATES = "certificates"
-FORMAT = 4
+FORMAT = 5
 """Version of the files' format."""
 
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
