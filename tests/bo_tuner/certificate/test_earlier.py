@@ -166,13 +166,13 @@ class TestWhatIsLookedAtAgain:
 
 
 def test_the_worst_of_all_are_few_and_apart():
-    space = ContextSpace({"load": Uniform(bounds=(0.0, 10.0))})
-    contexts = [{"load": float(k)} for k in range(11) for _ in range(5)]
+    """Eleven steps between the bounds: neighbours count as one."""
+    space = ContextSpace({"load": Uniform(bounds=(0.0, 11.0))})
+    contexts = [{"load": float(k)} for k in range(12) for _ in range(5)]
     values = [context["load"] for context in contexts]
-    found = worst_of_all(space, contexts, values, [{"load": 10.0}], np.random.default_rng(1))
+    found = worst_of_all(space, contexts, values, [{"load": 11.0}], np.random.default_rng(1))
+    assert found == [{"load": 9.0}, {"load": 7.0}, {"load": 5.0}]
     assert len(found) == CARRIED
-    # 9 is as close to what is known as two that count as one.
-    assert [c["load"] for c in found] in ([8.0, 6.0, 4.0], [9.0, 7.0, 5.0], [9.0, 8.0, 7.0])
 
 
 class TestOfARun:
@@ -219,5 +219,8 @@ class TestOfARun:
         certify(run, [(1.0, 0.5)] * 40, [(1.0, 1.5)] * 40)
         (run.path / "certificates" / f"0001{suffix}").write_text("{")
         trial = run.trials[run.summary["trial"]]
-        (line,) = earlier_evidence(run, trial.parameters, "inprocess").unread
-        assert f"0001{suffix}: not" in line
+        found = earlier_evidence(run, trial.parameters, "inprocess")
+        (line,) = found.unread
+        assert (".json: not a readable" if suffix == ".json" else f"0001{suffix} does not") in line
+        # The certificate itself says where it failed.
+        assert (found.contexts == [{"load": 1.5}]) is (suffix != ".json")

@@ -6,6 +6,7 @@ by every later certificate, and the earlier runs count against a PASS.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,11 @@ from bo_tuner import text
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.certificate.evidence import Earlier, Refutation
 from bo_tuner.certificate.judgement import is_refuted_by
-from bo_tuner.certificate.store import certificate_paths, read_certificate
+from bo_tuner.certificate.store import (
+    certificate_paths,
+    evaluations_problem,
+    read_certificate,
+)
 from bo_tuner.errors import RunRecordError
 from bo_tuner.storage.provenance import study_sha256
 from bo_tuner.storage.record import RunRecord
@@ -53,9 +58,9 @@ def earlier_evidence(record: RunRecord, parameters: Mapping[str, Value], backend
         if found is None:
             continue
         certified = True
-        refutation, of_backend, runs = found
-        refutations += [refutation] if refutation is not None else []
-        evaluations = [*evaluations, *(runs if of_backend == backend else [])]
+        refutations += [found.refutation] if found.refutation is not None else []
+        evaluations = [*evaluations, *(found.runs if found.backend == backend else [])]
+        unread += [found.unread] if found.unread else []
     return Earlier(tuple(refutations), tuple(evaluations), certified, tuple(unread))
 
 
@@ -102,7 +107,7 @@ def earlier_in_words(content: Mapping[str, Any]) -> Iterator[str]:
             "runs, which count against a PASS only, do not contradict."
         )
     for reason in content["earlier"]["unread"]:
-        yield f"What an earlier certificate found is not covered, as it cannot be read: {reason}."
+        yield f"Evidence of an earlier certificate is missing: {reason}."
 
 
 def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutation]:
@@ -119,39 +124,51 @@ def _of_run(study: Study, evaluations: Sequence[Evaluation]) -> Iterator[Refutat
             )
         ]
         if found:
-            runs = sum(e.context in found for e in evaluations)
-            reason = (
-                f"{constraint.name}: {text.counted(runs, 'run')} in {len(found)} of its contexts"
-            )
+            runs = text.counted(sum(e.context in found for e in evaluations), "run")
+            reason = f"{constraint.name}: {runs} in {text.counted(len(found), 'context')}"
             yield Refutation("the tuning run itself refuted a limit", (reason,), tuple(found))
+
+
+@dataclass(frozen=True)
+class _Certificate:
+    """What a certificate failed on, if it did, its backend and runs, or why there are none."""
+
+    refutation: Refutation | None
+    backend: str
+    runs: list[Evaluation]
+    unread: str
 
 
 def _of_certificate(
     study: Study, path: Path, parameters: Mapping[str, Value]
-) -> tuple[Refutation | None, str, list[Evaluation]] | None:
-    """Read a certificate: what it failed on, its backend and its runs; None if of another set."""
+) -> _Certificate | None:
+    """Read a certificate; None if it is of another parameter set, or of another study."""
     content = read_certificate(path)
     try:
-        if content["study_sha256"] != study_sha256(study):
+        sides = [name for name in (TUNED, DEFAULT) if _is_of(content[name], parameters)]
+        if not sides or content["study_sha256"] != study_sha256(study):
             return None
-        for name in (TUNED, DEFAULT):
-            findings = content[name]
-            if findings is not None and findings["parameters"] == dict(parameters):
-                break
-        else:
-            return None
-        runs = [
-            _evaluation(row, parameters)
-            for row in read_evaluations(path)
-            if row.parameter_set == name
-            and row.outcome.state is not EvaluationState.LOST
-            and set(row.context) == set(study.contexts)
-        ]
-        told = f"certificate {path.stem} was a FAIL"
-        failed = None if findings["passed"] else refutation(told, findings, runs)
-        return failed, str(content["provenance"]["backend"]), runs
+        side, runs = sides[0], []
+        unread = evaluations_problem(path, content)
+        if not unread:
+            runs = [
+                _evaluation(row, parameters)
+                for row in read_evaluations(path)
+                if row.parameter_set == side and row.outcome.state is not EvaluationState.LOST
+            ]
+        findings, told = content[side], f"certificate {path.stem} was a FAIL"
+        return _Certificate(
+            None if findings["passed"] else refutation(told, findings, runs),
+            str(content["provenance"]["backend"]),
+            runs,
+            f"{path}: {unread}" if unread else "",
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
+
+
+def _is_of(findings: Mapping[str, Any] | None, parameters: Mapping[str, Value]) -> bool:
+    return findings is not None and findings["parameters"] == dict(parameters)
 
 
 def _evaluation(row: Row, parameters: Mapping[str, Value]) -> Evaluation:

@@ -151,6 +151,17 @@ def shortfall(study: Study, draws: object, confidence: object) -> str:
     return ""
 
 
+def evaluations_problem(path: Path, content: Mapping[str, Any]) -> str:
+    """Return why the evaluations of a certificate cannot be relied on; empty if they can."""
+    try:
+        evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        return f"its evaluations cannot be read: {error.strerror}"
+    if content.get("evaluations_sha256") != evaluations:
+        return f"{evaluations_path(path).name} does not match its digest in the certificate"
+    return ""
+
+
 def parameters_sha256(parameters: Mapping[str, Value]) -> str:
     """Return the digest of a parameter set's JSON with sorted keys and without spaces."""
     text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
@@ -160,12 +171,8 @@ def parameters_sha256(parameters: Mapping[str, Value]) -> str:
 def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
     if content.get("study_sha256") != study_sha256(study):
         return "belongs to another version of the study"
-    try:
-        evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        return f"its evaluations cannot be read: {error.strerror}"
-    if content.get("evaluations_sha256") != evaluations:
-        return f"{evaluations_path(path).name} does not match its digest in the certificate"
+    if problem := evaluations_problem(path, content):
+        return problem
     missing = shortfall(study, content.get("draws"), content.get("confidence"))
     if missing:
         return missing
