@@ -27,6 +27,15 @@ CERTIFICATES = "certificates"
 FORMAT = 5
 """Version of the files' format."""
 
+TEXTS = frozenset(
+    {"constraint", "direction", "first_failure", "kind", "metric", "name", "reason"}
+    | {"side", "statistic", "study", "told", "unit"}
+)
+"""Keys of a certificate whose values are text, wherever they occur."""
+
+BY_NAME = frozenset({"changed", "context", "contexts", "parameters", "provenance", "worst_context"})
+"""Keys of values by names of the study, which may be those of `TEXTS`."""
+
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
 
 
@@ -93,7 +102,23 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
         raise RunRecordError(
             f"{path}: expected {PASS} or {FAIL}, found {checks.show(verdict)}; run validate"
         )
+    if found := _no_text(content):
+        raise RunRecordError(f"{path}: {found}; run validate")
     return content
+
+
+def _no_text(content: object, where: str = "") -> str:
+    """Return which name, unit or reason in a certificate is no text; empty if all are."""
+    if isinstance(content, list):
+        found = [_no_text(item, f"{where}[{index}]") for index, item in enumerate(content)]
+        return next(filter(None, found), "")
+    for key, value in content.items() if isinstance(content, dict) else ():
+        place = f"{where}.{key}".removeprefix(".")
+        if key in TEXTS and not isinstance(value, str):
+            return f"{place}: expected text, found {checks.show(value)}"
+        if key not in BY_NAME and (found_below := _no_text(value, place)):
+            return found_below
+    return ""
 
 
 def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:

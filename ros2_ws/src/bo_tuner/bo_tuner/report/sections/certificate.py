@@ -86,7 +86,10 @@ def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | No
         section = _section(record.study, content, path.relative_to(record.path))
         file = CertificateFile(content, section)
         # All that the report takes from it, so that what is wrong is found here.
-        _ = (file.passed, file.trial, file.scope, file.tolerances)
+        _ = (file.passed, file.trial, file.scope)
+        for tolerance in file.tolerances:
+            _ = record.study.constraints[tolerance.constraint]
+            _ = [record.study.contexts[variable.name] for variable in tolerance.variables]
         return file
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
