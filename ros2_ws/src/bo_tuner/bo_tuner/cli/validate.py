@@ -71,6 +71,8 @@ PASS requires all of these; a constraint not shown to hold counts as violated:
   constraint          bound of the mean over noise is within the limit, or of
                       the probability of a violation at most 1 - probability
   failed evaluations  none
+Contexts in which this parameter set failed before are evaluated again, and its
+earlier runs count against a PASS, never for it.
 The bounds hold after each evaluation, and over all certificates of the run: the
 j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability,
 which --with-default divides between the two parameter sets.
