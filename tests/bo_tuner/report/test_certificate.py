@@ -68,6 +68,8 @@ def content(verdict):
             }
         ],
         "context_tolerances": [],
+        "earlier": {"refutations": [], "evaluations": 0, "unread": []},
+        "search_widths": [{"probability": 0.9, "width": 0.14}],
     }  # fmt: skip
 
 
@@ -104,6 +106,48 @@ def test_its_numbers_are_shown(certified):
     assert rows["verdict"] == ["FAIL", "PASS", ""]
     assert gaps.rows == [["mean error", "1.2", "1.3", "1.5", "+0.3 ± 0.1", "s"]]
     assert "narrow optimum" in found.section.notes
+
+
+def test_what_failed_before_is_told(certified):
+    failed = {
+        "told": "certificate 0001 was a FAIL",
+        "reasons": ["peak: too high"],
+        "contexts": [{"load": 1.25}],
+    }
+    earlier = {"refutations": [failed], "evaluations": 87, "unread": ["0002.json: damaged"]}
+    found = certificate(certified(json.dumps(content("PASS") | {"earlier": earlier})), None)
+    told = (
+        "Certificate 0001 was a FAIL (peak: too high). This PASS covers it: the limits were shown "
+        "anew in the context (load 1.25), and"
+    )
+    assert any(note.startswith(told) for note in found.section.notes)
+    assert any("is missing: 0002.json: damaged" in note for note in found.section.notes)
+    assert any("at least 0.14 of the box's edges" in note for note in found.section.notes)
+
+
+@pytest.mark.parametrize("value", [1, 1.0, True])
+@pytest.mark.parametrize(
+    "place",
+    [("objective", "unit"), ("training_gaps", 0, "name"), ("tuned", "constraints", 0, "name")],
+)
+def test_a_number_for_a_name_is_one_line(certified, place, value):
+    changed = content("PASS")
+    *path, last = place
+    inside = changed
+    for key in path:
+        inside = inside[key]
+    inside[last] = value
+    with pytest.raises(RunRecordError, match=rf"{last}: expected text, found {str(value).lower()}"):
+        certificate(certified(json.dumps(changed)), None)
+
+
+def test_parameters_may_have_the_names_of_its_keys(certified):
+    parameters = {"unit": 1.0, "name": 2}
+    changed = content("PASS") | {
+        "parameters": parameters,
+        "parameters_sha256": parameters_sha256(parameters),
+    }
+    assert certificate(certified(json.dumps(changed)), None).passed
 
 
 def test_without_the_default_there_is_one_column(certified):

@@ -99,6 +99,23 @@ class TestInterruption:
         again.close()
         assert path.read_text() == known
 
+    def test_a_full_disk_in_between_is_named_with_the_way_on(self, here, folder):
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (5000, limits[1]))
+        try:
+            code, _, err = here(folder)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert code == 1
+        unfinished = folder / "certificates" / "unfinished.jsonl"
+        assert err.splitlines()[-1] == (
+            f"error: {unfinished}: cannot be written: No space left on device; "
+            f"continue with: validate {folder}"
+        )
+        code, _, err = here(folder)
+        assert code == 0
+        assert "continuing the interrupted certificate" in err
+
     def test_a_link_in_its_place_is_not_followed(self, here, folder, tmp_path):
         record = read_run(folder)
         (folder / "certificates").mkdir()

@@ -13,9 +13,10 @@ from bo_tuner.certificate.context_tolerance import (
     ContextTolerance,
     context_tolerances,
 )
-from bo_tuner.certificate.evidence import TAIL, Evidence, Findings
+from bo_tuner.certificate.evidence import TAIL, Earlier, Evidence, Findings
 from bo_tuner.certificate.judgement import judge
 from bo_tuner.certificate.parameter_sensitivity import ParameterSensitivity, parameter_sensitivity
+from bo_tuner.certificate.search_width import SearchWidth, search_widths
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.store import (
     FORMAT,
@@ -58,6 +59,10 @@ class Certificate:
         Number of the attempt to certify a parameter set of the run, from 1.
     tuned, default
         Findings for the parameter set, and for the hand-tuned one if it was evaluated as well.
+    earlier
+        What was known of the parameter set before.
+    widths
+        Which widths of a violation its search would have found; empty without a search.
     gaps
         Training compared with validation.
     tolerances
@@ -77,6 +82,8 @@ class Certificate:
     attempt: int
     tuned: Findings
     default: Findings | None
+    earlier: Earlier
+    widths: Sequence[SearchWidth]
     gaps: Sequence[Gap]
     tolerances: Sequence[ContextTolerance]
     sensitivity: ParameterSensitivity | None
@@ -144,6 +151,12 @@ class Certificate:
             },
             "tuned": _findings(self.tuned),
             "default": None if self.default is None else _findings(self.default),
+            "earlier": {
+                "refutations": [asdict(refutation) for refutation in self.earlier.refutations],
+                "evaluations": len(self.earlier.evaluations),
+                "unread": list(self.earlier.unread),
+            },
+            "search_widths": [asdict(width) for width in self.widths],
             "training_gaps": [
                 asdict(gap) | {"gap": gap.value, "standard_error": gap.standard_error}
                 for gap in self.gaps
@@ -207,6 +220,8 @@ def make_certificate(
         attempt=attempt,
         tuned=findings,
         default=judge(study, evidence[DEFAULT], level) if DEFAULT in evidence else None,
+        earlier=tuned.earlier,
+        widths=_widths(study, tuned),
         gaps=training_gaps(study, trial, ranked_by(surrogates, study, trials, models), findings),
         tolerances=context_tolerances(study, [*fresh, *in_training, *tuned.drawn]),
         sensitivity=parameter_sensitivity(study, trial.parameters, surrogates),
@@ -242,6 +257,13 @@ def write_certificate(
     digest = hashlib.sha256(table.encode()).hexdigest()
     text = json.dumps(without_nan(certificate.to_mapping(digest)), indent=2, allow_nan=False)
     return write_atomically(path, text + "\n")
+
+
+def _widths(study: Study, evidence: Evidence) -> Sequence[SearchWidth]:
+    """Return which violations the search met: with its own runs, not with earlier ones."""
+    if not evidence.search:
+        return ()
+    return search_widths(study.context_space(), [e.context for e in evidence.evaluations])
 
 
 def _findings(findings: Findings) -> dict[str, object]:

@@ -5,15 +5,18 @@ They end as soon as the verdict is clear; `most_evaluations` says when at the la
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from bo_tuner.backends.protocol import Backend
-from bo_tuner.certificate.evidence import Evidence
+from bo_tuner.certificate.evidence import NOTHING, Earlier, Evidence
 from bo_tuner.certificate.independent_search import (
     CANDIDATES,
+    CARRIED,
     find_worst_contexts,
     most_searched,
+    worst_of_all,
 )
 from bo_tuner.certificate.judgement import decide_context, decide_draws, is_failed
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
@@ -49,11 +52,14 @@ class Subject:
     suspected
         Contexts that are already suspected to be its worst ones, in the order of the worst-case
         constraints.
+    earlier
+        What was known of it before.
     """
 
     name: str
     parameters: Mapping[str, Value]
     suspected: tuple[Mapping[str, float], ...] = ()
+    earlier: Earlier = NOTHING
 
 
 @dataclass(frozen=True)
@@ -79,12 +85,21 @@ class MostEvaluations:
 def most_evaluations(study: Study, subjects: Sequence[Subject], draws: int) -> MostEvaluations:
     """Return the largest number of evaluations of `Certification.collect`; its arguments."""
     space, constraints = study.context_space(), len(study.worst_case_constraints)
-    places = CANDIDATES if space.dimension else 1
+    places = sum(_most_places(study, subject) for subject in subjects)
     return MostEvaluations(
         drawn=len(subjects) * draws,
         searched=constraints * sum(most_searched(space, len(s.suspected)) for s in subjects),
-        repeated=len(subjects) * constraints * places * draws,
+        repeated=places * draws,
     )
+
+
+def _most_places(study: Study, subject: Subject) -> int:
+    """Return the largest number of contexts in which a subject is evaluated again and again."""
+    constraints = len(study.worst_case_constraints)
+    if not constraints or not study.contexts:
+        return constraints
+    found = CANDIDATES + (CARRIED if subject.earlier.certified else 0)
+    return len(subject.earlier.contexts) + constraints * found
 
 
 class _FailedError(Exception):
@@ -160,20 +175,26 @@ class Certification:
                 planned = Evaluation(number, k, Stage.VALIDATION, subject.parameters, context, seed)
                 evaluations[number].append(self._run(planned))
             self._observer.advance()
-            if all(self._clear(drawn, draws) for drawn in evaluations):
+            if all(map(partial(self._clear, draws), subjects, evaluations)):
                 break
         return evaluations
 
-    def _clear(self, drawn: Sequence[Evaluation], most: int) -> bool:
-        decided = decide_draws(self._study, drawn, most, self._confidence)
+    def _clear(self, most: int, subject: Subject, drawn: Sequence[Evaluation]) -> bool:
+        decided = self._decide_draws(subject, drawn, most)
         return decided is False or (decided is True and len(drawn) >= min(LEAST_DRAWS, most))
+
+    def _decide_draws(
+        self, subject: Subject, drawn: Sequence[Evaluation], most: int
+    ) -> bool | None:
+        return decide_draws(self._study, drawn, most, self._confidence, subject.earlier)
 
     def _look_closely(
         self, number: int, subject: Subject, drawn: Sequence[Evaluation], most: int
     ) -> Evidence:
         constraints = self._study.worst_case_constraints
-        if not constraints or decide_draws(self._study, drawn, most, self._confidence) is False:
-            return Evidence(subject.parameters, tuple(drawn))
+        evidence = Evidence(subject.parameters, tuple(drawn), earlier=subject.earlier)
+        if not constraints or self._decide_draws(subject, drawn, most) is False:
+            return evidence
         search: list[Evaluation] = []
 
         def run(stage: Stage, context: Mapping[str, float], index: int, *key: int) -> Evaluation:
@@ -193,14 +214,13 @@ class Certification:
 
         self._observer.begin(
             f"worst case of {subject.name}",
-            len(constraints)
-            * (
-                most_searched(self._contexts, len(subject.suspected))
-                + CANDIDATES * EXPECTED_REPEATS
-            ),
+            len(constraints) * most_searched(self._contexts, len(subject.suspected))
+            + _most_places(self._study, subject) * EXPECTED_REPEATS,
         )
         rng = generator(self._study.seed, Stream.CERTIFICATE_SEARCH, self._attempt, number)
-        candidates: list[dict[str, float]] = []
+        # They come first: where it failed before, a FAIL is soonest found.
+        candidates: list[Mapping[str, float]] = [*subject.earlier.contexts]
+        failed_before = list(range(len(candidates)))
         found_by: dict[str, list[int]] = {}
         try:
             for index, constraint in enumerate(constraints):
@@ -209,12 +229,16 @@ class Certification:
                 suspected = [*subject.suspected[index:], *subject.suspected[:index]]
                 worst = self._find(constraint, evaluated, known, suspected, rng)
                 candidates += [context for context in worst if context not in candidates]
-                found_by[constraint.name] = [candidates.index(context) for context in worst]
+                found_by[constraint.name] = sorted(
+                    {*failed_before, *(candidates.index(context) for context in worst)}
+                )
         except _FailedError:
-            return Evidence(subject.parameters, tuple(drawn), tuple(search))
-        found = Evidence(
-            subject.parameters, tuple(drawn), tuple(search), repeated=((),) * len(candidates)
-        )
+            return replace(evidence, search=tuple(search))
+        if subject.earlier.certified:
+            known = [*search, *drawn, *subject.earlier.evaluations]
+            for constraint in constraints:
+                candidates += self._carry(constraint, known, candidates, rng)
+        found = replace(evidence, search=tuple(search), repeated=((),) * len(candidates))
         while (place := self._open_context(found, most)) is not None:
             here, k = found.repeated[place], len(found.repeated[place])
             new = run(Stage.CHECK_WORST, candidates[place], k, REPEATED, place, k)
@@ -267,6 +291,23 @@ class Certification:
             ],
             suspected,
             sign * constraint.limit,
+            rng,
+        )
+
+    def _carry(
+        self,
+        constraint: Constraint,
+        known: Sequence[Evaluation],
+        candidates: Sequence[Mapping[str, float]],
+        rng: np.random.Generator,
+    ) -> list[dict[str, float]]:
+        """Return the worst contexts by all runs, earlier ones as well, that are no candidates."""
+        complete = [evaluation for evaluation in known if evaluation.outcome.complete]
+        return worst_of_all(
+            self._contexts,
+            [evaluation.context for evaluation in complete],
+            [constraint.sign * e.outcome.metrics[constraint.metric] for e in complete],
+            candidates,
             rng,
         )
 

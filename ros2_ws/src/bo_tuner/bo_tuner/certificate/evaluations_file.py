@@ -1,14 +1,15 @@
 """Reads the evaluations of a certificate from the CSV file beside it."""
 
 import csv
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from bo_tuner.certificate.store import evaluations_path
 from bo_tuner.errors import RunRecordError
-from bo_tuner.trials import EvaluationState, Stage
+from bo_tuner.trials import EvaluationState, Outcome, Stage
 
-_METRIC = "metric."
+_CONTEXT, _METRIC = "context.", "metric."
 
 
 @dataclass(frozen=True)
@@ -23,14 +24,25 @@ class Row:
         Why it was run.
     index
         Its number within the stage; of a draw the same for both parameter sets.
-    metrics
-        Its metrics; empty unless it is complete.
+    context
+        Value of each context variable.
+    seed
+        Seed of the noise.
+    outcome
+        Its result, without details.
     """
 
     parameter_set: str
     stage: Stage
     index: int
-    metrics: dict[str, float]
+    context: dict[str, float]
+    seed: int
+    outcome: Outcome
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Its metrics; empty unless it is complete."""
+        return self.outcome.metrics
 
 
 def read_evaluations(certificate: Path) -> list[Row]:
@@ -44,21 +56,28 @@ def read_evaluations(certificate: Path) -> list[Row]:
     path = evaluations_path(certificate)
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            return [
-                Row(
-                    parameter_set=row["parameter_set"],
-                    stage=Stage(row["stage"]),
-                    index=int(row["index"]),
-                    metrics={
-                        name.removeprefix(_METRIC): float(value)
-                        for name, value in row.items()
-                        if name.startswith(_METRIC) and value
-                    }
-                    if row["state"] == EvaluationState.COMPLETE
-                    else {},
-                )
-                for row in csv.DictReader(file)
-            ]
+            return [_row(cells) for cells in csv.DictReader(file)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, csv.Error) as error:
         shown = " ".join(str(error).split())[:200]
         raise RunRecordError(f"{path}: not readable: {shown}; run validate") from error
+
+
+def _row(cells: Mapping[str, str]) -> Row:
+    state = EvaluationState(cells["state"])
+    complete = state is EvaluationState.COMPLETE
+    return Row(
+        parameter_set=cells["parameter_set"],
+        stage=Stage(cells["stage"]),
+        index=int(cells["index"]),
+        context=_numbers(cells, _CONTEXT),
+        seed=int(cells["seed"]),
+        outcome=Outcome(state, _numbers(cells, _METRIC) if complete else {}, cells["reason"]),
+    )
+
+
+def _numbers(cells: Mapping[str, str], prefix: str) -> dict[str, float]:
+    return {
+        name.removeprefix(prefix): float(value)
+        for name, value in cells.items()
+        if name.startswith(prefix) and value
+    }

@@ -2,10 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from bo_tuner.certificate.risk import Mean
 from bo_tuner.study.constraint import UPPER
-from bo_tuner.trials import Evaluation, Value
+from bo_tuner.trials import Evaluation, Stage, Value
 
 TAIL = 0.95
 """Level of the conditional value at risk, here the mean of the worst 5 % of the draws."""
@@ -22,6 +23,86 @@ def widest(side: str, bounds: Iterable[float]) -> float:
         One for each context.
     """
     return max(bounds) if side == UPPER else min(bounds)
+
+
+@dataclass(frozen=True)
+class Refutation:
+    """What a parameter set failed on before.
+
+    Attributes
+    ----------
+    told
+        Where, as a clause, such as ``certificate 0001 was a FAIL``.
+    reasons
+        Why.
+    contexts
+        The contexts in which it failed; empty if only the draws as a whole tell.
+    """
+
+    told: str
+    reasons: tuple[str, ...]
+    contexts: tuple[Mapping[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """The evidence on a parameter set from before its certificate.
+
+    Its runs count against a PASS, never for it: they were made, or chosen, knowing what came out.
+
+    Attributes
+    ----------
+    refutations
+        What it failed on, in the order of the certificates.
+    evaluations
+        All runs: those of earlier certificates, and of the tuning run.
+    certified
+        Whether there was a certificate before.
+    unread
+        Why earlier evidence could not be read, a line for each file.
+    """
+
+    refutations: tuple[Refutation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
+    certified: bool = False
+    unread: tuple[str, ...] = ()
+
+    @cached_property
+    def contexts(self) -> list[Mapping[str, float]]:
+        """The contexts in which it failed, each once."""
+        found: list[Mapping[str, float]] = []
+        for refutation in self.refutations:
+            found += [context for context in refutation.contexts if context not in found]
+        return found
+
+    @cached_property
+    def drawn(self) -> tuple[Evaluation, ...]:
+        """The runs in draws of context and noise."""
+        return tuple(e for e in self.evaluations if e.stage is Stage.VALIDATION)
+
+    @cached_property
+    def extremes(self) -> Mapping[str, tuple[float, float]]:
+        """The smallest and the largest value of each metric in all runs."""
+        found: dict[str, list[float]] = {}
+        for evaluation in self.evaluations:
+            for name, value in evaluation.outcome.metrics.items():
+                found.setdefault(name, []).append(value)
+        return {name: (min(values), max(values)) for name, values in found.items()}
+
+    def at(self, context: Mapping[str, float]) -> list[Evaluation]:
+        """Return the runs in exactly this context."""
+        return self._by_context.get(frozenset(context.items()), [])
+
+    @cached_property
+    def _by_context(self) -> Mapping[frozenset[tuple[str, float]], list[Evaluation]]:
+        found: dict[frozenset[tuple[str, float]], list[Evaluation]] = {}
+        for evaluation in self.evaluations:
+            found.setdefault(frozenset(evaluation.context.items()), []).append(evaluation)
+        return found
+
+
+NOTHING = Earlier()
+"""What is known of a parameter set that nobody has looked at."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +124,8 @@ class Evidence:
         run, as another one had decided.
     unseen
         Names of the constraints of whose own contexts none was run for that reason.
+    earlier
+        What was known of it before; counts against it only.
     """
 
     parameters: Mapping[str, Value]
@@ -51,10 +134,11 @@ class Evidence:
     repeated: tuple[tuple[Evaluation, ...], ...] = ()
     unvisited: Mapping[str, int] = field(default_factory=dict)
     unseen: frozenset[str] = frozenset()
+    earlier: Earlier = NOTHING
 
     @property
     def evaluations(self) -> tuple[Evaluation, ...]:
-        """All evaluations, in the order drawn, search, repeated."""
+        """All its own evaluations, in the order drawn, search, repeated."""
         return (
             *self.drawn,
             *self.search,
@@ -80,6 +164,13 @@ class WorstContext:
         Upper confidence bound of the probability that a run in this context violates the limit.
     shown
         Whether the limit is shown to hold in this context.
+    contradicted
+        Whether the evaluations alone would show it, and earlier ones keep them from it.
+    earlier
+        Number of earlier runs in this context, which count against it.
+    together
+        What these and the evaluations show together: the mean of the metric or, for a limit on
+        single runs, the share of those beyond it or failed. NaN without earlier ones.
     """
 
     context: Mapping[str, float]
@@ -90,6 +181,9 @@ class WorstContext:
     failures: int
     violation_bound: float
     shown: bool
+    contradicted: bool = False
+    earlier: int = 0
+    together: float = float("nan")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.optimize import minimize
 
+from bo_tuner.models.categories import Coding
 from bo_tuner.models.gaussian_process import GaussianProcess
+from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
 from bo_tuner.study.context_space import ContextSpace
@@ -43,6 +45,9 @@ OTHERS = 200
 
 CANDIDATES = 5
 """Number of candidates for the worst context."""
+
+CARRIED = 3
+"""Further candidates by all runs, those of earlier certificates as well."""
 
 DISTINCT = 0.1
 """Starts and maxima closer than this in the unit cube count as one."""
@@ -129,6 +134,48 @@ def find_worst_contexts(
     for context, value in drawn[MOST_MODELLED:]:
         tried.add(space.cube_of([context])[0], value)
     return [space.to_dict(row) for row in tried.candidates(known_points, model, rng)]
+
+
+def worst_of_all(
+    space: ContextSpace,
+    contexts: Sequence[Mapping[str, float]],
+    values: Sequence[float],
+    candidates: Sequence[Mapping[str, float]],
+    rng: np.random.Generator,
+) -> list[Context]:
+    """Return the contexts with the largest posterior means, of all in which there was a run.
+
+    Parameters
+    ----------
+    space
+        The context space.
+    contexts, values
+        Of each run, with the metric; at least one. Those in one context are replicates.
+    candidates
+        Contexts that are known already; those close to one of them are left out.
+    rng
+        Starts the fit.
+
+    Returns
+    -------
+    list of dict
+        At most `CARRIED` contexts, the largest mean first.
+    """
+    if space.dimension == 0:
+        return []
+    points = space.cube_of(contexts)
+    nothing = np.empty((len(points), 0))
+    model = PooledProcess.fit(nothing, points, np.array(values), coding=Coding(()), rng=rng)
+    places, which = np.unique(points, axis=0, return_index=True)
+    means = model.means(np.empty((1, 0)), places)[0]
+    known = list(space.cube_of(candidates))
+    found: list[Context] = []
+    for index in np.argsort(-means, kind="stable"):
+        if len(found) < CARRIED and _is_distinct(places[index], known):
+            known.append(places[index])
+            # The very same context, and not its way to the cube and back.
+            found.append(dict(contexts[which[index]]))
+    return found
 
 
 class _Tried:
@@ -233,6 +280,10 @@ def _distinct(points: Sequence[Array] | Array, distance: float = DISTINCT) -> Ar
     """Return the points (n, e) that are farther than a distance from all points kept before."""
     kept: list[Array] = []
     for point in points:
-        if all(np.abs(point - other).max() > distance for other in kept):
+        if _is_distinct(point, kept, distance):
             kept.append(point)
     return np.array(kept)
+
+
+def _is_distinct(point: Array, others: Sequence[Array], distance: float = DISTINCT) -> bool:
+    return all(np.abs(point - other).max() > distance for other in others)

@@ -12,6 +12,11 @@ show it with the stated confidence 1 - α; too few evaluations to show it are a 
   Draws can only refute it: what holds in every context holds there.
 - A failed evaluation counts as a violation of every constraint, and a single one is a FAIL.
 
+Runs that were made before, in earlier certificates and in the tuning run, count against a PASS and
+never for it: what the fresh ones show alone, all of them together must not contradict. Draws are
+held against draws, and runs in a context against those in the same context. This makes a PASS
+rarer, so every level stays valid, however the earlier runs were chosen.
+
 The bounds of `sequential` hold after every evaluation at once, so the evaluations end as soon as
 the verdict is clear, and going on cannot turn luck into a PASS.
 
@@ -30,7 +35,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from bo_tuner import text
-from bo_tuner.certificate.evidence import TAIL, ConstraintVerdict, Evidence, Findings, WorstContext
+from bo_tuner.certificate.evidence import (
+    NOTHING,
+    TAIL,
+    ConstraintVerdict,
+    Earlier,
+    Evidence,
+    Findings,
+    WorstContext,
+)
 from bo_tuner.certificate.risk import conditional_value_at_risk, mean_of
 from bo_tuner.certificate.sequential import (
     draws_needed,
@@ -99,7 +112,11 @@ def judge(study: Study, evidence: Evidence, confidence: float) -> Findings:
 
 
 def decide_draws(
-    study: Study, drawn: Sequence[Evaluation], most: int, confidence: float
+    study: Study,
+    drawn: Sequence[Evaluation],
+    most: int,
+    confidence: float,
+    earlier: Earlier = NOTHING,
 ) -> bool | None:
     """Return whether the draws so far decide the verdict: True or False; None if not yet.
 
@@ -113,27 +130,33 @@ def decide_draws(
         Largest number of draws.
     confidence
         As in `judge`.
+    earlier
+        What was known of the parameter set before.
 
     Returns
     -------
     bool or None
-        True if they show all chance constraints. False if a PASS is out of reach.
+        True if they show all chance constraints, and do not leave a worst-case constraint
+        contradicted by earlier draws. False if a PASS is out of reach.
     """
     if _failed(drawn):
         return False if is_failed(drawn) else None
-    undecided = False
+    undecided = contradicted = False
     for constraint in study.constraints.values():
         events, values = _events(constraint, drawn), _values(drawn, constraint.metric)
         if constraint.kind == WORST_CASE:
             if _refuted(constraint, events, values, confidence):
                 return False
+            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
         elif is_shown(events, constraint.allowed, confidence):
-            continue
+            contradicted = contradicted or _contradicted(constraint, earlier.drawn, drawn)
         elif is_hopeless(events, most, constraint.allowed, confidence):
             return False
         else:
             undecided = True
-    return None if undecided else True
+    if contradicted and len(drawn) >= most:
+        return False
+    return None if undecided or contradicted else True
 
 
 def decide_context(
@@ -164,7 +187,8 @@ def decide_context(
     if _refuted(constraint, events, values, confidence):
         return False
     if _shown(constraint, evidence, events, values, confidence):
-        return True
+        earlier = evidence.earlier.at(repeated[0].context)
+        return None if _contradicted(constraint, earlier, repeated) else True
     hopeless = constraint.statistic != EXPECTATION and is_hopeless(
         events, most, constraint.allowed, confidence
     )
@@ -177,6 +201,18 @@ def is_failed(evaluations: Sequence[Evaluation]) -> bool:
     Those lost or disturbed at the end can be followed by more, which end it without a verdict.
     """
     return bool(_failed(evaluations)) and not evaluations[-1].outcome.spoilt
+
+
+def is_refuted_by(
+    constraint: Constraint, evaluations: Sequence[Evaluation], confidence: float
+) -> bool:
+    """Return whether runs in one context refute that a constraint holds there.
+
+    A failed one is a violation of every constraint.
+    """
+    events = _events(constraint, evaluations)
+    values = _values(evaluations, constraint.metric)
+    return bool(_failed(evaluations)) or _refuted(constraint, events, values, confidence)
 
 
 def _judge(
@@ -212,11 +248,13 @@ def _judge(
             worst,
             unit,
             refuted_by_draws=_refuted(constraint, events, values, confidence),
+            against=_said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn),
             refuting=refuting,
             unvisited=evidence.unvisited.get(constraint.name, 0),
         )
     else:
-        passed, reason = _chance(constraint, events, confidence)
+        against = _said_of_draws(constraint, evidence.earlier.drawn, evidence.drawn)
+        passed, reason = _chance(constraint, events, confidence, against)
     return ConstraintVerdict(
         name=constraint.name,
         kind=constraint.kind,
@@ -238,9 +276,13 @@ def _judge(
     )
 
 
-def _chance(constraint: Constraint, events: Sequence[bool], confidence: float) -> tuple[bool, str]:
+def _chance(
+    constraint: Constraint, events: Sequence[bool], confidence: float, against: str
+) -> tuple[bool, str]:
     allowed, draws = constraint.allowed, len(events)
     passed = is_shown(events, allowed, confidence)
+    if passed and against:
+        return False, against
     needed = draws_needed(allowed, confidence)
     rule = "" if draws >= needed else f" ({needed} draws without any are needed)"
     return passed, (
@@ -257,6 +299,7 @@ def _worst_case(
     unit: str,
     *,
     refuted_by_draws: bool,
+    against: str,
     refuting: Sequence[WorstContext],
     unvisited: int,
 ) -> tuple[bool, str]:
@@ -275,6 +318,11 @@ def _worst_case(
     passed = all(w.shown for w in worst)
     if passed and unvisited:
         return False, not_run
+    if passed and against:
+        return False, against
+    doubted = [w for w in worst if w.contradicted]
+    if doubted and all(w.shown or w.contradicted for w in worst):
+        return False, _said_of_both(constraint, doubted[0])
     if constraint.statistic == EXPECTATION:
         return passed, _said_of_mean(constraint, worst, unit, refuting, passed)
     top = max(worst, key=lambda w: w.violation_bound)
@@ -339,6 +387,11 @@ def _worst_context(
     confidence: float,
 ) -> WorstContext:
     events, values = _events(constraint, evaluations), _values(evaluations, constraint.metric)
+    earlier = evidence.earlier.at(evaluations[0].context)
+    shown = len(values) == len(evaluations) and _shown(
+        constraint, evidence, events, values, confidence
+    )
+    contradicted = shown and _contradicted(constraint, earlier, evaluations)
     return WorstContext(
         context=dict(evaluations[0].context),
         mean=mean_of(values, confidence, _least_runs(constraint, evidence, values)),
@@ -347,8 +400,64 @@ def _worst_context(
         beyond=int(np.sum(constraint.violations(values))),
         failures=len(evaluations) - len(values),
         violation_bound=_bound(events, confidence),
-        shown=len(values) == len(evaluations)
-        and _shown(constraint, evidence, events, values, confidence),
+        shown=shown and not contradicted,
+        contradicted=contradicted,
+        earlier=len(earlier),
+        together=_together(constraint, earlier, evaluations) if earlier else float("nan"),
+    )
+
+
+def _contradicted(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> bool:
+    """Return whether earlier runs and fresh ones together break the limit; not without earlier."""
+    if not earlier:
+        return False
+    found = _together(constraint, earlier, fresh)
+    if constraint.statistic == EXPECTATION:
+        return bool(constraint.violations(found))
+    return found > constraint.allowed
+
+
+def _together(
+    constraint: Constraint, earlier: Sequence[Evaluation], fresh: Sequence[Evaluation]
+) -> float:
+    """Return the mean of earlier and fresh runs, or the share of those beyond the limit."""
+    both = [*earlier, *fresh]
+    if constraint.statistic != EXPECTATION:
+        return float(np.mean(_events(constraint, both)))
+    values = _values(both, constraint.metric)
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _said_of_draws(
+    constraint: Constraint,
+    earlier: Sequence[Evaluation],
+    fresh: Sequence[Evaluation],
+) -> str:
+    """Say that earlier draws and fresh ones together break the limit; empty if they do not."""
+    if not _contradicted(constraint, earlier, fresh):
+        return ""
+    both = f"{len(earlier)} earlier draws, which count against it, and {len(fresh)} fresh ones"
+    return _said_together(constraint, both, _together(constraint, earlier, fresh))
+
+
+def _said_of_both(constraint: Constraint, worst: WorstContext) -> str:
+    inside = text.values(worst.context)
+    where = f" in a context ({inside})" if inside else ""
+    fresh = worst.evaluations + worst.failures
+    both = f"{worst.earlier} earlier runs{where}, which count against it, and {fresh} fresh ones"
+    return _said_together(constraint, both, worst.together)
+
+
+def _said_together(constraint: Constraint, both: str, together: float) -> str:
+    if constraint.statistic == EXPECTATION:
+        found = text.shown_beside(together, constraint.limit)
+        return f"{both} together have a mean of {found}, limit {constraint.limit:g}"
+    found = text.shown_beside(together, constraint.allowed)
+    return (
+        f"{both} together violate the limit with a share of {found}, "
+        f"allowed {constraint.allowed:.4g}"
     )
 
 
@@ -377,7 +486,7 @@ def _least_runs(constraint: Constraint, evidence: Evidence, values: Array) -> in
     if constraint.statistic != EXPECTATION:
         # The mean decides nothing; its bound is there for information.
         return 1
-    if constraint.violations(_values(evidence.evaluations, constraint.metric)).any():
+    if constraint.violations(_farthest_known(constraint, evidence)):
         return max(LEAST_RUNS, 1 + int(np.argmax(values != values[:1]))) if len(values) else 1
     contexts = [_values(evaluations, constraint.metric) for evaluations in evidence.repeated]
     alike = sum(len(v) for v in contexts if _are_equal(v) == _are_equal(values))
@@ -392,11 +501,17 @@ def _excludes_rare(
     If all runs are equal, their mean bounds nothing that does not occur among them. A mean beyond
     the limit needs runs as far as the worst one known with the probability that is tested here.
     """
-    worst = constraint.farthest(_values(evidence.evaluations, constraint.metric))
+    worst = _farthest_known(constraint, evidence)
     if not _are_equal(values) or not constraint.violations(worst):
         return True
     rare = float((constraint.limit - values[0]) / (worst - values[0]))
     return is_shown([False] * len(values), rare, confidence)
+
+
+def _farthest_known(constraint: Constraint, evidence: Evidence) -> float:
+    """Return the value of all runs of the parameter set, earlier ones as well, that is farthest."""
+    own = _values(evidence.evaluations, constraint.metric)
+    return constraint.farthest([*own, *evidence.earlier.extremes.get(constraint.metric, ())])
 
 
 def _are_equal(values: Array) -> bool:

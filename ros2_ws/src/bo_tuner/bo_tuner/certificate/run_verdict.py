@@ -7,6 +7,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from bo_tuner.certificate.earlier import earlier_in_words
 from bo_tuner.certificate.evaluations_file import Row, read_evaluations
 from bo_tuner.certificate.evidence import widest
 from bo_tuner.certificate.store import (
@@ -148,6 +149,7 @@ def _certified(
     if passed and not has_result:
         remarks.append("apply waits for the result of the run, which has not ended.")
     try:
+        before = tuple(earlier_in_words(content))
         draws, confidence = int(content["drawn"]), float(content["bound_confidence"])
         overall = min(float(content["confidence"]), *_confidences(record))
         tuned, default = content[TUNED], content[DEFAULT]
@@ -176,6 +178,7 @@ def _certified(
         quantities=numbers,
         choice=by_validation.choice if by_validation is not None and is_result else "",
         remarks=(
+            *before,
             f"Each bound has {100.0 * confidence:.4g} % confidence, so that all attempts to "
             f"certify this run have {100.0 * overall:.4g} % together.",
             *remarks,

@@ -24,8 +24,17 @@ from bo_tuner.trials import Trial, Value
 from bo_tuner.verdict.verdict import FAIL, PASS
 
 CERTIFICATES = "certificates"
-FORMAT = 4
+FORMAT = 5
 """Version of the files' format."""
+
+TEXTS = frozenset(
+    {"constraint", "direction", "first_failure", "kind", "metric", "name", "reason"}
+    | {"side", "statistic", "study", "told", "unit"}
+)
+"""Keys of a certificate whose values are text, wherever they occur."""
+
+BY_NAME = frozenset({"changed", "context", "contexts", "parameters", "provenance", "worst_context"})
+"""Keys of values by names of the study, which may be those of `TEXTS`."""
 
 _NAME = re.compile(r"\d{4,9}\.json", re.ASCII)
 
@@ -93,7 +102,23 @@ def read_certificate(path: Path) -> Mapping[str, Any]:
         raise RunRecordError(
             f"{path}: expected {PASS} or {FAIL}, found {checks.show(verdict)}; run validate"
         )
+    if found := _no_text(content):
+        raise RunRecordError(f"{path}: {found}; run validate")
     return content
+
+
+def _no_text(content: object, where: str = "") -> str:
+    """Return which name, unit or reason in a certificate is no text; empty if all are."""
+    if isinstance(content, list):
+        found = [_no_text(item, f"{where}[{index}]") for index, item in enumerate(content)]
+        return next(filter(None, found), "")
+    for key, value in content.items() if isinstance(content, dict) else ():
+        place = f"{where}.{key}".removeprefix(".")
+        if key in TEXTS and not isinstance(value, str):
+            return f"{place}: expected text, found {checks.show(value)}"
+        if key not in BY_NAME and (found_below := _no_text(value, place)):
+            return found_below
+    return ""
 
 
 def latest_certificate(record: RunRecord, trial: Trial) -> Path | None:
@@ -151,6 +176,17 @@ def shortfall(study: Study, draws: object, confidence: object) -> str:
     return ""
 
 
+def evaluations_problem(path: Path, content: Mapping[str, Any]) -> str:
+    """Return why the evaluations of a certificate cannot be relied on; empty if they can."""
+    try:
+        evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        return f"its evaluations cannot be read: {error.strerror}"
+    if content.get("evaluations_sha256") != evaluations:
+        return f"{evaluations_path(path).name} does not match its digest in the certificate"
+    return ""
+
+
 def parameters_sha256(parameters: Mapping[str, Value]) -> str:
     """Return the digest of a parameter set's JSON with sorted keys and without spaces."""
     text = json.dumps(dict(parameters), sort_keys=True, separators=(",", ":"))
@@ -160,12 +196,8 @@ def parameters_sha256(parameters: Mapping[str, Value]) -> str:
 def _mismatch(study: Study, path: Path, content: Mapping[str, Any]) -> str:
     if content.get("study_sha256") != study_sha256(study):
         return "belongs to another version of the study"
-    try:
-        evaluations = hashlib.sha256(evaluations_path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        return f"its evaluations cannot be read: {error.strerror}"
-    if content.get("evaluations_sha256") != evaluations:
-        return f"{evaluations_path(path).name} does not match its digest in the certificate"
+    if problem := evaluations_problem(path, content):
+        return problem
     missing = shortfall(study, content.get("draws"), content.get("confidence"))
     if missing:
         return missing

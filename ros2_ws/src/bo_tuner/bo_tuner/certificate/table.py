@@ -9,6 +9,7 @@ from rich.table import Table
 
 from bo_tuner.certificate.context_tolerance import ContextTolerance, VariableTolerance
 from bo_tuner.certificate.evidence import widest
+from bo_tuner.certificate.search_width import SearchWidth, widths_in_words
 from bo_tuner.storage.json_numbers import to_number
 from bo_tuner.study.constraint import CHANCE, SINGLE_RUN, WORST_CASE
 from bo_tuner.study.study import Study
@@ -94,6 +95,8 @@ def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]
     for constraint in content[TUNED]["constraints"]:
         kept = "shown to hold" if constraint["passed"] else "NOT shown to hold"
         yield f"{constraint['name']}: {kept}: {constraint['reason']}"
+    if searched := search_in_words(content):
+        yield f"search for the worst context: {searched}"
     for gap in content["training_gaps"]:
         observed = "" if gap["observed"] is None else f"observed {_number(gap['observed'])}, "
         validated = f"{_number(gap['validated'])} {gap['unit']}".rstrip()
@@ -105,6 +108,14 @@ def certificate_lines(study: Study, content: Mapping[str, Any]) -> Iterator[str]
         yield from _context(study, ContextTolerance.from_mapping(tolerance))
     for warning in content["warnings"]:
         yield f"warning: {warning}"
+
+
+def search_in_words(content: Mapping[str, Any]) -> str:
+    """Return which violations the search for the worst context would have found; or nothing."""
+    return widths_in_words(
+        SearchWidth(float(item["probability"]), to_number(item["width"]))
+        for item in content["search_widths"]
+    )
 
 
 def gap_in_words(gap: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@
 the columns of the journal. It goes when the certificate is written.
 """
 
+import errno
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -130,7 +131,8 @@ class Unfinished(RunObserver):
             known = "".join(f"{line}\n" for line in (head, *(line for _, line in lines)))
             write_atomically(self._path, known)
             descriptor = open_file(self._path, os.O_WRONLY | os.O_APPEND)
-            self._file = os.fdopen(descriptor, "w", encoding="utf-8")
+            # Without a buffer: what a full disk has refused is not written again by closing it.
+            self._file = os.fdopen(descriptor, "wb", buffering=0)
 
     def evaluation(self, evaluation: Evaluation) -> None:
         """Keep an evaluation."""
@@ -150,8 +152,10 @@ class Unfinished(RunObserver):
         self._path.unlink(missing_ok=True)
 
     def _write(self, line: str) -> None:
-        self._file.write(line + "\n")
-        self._file.flush()
+        content = f"{line}\n".encode()
+        if self._file.write(content) != len(content):
+            # A disk that is full takes the beginning.
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def _read(self, head: str) -> list[tuple[Evaluation, str]]:
         try:

@@ -11,6 +11,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.certificate.certificate import Certificate, make_certificate, write_certificate
 from bo_tuner.certificate.certification import DRAWS, Certification, Subject, most_evaluations
+from bo_tuner.certificate.earlier import earlier_evidence
 from bo_tuner.certificate.sequential import spent
 from bo_tuner.certificate.unfinished import Unfinished
 from bo_tuner.cli.common import opened
@@ -85,9 +86,10 @@ class Certifier:
             If the nodes are lost or disturbed too often, or a file cannot be written.
         """
         study, folder = self.record.study, self.folder
-        subjects = self._subjects(trial)
-        self._tell_most(subjects, draws)
         nodes = self.make_nodes()
+        subjects = self._subjects(trial, nodes.name)
+        self._tell_earlier(subjects)
+        self._tell_most(subjects, draws)
         unfinished = Unfinished(folder.path, study, trial.parameters, nodes.name, attempt)
         if unfinished.evaluations:
             done = counted(len(unfinished.evaluations), "evaluation")
@@ -127,18 +129,33 @@ class Certifier:
         unfinished.remove()
         return certificate, path, left
 
-    def _subjects(self, trial: Trial) -> list[Subject]:
-        """Return the parameter sets to certify, with the worst contexts that the run has found."""
+    def _subjects(self, trial: Trial, backend: str) -> list[Subject]:
+        """Return the parameter sets to certify, with what is known of them."""
         study = self.record.study
         suspected = tuple(
             trial.worst_cases[constraint.name].context
             for constraint in study.worst_case_constraints
             if constraint.name in trial.worst_cases
         )
-        tuned = Subject(TUNED, trial.parameters, suspected)
-        if self.with_default:
-            return [Subject(DEFAULT, study.search_space().defaults), tuned]
-        return [tuned]
+        earlier = earlier_evidence(self.record, trial.parameters, backend)
+        tuned = Subject(TUNED, trial.parameters, suspected, earlier)
+        if not self.with_default:
+            return [tuned]
+        defaults = study.search_space().defaults
+        earlier = earlier_evidence(self.record, defaults, backend)
+        return [Subject(DEFAULT, defaults, earlier=earlier), tuned]
+
+    def _tell_earlier(self, subjects: Sequence[Subject]) -> None:
+        """Say what failed before, and where it is evaluated again."""
+        for subject in subjects:
+            for refutation in subject.earlier.refutations:
+                count = len(refutation.contexts)
+                failed = f"{counted(count, 'context')} that failed {'are' if count > 1 else 'is'}"
+                again = f"its {failed} evaluated again, and " if count else ""
+                self.console.print(
+                    f"{subject.name}: {refutation.told}; {again}its runs count against a PASS",
+                    soft_wrap=True,
+                )
 
     def _tell_most(self, subjects: Sequence[Subject], draws: int) -> None:
         """Say how many evaluations it takes at most."""

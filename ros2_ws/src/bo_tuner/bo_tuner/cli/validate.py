@@ -44,6 +44,7 @@ from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.monitoring.display import plain_console
 from bo_tuner.optimizers.algorithms import ALGORITHMS
 from bo_tuner.optimizers.ranking import rank
+from bo_tuner.storage.atomic import writing
 from bo_tuner.storage.parameter_file import from_yaml, node_values
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import read_text
@@ -70,6 +71,8 @@ PASS requires all of these; a constraint not shown to hold counts as violated:
   constraint          bound of the mean over noise is within the limit, or of
                       the probability of a violation at most 1 - probability
   failed evaluations  none
+Contexts in which this parameter set failed before are evaluated again, and its
+earlier runs count against a PASS, never for it.
 The bounds hold after each evaluation, and over all certificates of the run: the
 j-th has fresh draws and the share 1 / (j (j + 1)) of the error probability,
 which --with-default divides between the two parameter sets.
@@ -175,8 +178,6 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     same = [str(folder.path) if item == str(arguments.run) else item for item in argv]
     again = f"continue with: {shlex.join(['validate', *same])}"
     with contextlib.closing(folder):
-        digest = _digest(record, trial, folder, console) if record.is_result(trial) else None
-        folder.log.mkdir(exist_ok=True)
         certifier = Certifier(
             record,
             folder,
@@ -197,6 +198,9 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         )
         path = None
         try:
+            digest = _digest(record, trial, folder, console) if record.is_result(trial) else None
+            with writing(folder.log):
+                folder.log.mkdir(exist_ok=True)
             for candidate in _candidates(record, trial, most):
                 attempt = attempt_for(folder.path, record.study, candidate.parameters, backend)
                 draws = _draws(arguments, parser, record, confidence, attempt)

@@ -6,13 +6,19 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from bo_tuner.certificate.context_tolerance import ContextTolerance
+from bo_tuner.certificate.earlier import earlier_in_words
 from bo_tuner.certificate.store import (
     certificate_paths,
     is_of,
     latest_certificate,
     read_certificate,
 )
-from bo_tuner.certificate.table import certificate_rows, gap_in_words, parameter_sets
+from bo_tuner.certificate.table import (
+    certificate_rows,
+    gap_in_words,
+    parameter_sets,
+    search_in_words,
+)
 from bo_tuner.errors import RunRecordError
 from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.record import RunRecord
@@ -80,7 +86,10 @@ def certificate(record: RunRecord, answer: Trial | None) -> CertificateFile | No
         section = _section(record.study, content, path.relative_to(record.path))
         file = CertificateFile(content, section)
         # All that the report takes from it, so that what is wrong is found here.
-        _ = (file.passed, file.trial, file.scope, file.tolerances)
+        _ = (file.passed, file.trial, file.scope)
+        for tolerance in file.tolerances:
+            _ = record.study.constraints[tolerance.constraint]
+            _ = [record.study.contexts[variable.name] for variable in tolerance.variables]
         return file
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise RunRecordError(f"{path}: not a readable certificate: {str(error)[:200]!r}") from error
@@ -94,7 +103,7 @@ def _is_readable(path: Path) -> bool:
 
 
 def _section(study: Study, content: Mapping[str, Any], path: PurePath) -> Section:
-    verdict = str(content["verdict"])
+    verdict, searched = str(content["verdict"]), search_in_words(content)
     lead = (
         f"{verdict} for the parameter set of trial {content['trial']}, on {content['drawn']} "
         f"fresh draws. It is attempt {content['attempt']} to certify a parameter set of this run; "
@@ -107,6 +116,8 @@ def _section(study: Study, content: Mapping[str, Any], path: PurePath) -> Sectio
         tables=[_numbers(study, content), *_gaps(content)],
         notes=[
             *map(str, content["reasons"]),
+            *earlier_in_words(content),
+            *([f"Search for the worst context: {searched}."] if searched else []),
             *map(str, content["warnings"]),
             f"Details are in {path}, the evaluations in {path.stem}_evaluations.csv beside it.",
         ],

@@ -1,0 +1,148 @@
+"""How often a certificate passes a violation in a narrow bump, at first and within three attempts.
+
+    python benchmarks/repeated_certificates.py
+
+Each of the 36 parameter sets breaks its limit on the mean by 20 % in a Gaussian bump somewhere
+inside the context box, and keeps it by far elsewhere. Each is certified again until it passes, at
+most three times: once as if nothing was known of the attempts before, and once with them. Told is
+also how often the search met the violation, beside what the certificate says of such widths.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from band_coverage import MetricBackend, study_of
+from common import provenance, result_parser, table, write_result
+from synthetic_responses import Response
+from threadpoolctl import threadpool_limits
+
+from bo_tuner.certificate.certification import Certification, Subject
+from bo_tuner.certificate.earlier import refutation
+from bo_tuner.certificate.evidence import NOTHING, Earlier, Evidence
+from bo_tuner.certificate.judgement import judge
+from bo_tuner.certificate.search_width import distances
+from bo_tuner.certificate.sequential import spent
+
+WIDTHS = {1: (0.01, 0.03), 2: (0.03, 0.06), 3: (0.06, 0.12)}
+"""Standard deviations of the bump in edges of the box, by the number of context variables."""
+
+PLACES = 6
+"""Bumps of each width."""
+
+BASE, EXCESS, NOISE = 0.5, 0.2, 0.05
+"""Mean far from the bump, excess at its top, and noise of a run, in limits."""
+
+DRAWS, CONFIDENCE, ATTEMPTS = 300, 0.95, 3
+PARAMETERS = {"gain": 0.5}
+
+
+@dataclass(frozen=True)
+class Bump:
+    """A limit that is broken in one place only."""
+
+    dimension: int
+    width: float
+    seed: int
+
+    @property
+    def response(self) -> Response:
+        """The metric, with a limit of 1."""
+        middle = np.random.default_rng((20_261_127, self.seed)).uniform(0.1, 0.9, self.dimension)
+
+        def mean(u: np.ndarray) -> np.ndarray:
+            squares = (((u - middle) / self.width) ** 2).sum(axis=1)
+            return BASE + (1.0 + EXCESS - BASE) * np.exp(-0.5 * squares)
+
+        return Response(
+            "bump",
+            self.dimension,
+            False,
+            mean,
+            lambda u: np.full(len(u), NOISE),
+            1.0 + EXCESS,
+            middle,
+        )
+
+    @property
+    def violated(self) -> float:
+        """Diameter of the ball in which the mean is beyond the limit, in edges of the box."""
+        return 2.0 * self.width * math.sqrt(2.0 * math.log((1.0 + EXCESS - BASE) / (1.0 - BASE)))
+
+
+def bumps() -> Iterator[Bump]:
+    """Yield the parameter sets, as the bumps of their metric."""
+    seed = 0
+    for dimension, widths in WIDTHS.items():
+        for width in widths:
+            for _ in range(PLACES):
+                seed += 1
+                yield Bump(dimension, width, seed)
+
+
+def after(earlier: Earlier, evidence: Evidence, findings: Mapping[str, Any], k: int) -> Earlier:
+    """Return what is known after the k-th attempt, which failed."""
+    failed = refutation(f"certificate {k:04d} was a FAIL", findings, evidence.evaluations)
+    return Earlier(
+        (*earlier.refutations, failed),
+        (*earlier.evaluations, *evidence.evaluations),
+        certified=True,
+    )
+
+
+def certify(bump: Bump, *, remembered: bool) -> dict[str, Any]:
+    """Certify until it passes, and return in which attempt it did; None if in none."""
+    metric = bump.response
+    study = study_of(metric, {"upper": 1.0}, bump.seed, uniform=True)
+    earlier = NOTHING
+    first: dict[str, Any] = {}
+    for attempt in range(1, ATTEMPTS + 1):
+        confidence = spent(CONFIDENCE, attempt)
+        (evidence,) = Certification(
+            study, MetricBackend(metric), confidence=confidence, attempt=attempt
+        ).collect([Subject("tuned", PARAMETERS, earlier=earlier)], DRAWS)
+        findings = judge(study, evidence, confidence)
+        first = first or _search(study.context_space(), evidence, metric, bump)
+        if findings.passed:
+            return first | {"passed": attempt}
+        if remembered:
+            content = asdict(findings) | {"reasons": findings.reasons}
+            earlier = after(earlier, evidence, content, attempt)
+    return first | {"passed": None}
+
+
+def _search(space: Any, evidence: Evidence, metric: Response, bump: Bump) -> dict[str, Any]:
+    """Return whether the search met the violation, and how probably it meets one so wide."""
+    contexts = [e.context for e in evidence.evaluations]
+    met = bool((metric.mean(space.cube_of(contexts)) > 1.0).any())
+    found = float(np.mean(2.0 * distances(space, contexts) <= bump.violated))
+    return {"met": met, "probability": found}
+
+
+def row(title: str, runs: Sequence[Mapping[str, Any]]) -> list[object]:
+    """Sum up what `certify` returned of all parameter sets."""
+    passed = [run["passed"] for run in runs]
+    return [title, f"{passed.count(1)} of {len(runs)}", len(runs) - passed.count(None)]
+
+
+def main() -> None:
+    """Certify and report."""
+    arguments = result_parser(__doc__, "repeated_certificates.json").parse_args()
+    result: dict[str, Any] = {"provenance": provenance(), "runs": {}}
+    rows = []
+    with threadpool_limits(1):
+        for title, remembered in (("each on its own", False), ("with those before", True)):
+            runs = [asdict(b) | certify(b, remembered=remembered) for b in bumps()]
+            result["runs"][title] = runs
+            rows.append(row(title, runs))
+    met = sum(run["met"] for run in runs)
+    expected = sum(run["probability"] for run in runs)
+    write_result(arguments.result, result)
+    print(table(["attempts", "PASS at first", f"within {ATTEMPTS}"], rows))
+    print(f"violations met by the first search: {met} of {len(runs)}; by its widths {expected:.1f}")
+
+
+if __name__ == "__main__":
+    main()
