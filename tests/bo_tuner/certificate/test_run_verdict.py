@@ -10,6 +10,7 @@ from judged_runs import certify, default_trial, evaluations, made
 from bo_tuner.certificate.certificate import make_certificate, write_certificate
 from bo_tuner.certificate.evidence import Evidence
 from bo_tuner.certificate.run_verdict import certified, run_verdict
+from bo_tuner.errors import RunRecordError
 from bo_tuner.trials import EvaluationState, Outcome, Stage, WorstCase
 from bo_tuner.tuning.limits import WITHIN, outcome_in_words
 from bo_tuner.verdict.differences import Change
@@ -293,6 +294,36 @@ def test_a_trial_within_the_limits_that_was_not_ranked_is_told_of(tuned):
     for known in ([*ranked, within[0]], None):
         everyone = dataclasses.replace(run, summary=summary | {"ranked_trials": known})
         assert run_verdict(everyone).outliers == ()
+
+
+def test_better_parameter_sets_that_were_passed_over_are_named(tuned):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 0.5)] * 8, True)
+    item = {"trial": 3, "objective": 0.75, "feasibility": 0.81, "shown": False}
+    shown = {"trial": 2, "objective": 0.5, "feasibility": 0.98, "shown": True}
+
+    def sentences(*found):
+        summary = dict(run.summary) | {"passed_over": list(found)}
+        return run_verdict(dataclasses.replace(run, summary=summary)).sentences
+
+    assert sentences()[-1] != sentences(item)[-1]
+    assert sentences(item)[:-1] == sentences()
+    name = run.study.objective.metric
+    unit = f" {run.study.metrics[name].unit}".rstrip()
+    assert sentences(shown, item)[-1] == (
+        f"Better by the model, but passed over: trial 2 ({name} 0.5{unit}, keeps all limits with a "
+        "probability of 0.98, no runs were left to confirm it), "
+        f"trial 3 ({name} 0.75{unit}, keeps all limits with a probability of 0.81, which is too "
+        "low). validate --trial N tests one of them."
+    )
+    assert ", and 2 more. validate" in sentences(*[item] * 5)[-1]
+
+
+@pytest.mark.parametrize("found", [3, [3], [{"trial": 1}], [{"trial": "x", "objective": None}]])
+def test_a_summary_with_something_else_passed_over_is_refused(tuned, found):
+    run = made(tuned, [(1.0, 0.5)] * 8, [(1.0, 0.5)] * 8, True)
+    summary = dict(run.summary) | {"passed_over": found}
+    with pytest.raises(RunRecordError, match="its summary is not one of tune's"):
+        run_verdict(dataclasses.replace(run, summary=summary))
 
 
 def test_a_repetition_is_no_outlier(tuned):

@@ -8,7 +8,7 @@ from bo_tuner.models.categories import Coding
 from bo_tuner.models.pooled_process import PooledProcess
 from bo_tuner.models.pooled_responses import EveryContext, PooledResponse
 from bo_tuner.optimizers.ranking import Candidate
-from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, next_repetition
+from bo_tuner.optimizers.repetition import NEAR, OWN_RUNS, lacking, next_repetition
 from bo_tuner.trials import Stage
 
 SPREAD = 0.05
@@ -125,6 +125,48 @@ def test_an_answer_has_been_run_in_every_corner_and_no_more(study, candidate, co
     apart = np.abs(corners[:, None] - done).max(axis=2)
     assert (apart.min(axis=1) <= NEAR).all()
     assert repeated(study, constraint, best, done) is None
+
+
+def test_a_challenger_is_run_before_an_answer_and_leaves_it_its_own_runs(
+    study, candidate, constraint
+):
+    """An answer that is to be replaced needs none; and the one that stays must get its own."""
+    surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
+    best, better = candidate(0, 0.5, 0.98), candidate(1, 0.9, 0.9)
+    own = len(lacking(study, surrogates, best.trial))
+    assert own > OWN_RUNS
+    for left in range(1, 4 * own):
+        found = next_repetition(study, surrogates, [best, better], left)
+        if left >= 2 + own:
+            assert (found.trial.number, found.runs) == (1, 2)
+        else:
+            assert (found.trial.number, found.runs) == (0, 1)
+
+
+def test_no_challenger_is_run_that_could_not_get_its_own_runs(study, candidate, constraint):
+    """It would be shown to be better, and be passed over for the answer that has its own."""
+    surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
+    best, better = candidate(0, 0.5, 0.98), candidate(1, 0.9, 0.9)
+    while own := lacking(study, surrogates, best.trial):
+        best = with_own_run(best, own[0])
+    own = len(lacking(study, surrogates, better.trial))
+    for left in range(1, 2 * own):
+        found = next_repetition(study, surrogates, [best, better], left)
+        assert (found is not None) == (left >= own)
+
+
+def test_where_nothing_is_shown_all_runs_are_for_challengers(study, candidate, constraint):
+    surrogates = SimpleNamespace(limits=(constraint,), objective=Cost())
+    open_ones = [candidate(0, 0.5, 0.9), candidate(1, 0.9, 0.9)]
+    for left in (1, 2, 20):
+        assert next_repetition(study, surrogates, open_ones, left) is not None
+
+
+def with_own_run(candidate, context):
+    (evaluation, *_) = candidate.trial.evaluations
+    own = replace(evaluation, stage=Stage.CHECK_WORST, context=context)
+    trial = candidate.trial
+    return replace(candidate, trial=replace(trial, evaluations=(*trial.evaluations, own)))
 
 
 @pytest.mark.parametrize(("variables", "corners"), [(3, 8), (4, 0)])

@@ -155,6 +155,48 @@ def test_without_repetitions_left_the_answer_is_one_that_has_runs_of_its_own(
     assert (answer.candidate.trial.number, ranked) == (number, [number, *others])
 
 
+@pytest.mark.parametrize("most", [8, 14, 20, 25])
+def test_what_is_better_than_the_answer_is_named(study, trials, function_backend, most):
+    """And an answer that is not shown to keep its limits is never chosen over one that is."""
+    found = settle(study, function_backend(study, axis), trials, ALGORITHM.models, most=most)
+    known = {candidate.trial.number: candidate for candidate in found.ranked}
+    better = [known[item.trial] for item in found.passed_over]
+    assert all(c.score < found.candidate.score for c in better)
+    assert [c.score for c in better] == sorted(c.score for c in better)
+    # Beyond x = 0.65 all runs exceed the limit, and the cost falls with x.
+    assert all(
+        found.candidate.trial.parameters["x"] < c.trial.parameters["x"] < 0.65 for c in better
+    )
+    for item in found.passed_over:
+        assert 0.5 <= item.feasibility == known[item.trial].feasibility
+        assert item.shown == known[item.trial].believed_feasible
+    if found.feasible:
+        assert found.candidate.believed_feasible
+    else:
+        assert not any(c.believed_feasible for c in found.ranked)
+
+
+def test_a_better_one_without_runs_of_its_own_is_named(study, trials, function_backend):
+    first, second, *_ = rank(study, trials, ALGORITHM.models)
+    number = second.trial.number
+    own = [
+        dataclasses.replace(
+            trials[number].evaluations[0],
+            index=len(trials[number].evaluations) + k,
+            stage=Stage.CHECK_WORST,
+            context={"load": load},
+            outcome=Outcome(EvaluationState.COMPLETE, axis(second.trial.parameters["x"], load, k)),
+        )
+        for k, load in enumerate([2.0] * OWN_RUNS + [1.0])
+    ]
+    known = list(trials)
+    known[number] = with_repetitions(trials[number], own)
+    answer = settle(study, function_backend(study, axis), known, ALGORITHM.models, most=0)
+    assert answer.candidate.trial.number == number
+    named = {item.trial: item.shown for item in answer.passed_over}
+    assert named[first.trial.number]
+
+
 def test_a_record_of_the_repetitions_leads_to_the_same_answer(study, trials, settled):
     found, watcher = settled
 

@@ -15,6 +15,11 @@ from tuning_benchmark.problems.closed_form import ClosedForm, warped
 
 JUDGE = "tuning_benchmark.judging.closed_form:Judge"
 SIZES = [(2, 1), (2, 3), (4, 2), (8, 4), (12, 6)]
+PROBLEMS = [
+    *({"parameters": d, "contexts": m} for d, m in SIZES),
+    *({"parameters": 3, "contexts": m, "narrow": True} for m in (1, 2)),
+]
+NAMES = [ClosedForm(**problem).name for problem in PROBLEMS]
 SMALL = Effort(drawn=50, grid=3, real_evaluations=0)
 
 
@@ -30,32 +35,40 @@ def boundless_worst(problem, u):
     return max(*(-f.fun for f in found), problem.metric(u, corners.T).max())
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_the_worst_context_is_that_of_a_numerical_search(size):
-    problem = ClosedForm(parameters=size[0], contexts=size[1])
-    for u in np.random.default_rng(0).random((8, size[0])):
+@pytest.mark.parametrize("settings", PROBLEMS, ids=NAMES)
+def test_the_worst_context_is_that_of_a_numerical_search(settings):
+    problem = ClosedForm(**settings)
+    for u in np.random.default_rng(0).random((8, problem.parameters)):
         worst, context = problem.worst(u)
         assert (np.abs(context) <= 1.0).all()
         assert worst == pytest.approx(problem.metric(u, context))
         assert worst == pytest.approx(boundless_worst(problem, u), abs=1e-6)
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_the_optimum_keeps_the_limit_exactly_and_is_on_the_frontier(size):
-    problem = ClosedForm(parameters=size[0], contexts=size[1])
+@pytest.mark.parametrize("settings", PROBLEMS, ids=NAMES)
+def test_the_optimum_keeps_the_limit_exactly_and_is_on_the_frontier(settings):
+    problem = ClosedForm(**settings)
     assert ((problem.optimum > 0.0) & (problem.optimum < 1.0)).all()
     assert problem.worst(problem.optimum)[0] == pytest.approx(1.0, abs=1e-9)
     assert problem.best == pytest.approx(float(problem.frontier(1.0)), abs=1e-9)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(2, 1), (2, 3), (4, 2)])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"parameters": 2, "contexts": 1},
+        {"parameters": 2, "contexts": 3},
+        {"parameters": 4, "contexts": 2},
+        {"parameters": 3, "contexts": 2, "narrow": True},
+    ],
+)
 @pytest.mark.parametrize("limit", [1.0, 0.9])
-def test_differential_evolution_finds_no_better_point(size, limit):
-    problem = ClosedForm(parameters=size[0], contexts=size[1])
+def test_differential_evolution_finds_no_better_point(settings, limit):
+    problem = ClosedForm(**settings)
     found = differential_evolution(
         lambda u: float(problem.cost(u)),
-        [(0.0, 1.0)] * size[0],
+        [(0.0, 1.0)] * problem.parameters,
         constraints=NonlinearConstraint(lambda u: problem.worst(u)[0], -np.inf, limit),
         seed=1,
         tol=1e-10,
@@ -67,11 +80,11 @@ def test_differential_evolution_finds_no_better_point(size, limit):
     assert found.fun >= float(problem.frontier(limit)) - 1e-9
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("settings", PROBLEMS, ids=NAMES)
 @pytest.mark.parametrize("limit", [1.0, 0.95])
-def test_a_local_search_from_many_starts_finds_no_better_point(size, limit):
+def test_a_local_search_from_many_starts_finds_no_better_point(settings, limit):
     """In the convex relaxation of contexts by enumeration, one smooth constraint for each."""
-    problem = ClosedForm(parameters=size[0], contexts=size[1])
+    problem = ClosedForm(**settings)
     rng = np.random.default_rng(2)
     ends = problem.worst_contexts(problem.optimum)
 
@@ -79,11 +92,11 @@ def test_a_local_search_from_many_starts_finds_no_better_point(size, limit):
         return limit - problem.metric(u, contexts_of(problem, ends, u))
 
     best = np.inf
-    for start in np.vstack([problem.optimum, rng.uniform(0.3, 0.7, (3, size[0]))]):
+    for start in np.vstack([problem.optimum, rng.uniform(0.3, 0.7, (3, problem.parameters))]):
         found = minimize(
             lambda u: float(problem.cost(u)),
             start,
-            bounds=[(0.0, 1.0)] * size[0],
+            bounds=[(0.0, 1.0)] * problem.parameters,
             constraints={"type": "ineq", "fun": left},
             method="SLSQP",
             options={"ftol": 1e-12, "maxiter": 400},
@@ -93,9 +106,13 @@ def test_a_local_search_from_many_starts_finds_no_better_point(size, limit):
     assert best == pytest.approx(float(problem.frontier(limit)), rel=1e-5)
 
 
+def every_third(problem):
+    return np.arange(problem.contexts) % 3 == 2
+
+
 def contexts_of(problem, ends, u):
-    """The rows of `ends` with the interior contexts where they are worst for u."""
-    interior = np.arange(problem.contexts) % 3 == 2
+    """The rows of `ends` with the contexts that are worst inside where they are worst for u."""
+    interior = np.full(problem.contexts, True) if problem.narrow else every_third(problem)
     return np.where(interior, problem.worst_contexts(u)[0], ends)
 
 
@@ -138,6 +155,26 @@ def test_the_crash_region_begins_at_the_optimum_and_holds_no_feasible_point():
     crashed = np.array([problem.crashes(u) for u in points])
     assert 0.1 < crashed.mean() < 0.9
     assert all(problem.worst(u)[0] > 1.0 for u in points[crashed])
+
+
+@pytest.mark.parametrize("contexts", [1, 2])
+def test_a_narrow_peak_breaks_the_limit_inside_and_in_no_corner(contexts):
+    """By up to 0.35 in the worst context, as h·Δ says, but by nothing at an end of an interval."""
+    problem = ClosedForm(parameters=3, contexts=contexts, narrow=True, noise="constant")
+    points = np.random.default_rng(6).random((2000, 3))
+    slope = (warped(points) - problem.constants.x) @ problem.constants.h
+    near = points[(slope > 0.0) & (slope < 0.35)]
+    assert len(near) > 100
+    ends = np.array(np.meshgrid(*[[-1.0, 1.0]] * contexts)).reshape(contexts, -1).T
+    hidden = 0
+    for u, excess in zip(near, slope[(slope > 0.0) & (slope < 0.35)], strict=True):
+        assert problem.worst(u)[0] == pytest.approx(1.0 + excess)
+        hidden += problem.metric(u, ends).max() < 1.0
+    assert hidden > 0.9 * len(near)
+    # Away from the peak by three of its widths all is 0.49 lower, for each context.
+    worst, context = problem.worst(problem.optimum)
+    away = problem.metric(problem.optimum, context - 0.6)
+    assert worst - away == pytest.approx(0.5 * (1.0 - np.exp(-4.5)) * contexts)
 
 
 def test_a_steep_metric_is_the_same_within_its_limit_and_explodes_beyond():
@@ -226,6 +263,8 @@ def test_the_warping_keeps_the_cube_and_its_order():
         {"crash": 1},
         {"steep": 1},
         {"steep": True, "probability": 0.9},
+        {"narrow": 1},
+        {"narrow": True, "noise": "heteroscedastic"},
     ],
 )
 def test_wrong_settings_are_refused(wrong):

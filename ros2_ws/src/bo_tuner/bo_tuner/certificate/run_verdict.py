@@ -28,6 +28,7 @@ from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.observed import Observed, WorstMean
+from bo_tuner.verdict.passed_over import passed_over_in_words
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.validated import (
     doubt,
@@ -79,7 +80,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
         trial = trials[summary["trial"]]  # type: ignore[index]
         default, tuned = (Validation.from_mapping(summary[key]) for key in (DEFAULT, TUNED))
         passed_check = bool(summary["passed_check"])
-        return validated(
+        verdict = validated(
             record.study,
             trial.number,
             default,
@@ -94,6 +95,8 @@ def _by_validation(record: RunRecord) -> Verdict | None:
             measured=record.backend == ROS,
             outliers=_outliers(record, summary.get("ranked_trials")),
         )
+        better = passed_over_in_words(record.study, summary.get("passed_over", ()))  # type: ignore[arg-type]
+        return replace(verdict, remarks=(*verdict.remarks, *better))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise RunRecordError(
             f"{record.path}: its summary is not one of tune's: {str(error)[:200]!r}"

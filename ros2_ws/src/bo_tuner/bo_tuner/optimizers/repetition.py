@@ -9,6 +9,10 @@ further runs is a parameter set that is better than the answer but not shown to 
 with the largest expected gain for each of the runs that are likely to show it. The gain alone would
 prefer one that lies so close to a limit that all runs are too few for it (Frazier and Powell 2010).
 
+Challengers come before the own runs of the answer, which would be lost on one that is then
+replaced. As many runs as the answer lacks are kept in reserve, and no challenger is run that could
+not get its own any more: it would be shown to be better, and be passed over all the same.
+
 References
 ----------
 Frazier and Powell (2010). Paradoxes in learning and the marginal value of information. Decision
@@ -87,33 +91,33 @@ def next_repetition(
         Number of runs that are left.
     """
     best = candidates[0] if candidates and candidates[0].believed_feasible else None
-    if best is not None:
-        own = own_repetition(study, surrogates, best.trial)
-        if own is not None:
-            return own
-    chosen = _challenger(study, surrogates, candidates, best, left)
-    if chosen is None:
-        return None
-    runs = runs_until(chosen.trial, looks(chosen.trial) + 1)
-    return Repetition(chosen.trial, _doubtful(study, surrogates, chosen.trial)[0], runs)
+    own = lacking(study, surrogates, best.trial) if best is not None else []
+    challenger = _challenger(study, surrogates, candidates, best, left - len(own))
+    if challenger is not None:
+        doubtful = _doubtful(study, surrogates, challenger.trial)[0]
+        runs = runs_until(challenger.trial, looks(challenger.trial) + 1)
+        # These runs are some of its own.
+        its_own = len(lacking(study, surrogates, challenger.trial))
+        if best is None or max(runs + len(own), its_own) <= left:
+            return Repetition(challenger.trial, doubtful, runs)
+    return Repetition(best.trial, own[0], 1) if best is not None and own else None
 
 
-def own_repetition(study: Study, surrogates: Surrogates, trial: Trial) -> Repetition | None:
-    """Return the run of its own that a parameter set lacks before it can be the answer.
+def lacking(study: Study, surrogates: Surrogates, trial: Trial) -> list[Mapping[str, float]]:
+    """Return the contexts of the runs of its own that a parameter set lacks to be the answer.
 
-    One at a time, since the first of them may show that another one is the answer. Arguments as in
-    `next_repetition`; None if it lacks none.
+    They are made one at a time, since the first of them may show that another one is the answer,
+    and each may move the most doubtful context; so the number is an estimate. Arguments as in
+    `next_repetition`.
     """
     doubtful = _doubtful(study, surrogates, trial)
     contexts = [context for context in doubtful if context is not None]
     corners = _Corners(study, trial)
     made = sum(e.stage is Stage.CHECK_WORST for e in trial.evaluations)
-    most = OWN_RUNS * len(contexts) + corners.seen.sum()
-    for context in contexts:
-        if _own_runs(study, trial, context) < OWN_RUNS and made < most:
-            return Repetition(trial, context, 1)
-    corner = corners.most_doubtful_unseen(surrogates)
-    return None if corner is None else Repetition(trial, corner, 1)
+    most = OWN_RUNS * len(contexts) + int(corners.seen.sum())
+    missing = (OWN_RUNS - _own_runs(study, trial, context) for context in contexts)
+    there = [c for c, count in zip(contexts, missing, strict=True) for _ in range(count)]
+    return there[: max(0, most - made)] + corners.unseen(surrogates)
 
 
 def _challenger(
@@ -213,21 +217,21 @@ class _Corners:
         self._point = study.search_space().to_cube(trial.parameters)
         self.seen = np.array([_own_runs(study, trial, c) > 0 for c in self._contexts])
 
-    def most_doubtful_unseen(self, surrogates: Surrogates) -> Mapping[str, float] | None:
-        """Return the most doubtful one in which it was not run yet.
+    def unseen(self, surrogates: Surrogates) -> list[Mapping[str, float]]:
+        """Return those in which it was not run yet, the most doubtful one first.
 
-        None if it was run in all of them, if there are more than `CORNERS`, or if no limit is one
-        in every context.
+        None of them if there are more than `CORNERS`, or if no limit is one in every context.
         """
         limits = [limit for limit in surrogates.limits if isinstance(limit, EveryContext)]
         if not limits or self.seen.all() or len(self.seen) > CORNERS:
-            return None
+            return []
         x = np.tile(self._point, (len(self._cube), 1))
         kept = np.zeros(len(self._cube))
         for limit in limits:
             there = replace(limit, contexts=self._cube)
             kept += limit.log_kept(*there.predict_in(x, np.arange(len(x))))
-        return self._contexts[int(np.argmin(np.where(self.seen, np.inf, kept)))]
+        order = np.argsort(kept, kind="stable")
+        return [self._contexts[k] for k in order if not self.seen[k]]
 
 
 def _own_runs(study: Study, trial: Trial, context: Mapping[str, float]) -> int:

@@ -20,6 +20,7 @@ from bo_tuner.trials import Evaluation, Stage, Trial, WorstCase
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.limits import judge_sample, judge_samples, refuted
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.passed_over import PassedOver
 
 DRAWN_EVALUATIONS = 10
 WORST_EVALUATIONS = 10
@@ -46,12 +47,15 @@ class Recommendation:
         Numbers of the checked trials, in the order of the checks.
     ranked
         All candidates, with the evaluations of the checks.
+    passed_over
+        Better ones that were not chosen, by models that pool all evaluations; the best one first.
     """
 
     candidate: Candidate
     feasible: bool
     checked: tuple[int, ...]
     ranked: tuple[Candidate, ...] = field(repr=False)
+    passed_over: tuple[PassedOver, ...] = ()
 
 
 def recommend(

@@ -16,7 +16,7 @@ from bo_tuner.models.pooled_responses import EveryContext
 from bo_tuner.models.surrogates import Surrogates
 from bo_tuner.numerics.seeds import Stream, generator, noise_seed
 from bo_tuner.optimizers.ranking import Candidate, ranked_by, ranking_models
-from bo_tuner.optimizers.repetition import next_repetition, own_repetition
+from bo_tuner.optimizers.repetition import lacking, next_repetition
 from bo_tuner.study.study import Study
 from bo_tuner.trials import (
     CHECKS,
@@ -30,6 +30,7 @@ from bo_tuner.trials import (
 )
 from bo_tuner.tuning.evaluation import Losses, evaluate
 from bo_tuner.tuning.observer import NOBODY, RunObserver
+from bo_tuner.tuning.passed_over import passed_over
 from bo_tuner.tuning.recommendation import Recommendation, most_check_evaluations, with_check
 
 SHARE = 1.0 / 6.0
@@ -109,9 +110,12 @@ def settle(
         if choice is None:
             candidates = _with_own_runs_first(study, models, candidates)
             best = candidates[0]
-            best = replace(best, trial=estimated(study, models, best.trial))
             return Recommendation(
-                best, best.believed_feasible, tuple(dict.fromkeys(repeated)), tuple(candidates)
+                replace(best, trial=estimated(study, models, best.trial)),
+                best.believed_feasible,
+                tuple(dict.fromkeys(repeated)),
+                tuple(candidates),
+                passed_over(models, best, candidates),
             )
         number = choice.trial.number
         for _ in range(min(choice.runs, left)):
@@ -136,7 +140,7 @@ def _with_own_runs_first(
     for candidate in candidates:
         if not candidate.believed_feasible:
             break
-        if own_repetition(study, models, candidate.trial) is None:
+        if not lacking(study, models, candidate.trial):
             return [candidate, *(c for c in candidates if c is not candidate)]
     return list(candidates)
 

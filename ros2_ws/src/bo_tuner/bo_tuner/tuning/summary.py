@@ -199,6 +199,7 @@ def summarize(
         "passed_check": best.feasible,
         "checked_trials": best.checked,
         "ranked_trials": sorted(candidate.trial.number for candidate in best.ranked),
+        "passed_over": [asdict(item) for item in best.passed_over],
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
         "default": asdict(default) | {"feasible": default.feasible},

@@ -34,6 +34,10 @@ Steep
     Beyond the limit the mean is L + τ (exp(d / τ) - 1) instead of L + d, as of a loop that becomes
     unstable, and the noise is larger by the slope exp(d / τ). This is increasing in d and the same
     within the limit, hence the optimum is the same, too.
+Narrow
+    All contexts are of a fourth kind, *narrow*, p' (exp(-(w - ω - ρ·Δ)² / (2 b²)) - 1), as of a
+    resonance: worst where the interior ones are, and far better elsewhere, so that no corner of the
+    contexts shows how bad the worst one is. The worst case is L + h·Δ, and the optimum the same.
 Crash
     An evaluation fails where h·Δ > `CRASH`, so the optimum lies at the edge of the crash region.
 """
@@ -79,8 +83,14 @@ QUIET, LOUD = 0.02, 0.08
 LEAN, INSIDE, CURVATURE = 0.15, 0.3, 0.5
 """p, ω and k."""
 
-LEANING, TIED, INTERIOR = 0, 1, 2
-"""Kinds of contexts, by their index modulo three."""
+DEPTH, WIDTH = 0.5, 0.2
+"""p' and b."""
+
+LEANING, TIED, INTERIOR, NARROW = 0, 1, 2, 3
+"""Kinds of contexts: the first three by their index modulo three, unless all are narrow."""
+
+INSIDE_KINDS = (INTERIOR, NARROW)
+"""Whose worst value is inside the interval."""
 
 RIPPLE_FREQUENCY, RIPPLE_CURVATURE = 2.0, 1.5
 """f, and the ripple's largest curvature relative to that of the mean quadratic term."""
@@ -108,13 +118,16 @@ class ClosedForm:
         Whether there is a crash region.
     steep
         Whether the constrained metric grows exponentially beyond its limit.
+    narrow
+        Whether the worst value of every context is a narrow peak inside its interval.
     probability
         With which a single run must keep the limit in every context; on the mean if None.
 
     Raises
     ------
     StudyError
-        If a value is out of range, or `steep` together with a `probability`.
+        If a value is out of range, `steep` together with a `probability`, or `narrow` with
+        heteroscedastic noise, which grows with the leaning contexts.
     """
 
     parameters: int
@@ -122,6 +135,7 @@ class ClosedForm:
     noise: str = NONE
     crash: bool = False
     steep: bool = False
+    narrow: bool = False
     probability: float | None = None
 
     def __post_init__(self) -> None:
@@ -130,20 +144,30 @@ class ClosedForm:
         checks.choice(self.noise, (NONE, CONSTANT, HETEROSCEDASTIC), "noise")
         checks.boolean(self.crash, "crash")
         checks.boolean(self.steep, "steep")
+        checks.boolean(self.narrow, "narrow")
         if self.steep and self.probability is not None:
             raise StudyError("expected false with a limit on single runs", ("steep",))
+        if self.narrow and self.noise == HETEROSCEDASTIC:
+            raise StudyError("expected false with heteroscedastic noise", ("narrow",))
 
     @property
     def name(self) -> str:
         """Name of the study."""
         parts = [f"closed_form_{self.parameters}_{self.contexts}", self.noise]
-        parts += [name for name in ("crash", "steep") if getattr(self, name)]
+        parts += [name for name in ("crash", "steep", "narrow") if getattr(self, name)]
         return "_".join(parts + (["single"] if self.probability is not None else []))
 
     @cached_property
     def constants(self) -> "Constants":
         """The constants of the problem."""
-        return _draw(self.parameters, self.contexts)
+        return _draw(self.parameters, self.kinds)
+
+    @cached_property
+    def kinds(self) -> NDArray[np.intp]:
+        """The kind (m,) of each context."""
+        if self.narrow:
+            return np.full(self.contexts, NARROW)
+        return np.arange(self.contexts) % 3
 
     @cached_property
     def optimum(self) -> Array:
@@ -196,10 +220,18 @@ class ClosedForm:
         c = self.constants
         delta = warped(u) - c.x
         slopes = delta @ c.r.T
-        kind = np.arange(self.contexts) % 3
+        kind = self.kinds
         lean = w * (slopes + c.z * LEAN) - LEAN
-        inside = -CURVATURE * (w - INSIDE - slopes) ** 2
-        parts = np.where(kind == LEANING, lean, np.where(kind == TIED, w * slopes, inside))
+        apart = (w - INSIDE - slopes) ** 2
+        parts = np.choose(
+            kind,
+            [
+                lean,
+                w * slopes,
+                -CURVATURE * apart,
+                DEPTH * np.expm1(-apart / (2.0 * WIDTH**2)),
+            ],
+        )
         result: Array = LIMIT + delta @ c.q + parts.sum(axis=-1)
         return result
 
@@ -209,7 +241,7 @@ class ClosedForm:
             return np.zeros(np.shape(w)[:-1])
         if self.noise == CONSTANT:
             return np.full(np.shape(w)[:-1], (QUIET + LOUD) / 2.0)
-        leaning = np.arange(self.contexts) % 3 == LEANING
+        leaning = self.kinds == LEANING
         towards = (1.0 + (w * self.constants.z)[..., leaning].mean(axis=-1)) / 2.0
         result: Array = QUIET + (LOUD - QUIET) * towards
         return result
@@ -223,8 +255,8 @@ class ClosedForm:
         """
         slopes = self.constants.r @ (warped(u) - self.constants.x)
         ends = [
-            (INSIDE + slopes[j],) if j % 3 == INTERIOR else (-1.0, 1.0)
-            for j in range(self.contexts)
+            (INSIDE + slope,) if kind in INSIDE_KINDS else (-1.0, 1.0)
+            for kind, slope in zip(self.kinds, slopes, strict=True)
         ]
         return np.array(list(product(*ends)))
 
@@ -276,7 +308,8 @@ class ClosedForm:
             limit["probability"] = self.probability
         settings = {
             "parameters": self.parameters, "contexts": self.contexts, "noise": self.noise,
-            "crash": self.crash, **({"steep": True} if self.steep else {}),
+            "crash": self.crash,
+            **{name: True for name in ("steep", "narrow") if getattr(self, name)},
         }  # fmt: skip
         return problem_study(
             f"{__name__}:Node",
@@ -360,6 +393,7 @@ def problem_of(settings: Mapping[str, Any]) -> ClosedForm:
         noise=str(settings["noise"]),
         crash=bool(settings["crash"]),
         steep=bool(settings.get("steep", False)),
+        narrow=bool(settings.get("narrow", False)),
     )
 
 
@@ -387,8 +421,17 @@ def _unwarped(x: Array) -> Array:
     return result
 
 
-def _draw(parameters: int, contexts: int) -> Constants:
-    """Draw the constants; each scale follows from what the module's text asks for."""
+def _draw(parameters: int, kind: NDArray[np.intp]) -> Constants:
+    """Draw the constants; each scale follows from what the module's text asks for.
+
+    Parameters
+    ----------
+    parameters
+        d.
+    kind : ndarray, shape (m,)
+        Kinds of the contexts.
+    """
+    contexts = len(kind)
     rng = np.random.default_rng((20_201_115, parameters, contexts))
     x = warped(rng.uniform(0.35, 0.65, parameters))
     a = np.exp(rng.uniform(np.log(0.3), np.log(3.0), parameters))
@@ -401,12 +444,12 @@ def _draw(parameters: int, contexts: int) -> Constants:
     across -= np.outer(across @ D, D) / (D @ D)
     across /= np.linalg.norm(across, axis=1)[:, None]
     e, r = across[0], across[1:]
-    kind = np.arange(contexts) % 3
     # An interior worst context stays in its interval: |ω| + |ρ|₁ max|Δ| < 1.
     size = np.where(kind == LEANING, 0.6, np.where(kind == TIED, 1.0, 0.0))
+    inside = np.isin(kind, INSIDE_KINDS)
     largest = np.maximum(x, 1.0 - x).max()
     r = np.where(
-        (kind == INTERIOR)[:, None],
+        inside[:, None],
         r * 0.6 / (np.abs(r).sum(axis=1)[:, None] * largest),
         r * size[:, None],
     )

@@ -1,0 +1,38 @@
+"""What the verdict says of better parameter sets that were not chosen."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bo_tuner.study.study import Study
+from bo_tuner.text import shown
+
+NAMED = 3
+"""Largest number of them that are named; the summary has all."""
+
+
+def passed_over_in_words(study: Study, found: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Return a remark on the parameter sets that were passed over; none without any.
+
+    Parameters
+    ----------
+    study
+        The study.
+    found
+        As in ``summary.json``: each a `bo_tuner.tuning.passed_over.PassedOver` as a mapping.
+    """
+    if not found:
+        return ()
+    names = ", ".join(_in_words(study, item) for item in found[:NAMED])
+    more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return (
+        f"Better by the model, but passed over: {names}{more}. validate --trial N tests one of "
+        "them.",
+    )
+
+
+def _in_words(study: Study, item: Mapping[str, Any]) -> str:
+    metric = study.metrics[study.objective.metric]
+    mean = f"{metric.name} {shown(float(item['objective']))} {metric.unit}".rstrip()
+    kept = f"keeps all limits with a probability of {float(item['feasibility']):.3g}"
+    why = "no runs were left to confirm it" if item["shown"] else "which is too low"
+    return f"trial {int(item['trial'])} ({mean}, {kept}, {why})"
