@@ -200,8 +200,8 @@ def summarize(
         "ranked_trials": sorted(candidate.trial.number for candidate in best.ranked),
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
-        "default": asdict(default) | {"feasible": default.feasible},
-        "tuned": asdict(tuned) | {"feasible": tuned.feasible},
+        "default": asdict(default),
+        "tuned": asdict(tuned),
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
     }
