@@ -358,7 +358,7 @@ class TestLost:
         assert other.outcome.complete
         earlier = replace(other, trial=lost.trial, seed=lost.seed)
         record = replace(record, evaluations=(earlier, *record.evaluations))
-        assert summary_from_record(record)["tuned"]["failures"] == 1
+        assert summary_from_record(record)["tuned"]["lost"] == 1
 
 
 class TestDamage:
