@@ -29,6 +29,7 @@ def validation(study, found):
         parameters=found[0].parameters,
         draws=len(found),
         failures=len(found) - len(complete),
+        lost=0,
         objective=sum(complete) / len(complete) if complete else float("nan"),
         deviation=float("nan"),
         constraints=judge_samples(study, found),
@@ -55,7 +56,7 @@ def made(run, default, tuned, passed_check):
         "feasible": passed_check and found[1].feasible,
         "passed_check": passed_check,
         **{
-            name: dataclasses.asdict(item) | {"feasible": item.feasible}
+            name: dataclasses.asdict(item)
             for name, item in zip(("default", "tuned"), found, strict=True)
         },
     }

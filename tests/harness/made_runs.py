@@ -47,11 +47,11 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess", a
 
 
 def summary_of(record, result):
-    """A summary that names a trial as the result, which kept all limits in no draws at all."""
+    """A summary that names a trial as the result, of no draws, so that nothing refutes it."""
     study = record.study
-    sample = {"worst": None, "count": 0, "violations": 0, "holds": True}
+    sample = {"worst": None, "count": 0, "violations": 0, "permitted": 0, "standing": "open"}
     of_both = {
-        "draws": 0, "failures": 0, "objective": None, "deviation": None, "feasible": True,
+        "draws": 0, "failures": 0, "lost": 0, "objective": None, "deviation": None,
         "constraints": {name: sample | {"name": name} for name in study.constraints},
     }  # fmt: skip
     return {

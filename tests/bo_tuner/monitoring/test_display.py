@@ -7,6 +7,7 @@ import pytest
 from terminals import console
 
 from bo_tuner.study.study_file import load_study
+from bo_tuner.verdict.limit_verdict import by_certificate
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.table import (
@@ -40,7 +41,11 @@ def verdict(study, draws=25):
             study,
             Observed(drawn(0.0), draws),
             Observed(drawn(-0.25), draws),
-            dict.fromkeys(study.constraints, True),
+            {},
+            {
+                name: by_certificate(study, limit, passed=True, draws=draws, violations=0)
+                for name, limit in study.constraints.items()
+            },
             {},
         ),
     )

@@ -1,6 +1,7 @@
 """The Pareto front in the terminal."""
 
 import io
+from pathlib import Path
 
 from rich.console import Console
 
@@ -17,8 +18,8 @@ def test_an_empty_front_tells_what_a_point_of_it_needs(make_study, make_trial):
     front = pareto_front(study, [broke])
     assert front == []
     out = Console(file=io.StringIO(), width=60)
-    print_front(out, study, front, 0)
+    print_front(out, study, front, 0, Path("runs/a b"))
     assert out.file.getvalue() == (
-        "no parameter set that is believed feasible kept all limits in its own evaluations, so "
+        "each parameter set that is believed feasible broke a limit in its own evaluations, so "
         "there is no Pareto front\n"
     )

@@ -4,14 +4,20 @@ import base64
 import dataclasses
 import hashlib
 import itertools
+import json
 import math
 import re
+import shlex
+from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 
 import pytest
 
 from bo_tuner.errors import OutputError, RunRecordError
-from bo_tuner.report.page import write_report
+from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.page import render, sections, write_report
+from bo_tuner.report.sections.answer import answer
 from bo_tuner.storage.record import read_run
 from bo_tuner.trials import EvaluationState, Stage
 
@@ -175,6 +181,40 @@ def test_texts_of_a_study_stay_texts(page, tuned):
     assert not [attributes for tag, attributes in page.elements if tag == "img"]
     assert not [a for _, a in page.elements if any(name.startswith("on") for name in a)]
     assert any(HARM in cell for rows in page.tables.values() for row in rows for cell in row)
+
+
+def test_no_text_of_a_study_steers_or_reorders_the_page(tuned):
+    """In what a browser shows there is none of these characters, in whichever way they came."""
+    hostile, characters = "\x1b[2Jx\x9b\u202etxt\u2066\u200f", set("\x1b\x9b\u202e\u2066\u200f")
+    study = tuned.study
+    named = {
+        what: {name: replace(item, unit=hostile) for name, item in getattr(study, what).items()}
+        for what in ("parameters", "metrics")
+    }
+    run = replace(tuned, study=replace(study, description=hostile, **named))
+    analysis = Analysis(run)
+    text = render(analysis, sections(analysis))
+    assert not characters & set(unescape(text))
+    data = re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', text, re.DOTALL)
+    assert len(data) > 1
+    assert not characters & {c for each in map(json.loads, data) for c in "".join(texts(each))}
+    assert text.count(r"\x1b[2Jx\x9b\u202etxt\u2066\u200f") > 5
+
+
+def texts(value):
+    """All texts in a JSON value."""
+    if isinstance(value, dict):
+        value = [*value, *value.values()]
+    if isinstance(value, list):
+        return [text for item in value for text in texts(item)]
+    return [value] if isinstance(value, str) else []
+
+
+def test_the_commands_of_the_report_work_from_any_folder(tuned):
+    steps = answer(Analysis(tuned)).steps
+    assert steps
+    for step in steps:
+        assert str(tuned.path.resolve()) in shlex.split(step.command)
 
 
 def test_headings_go_down_step_by_step(page):

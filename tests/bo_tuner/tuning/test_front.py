@@ -24,6 +24,7 @@ from bo_tuner.tuning.front import pareto_front
 from bo_tuner.tuning.loop import Tuning
 from bo_tuner.tuning.recommendation import recommend
 from bo_tuner.verdict.differences import Change
+from bo_tuner.verdict.limit_verdict import by_certificate
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
 from tuning_benchmark.problems.two_objectives import hypervolume
@@ -173,9 +174,11 @@ def test_the_verdict_knows_the_direction_of_each(study):
         Observed({k: {"near": near, "far": far, "peak": 0.5} for k in draws}, 20, [])
         for near, far in ((0.2, 0.1), (0.1, 0.2))
     )
+    constraint = study.constraints["peak"]
+    kept = by_certificate(study, constraint, passed=True, draws=20, violations=0)
     found = {
         q.metric: q.change
-        for q in quantities(study, default, tuned, {"peak": True}, {})
+        for q in quantities(study, default, tuned, {}, {"peak": kept}, {})
         if q.difference is not None
     }
     assert found["near"] is Change.BETTER

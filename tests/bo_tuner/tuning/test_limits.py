@@ -104,8 +104,8 @@ def test_draws_refute_a_limit_on_the_mean_by_their_mean(make_study):
     for mean in np.linspace(0.8, 1.5, 15):
         values = mean + shape
         refuted_by = ttest_1samp(values, 1.0, alternative="greater").pvalue < 0.05
-        assert judge_sample(constraint, values).holds is not refuted_by
-    assert judge_sample(constraint, [5.0]).holds
+        assert judge_sample(constraint, values).agrees is not refuted_by
+    assert judge_sample(constraint, [5.0]).agrees
 
 
 @pytest.mark.parametrize("limit", [0.05, 0.1, 0.2, 0.4])
@@ -113,7 +113,7 @@ def test_draws_refute_a_limit_on_the_mean_by_their_mean(make_study):
 def test_values_at_the_limit_keep_it(make_study, limit, count):
     """The mean of 25 times 0.2 is above 0.2 by rounding."""
     constraint = replace(worst_case(make_study), upper=limit)
-    assert judge_sample(constraint, [limit] * count).holds
+    assert judge_sample(constraint, [limit] * count).agrees
     assert not refuted(constraint, [limit] * count)
 
 
@@ -123,9 +123,9 @@ def test_without_contexts_draws_are_of_the_worst_one(make_study, probability):
     constraint = worst_case(make_study, probability)
     within = [1.2] * 3 + [0.9] * 17
     beyond = [1.2] * (12 if probability is None else 4) + [0.9] * (8 if probability is None else 16)
-    assert judge_sample(constraint, beyond).holds or probability is None
-    assert judge_sample(constraint, within, alone=True).holds
-    assert not judge_sample(constraint, beyond, alone=True).holds
+    assert judge_sample(constraint, beyond).agrees or probability is None
+    assert judge_sample(constraint, within, alone=True).agrees
+    assert not judge_sample(constraint, beyond, alone=True).agrees
 
 
 @pytest.mark.parametrize(("probability", "holds"), [(None, True), (0.5, True), (0.85, False)])
@@ -169,7 +169,7 @@ def test_confirmation_validation_and_record_judge_the_same_values_alike(
 
 
 def test_without_values_nothing_holds(make_study):
-    assert not judge_sample(chance(make_study, 0.9), []).holds
+    assert not judge_sample(chance(make_study, 0.9), []).agrees
 
 
 def test_refuted_is_what_exceeds_by_more_than_the_error_of_the_estimate(make_study):
@@ -226,4 +226,4 @@ def test_a_check_without_contexts_judges_its_draws_as_all_others(make_study, mak
             for k, (stage, peak) in enumerate(zip(stages, peaks, strict=True))
         ]
         _, holds = with_check(study, trial, check)
-        assert holds is judge_samples(study, check[:10])["peak"].holds is (beyond == 1)
+        assert holds is judge_samples(study, check[:10])["peak"].agrees is (beyond == 1)

@@ -106,7 +106,7 @@ class TestChance:
         found = judge(make_study, function_backend, peak, draws, **chance(probability))
         (check,) = found.constraints.values()
         assert check.violations == above
-        assert check.holds is holds
+        assert check.agrees is holds
         assert found.feasible is holds
         assert check.worst == (1.5 if above else 0.5)
 
@@ -153,17 +153,19 @@ class TestFailures:
             return failed("no", state) if next(count) == 4 else figure
 
         found = judge(make_study, function_backend, function, draws=5)
-        assert found.failures == 1
+        assert (found.failures, found.lost) == (
+            (1, 0) if state is EvaluationState.FAILED else (0, 1)
+        )
         assert not found.feasible
         # The rest still counts.
         assert found.objective == np.mean([0, 1, 2, 3])
-        assert found.constraints["peak"].holds
+        assert found.constraints["peak"].agrees
 
     def test_all_fail(self, make_study, function_backend, failed):
         found = judge(make_study, function_backend, lambda **_: failed("no"), draws=5)
         assert found.failures == found.draws == 5
         assert not found.feasible
-        assert not found.constraints["peak"].holds
+        assert not found.constraints["peak"].agrees
         assert math.isnan(found.objective)
         assert math.isnan(found.constraints["peak"].worst)
 
@@ -195,5 +197,5 @@ class TestFailures:
         resumed = function_backend(study, figures())
         backend = RecordedEvaluations(resumed, study, watcher.evaluations)
         (found,) = validate(study, backend, [{"gain": 0.5}])
-        assert found.failures == len(watcher.evaluations) == 3
+        assert found.lost == len(watcher.evaluations) == 3
         assert len(resumed.calls) == study.budget.validation_draws - 3

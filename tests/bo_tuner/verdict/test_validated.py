@@ -7,9 +7,10 @@ from functools import partial
 import pytest
 
 from bo_tuner.study.study_file import load_study
-from bo_tuner.tuning.limits import Sample
+from bo_tuner.tuning.limits import Sample, Standing
 from bo_tuner.tuning.validation import Validation
 from bo_tuner.verdict.differences import Change
+from bo_tuner.verdict.limit_verdict import by_certificate
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.validated import validated
@@ -21,9 +22,12 @@ LOAD = "Only return_time exceeded a limit; other load on this machine can cause 
 def validation(study, violations):
     """One of 25 draws, with so many violations of each limit; more than 4 refute it."""
     samples = {
-        name: Sample(name, math.nan, 25, count, count <= 4) for name, count in violations.items()
+        name: Sample(
+            name, math.nan, 25, count, 3, Standing.OPEN if count <= 4 else Standing.VIOLATED
+        )
+        for name, count in violations.items()
     }
-    return Validation(study.search_space().defaults, 25, 0, 0.2, 0.01, samples)
+    return Validation(study.search_space().defaults, 25, 0, 0, 0.2, 0.01, samples)
 
 
 @pytest.mark.parametrize(
@@ -53,11 +57,11 @@ def test_outliers_that_kept_all_limits_are_told_of():
     found = [judged(outliers=numbers).sentences for numbers in ((), (4,), (4, 7))]
     assert not any("outlier" in sentence for sentence in found[0])
     assert (
-        "Trial 4 kept all limits, but is an outlier of the objective, far from all others, and "
+        "Trial 4 broke no limit, but is an outlier of the objective, far from all others, and "
         "therefore not a candidate."
     ) in found[1]
     assert (
-        "Trials 4, 7 kept all limits, but are outliers of the objective, far from all others, and "
+        "Trials 4, 7 broke no limit, but are outliers of the objective, far from all others, and "
         "therefore not candidates."
     ) in found[2]
     for sentences in found:
@@ -86,7 +90,9 @@ def test_a_worst_case_of_the_objective_does_not_hide_its_mean(make_study):
         )
         for mean, worst in ((1.0, 3.0), (2.0, 2.5))
     )
-    found = quantities(study, default, tuned, {"cap": True}, {})
+    constraint = study.constraints["cap"]
+    kept = by_certificate(study, constraint, passed=True, draws=30, violations=0)
+    found = quantities(study, default, tuned, {}, {"cap": kept}, {})
     verdict = Verdict(state=State.CERTIFIED, trial=1, evidence="", quantities=found)
     assert [q.change for q in found if q.objective] == [Change.WORSE]
     assert verdict.default_preferred
@@ -99,12 +105,13 @@ def test_a_set_without_a_complete_draw_has_no_mean_beyond_the_limit(make_study):
         study.search_space().defaults,
         8,
         8,
+        0,
         math.nan,
         math.nan,
-        {"peak": Sample("peak", math.nan, 0, 0, holds=False)},
+        {"peak": Sample("peak", math.nan, 0, 0, 0, Standing.VIOLATED)},
     )
     found = validated(study, 0, none, none, (), (), doubt="", measured=False)
-    assert found.reasons == ("peak: no draw is complete", "8 of 8 evaluations failed")
+    assert found.reasons == ("peak, limit 1: no test run is complete", "8 of 8 test runs failed")
 
 
 def quantity(change):
@@ -118,7 +125,6 @@ def quantity(change):
         change=change,
         limit=math.nan,
         bound=math.nan,
-        holds=None,
         remark="",
     )
 

@@ -38,7 +38,7 @@ class TestWhatItShows:
         run.go_on()
         sections = run.state_when(lambda state, made: state["complete"])
         assert ">5 trials<" in sections["trials"]
-        assert "kept all limits" in sections["answer"]
+        assert "No limit broken" in sections["answer"]
         assert run.finished() == 0
         assert run.page_processes() == []
 

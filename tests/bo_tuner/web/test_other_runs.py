@@ -22,14 +22,14 @@ class TestOtherRuns:
         assert status == 200
         rows = re.findall(r'<input type="checkbox" name="run" value="([^"]+)"', page)
         assert rows == [beside.name, beside.finished_one]
-        assert "kept all limits" in page
+        assert "No limit broken" in page
         assert re.search(r"No result yet: \d of 5 trials", page)
         assert "broken: " in page
 
     def test_the_report_of_one(self, beside):
         status, _, page = beside.ask(f"/runs/{beside.finished_one}")
         assert status == 200
-        assert "kept all limits" in page
+        assert "No limit broken" in page
         # The server gives no files.
         assert "journal.sqlite" not in page
 
@@ -37,7 +37,7 @@ class TestOtherRuns:
         status, _, page = beside.ask(f"/compare?run={beside.name}&run={beside.finished_one}")
         assert status == 200
         assert "2 runs side by side" in page
-        assert "kept all limits" in page
+        assert "No limit broken" in page
 
     @pytest.mark.parametrize(
         ("query", "status"),
@@ -61,7 +61,7 @@ class TestOtherRuns:
         content = path.read_text()
         path.write_text("no study")
         try:
-            assert "kept all limits" not in beside.ask("/runs")[2]
+            assert "No limit broken" not in beside.ask("/runs")[2]
         finally:
             path.write_text(content)
 
@@ -78,7 +78,7 @@ def go_on(run):
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict"), [(lose_summary, "kept all limits"), (go_on, "No result yet: 5 of 20")]
+    ("change", "verdict"), [(lose_summary, "No limit broken"), (go_on, "No result yet: 5 of 20")]
 )
 def test_a_summary_that_is_missing_or_of_an_earlier_session(beside, tmp_path, change, verdict):
     """The verdict is that of the commands."""

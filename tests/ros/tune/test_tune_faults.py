@@ -1,6 +1,7 @@
 """What goes wrong on ROS nodes, and what the tuner makes of it."""
 
 import os
+import shlex
 import signal
 
 import pytest
@@ -168,6 +169,22 @@ class TestEvaluations:
         assert "resume it with: tune --resume" in last
         assert len(command.trials()) == 3
         assert (command.run_folder / "trials.csv").read_text().count("\n") == 4
+
+    def test_one_that_dies_in_the_validation_leaves_the_verdict_incomplete(self, tune, tmp_path):
+        """It is completed by the command that comes next."""
+        command = tune()
+        assert command.finish() == 0, command.err
+        # The last cut is the last test run of the tuned parameter set.
+        last = (tmp_path / "cuts").read_text()
+        command = tune(folder=tmp_path / "again", DRIVE=f"{last}:die")
+        assert command.finish() == 1, command.err
+        assert command.out.startswith("Incomplete: 1 of 2 test runs was lost with the nodes")
+        line = command.out.partition("next:")[2].strip().splitlines()[0]
+        name, *arguments = shlex.split(line)[:3]
+        assert name == "tune"
+        command.start(*arguments)
+        assert command.finish() == 0, command.err
+        assert command.out.startswith("No limit broken in 2 test runs")
 
 
 class TestEnd:

@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+import unicodedata
 from collections.abc import Mapping
 
 JOIN = "\xa0"
@@ -11,14 +12,19 @@ MOST_SAID = 500
 
 
 def printable(text: str) -> str:
-    """Replace what would steer a terminal, or reorder its line, by question marks.
+    r"""Escape what would steer a terminal, or reorder its line or that of a page, as Python does.
 
-    Line breaks stay; all other control and format characters (escape sequences, changes of the
-    direction of writing) go.
+    Line breaks stay, and so do the spaces of any width; all other control and format characters
+    (escape sequences, changes of the direction of writing) are shown like ``\x1b``.
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+    return "".join(
+        c
+        if c.isprintable() or c == "\n" or unicodedata.category(c) == "Zs"
+        else c.encode("unicode_escape").decode("ascii")
+        for c in text
+    )
 
 
 def one_line(text: str) -> str:

@@ -27,6 +27,8 @@ from bo_tuner.text import counted, shown, shown_beside
 from bo_tuner.trials import DEFAULT, TUNED, Stage, Trial, evaluations_of
 from bo_tuner.tuning import limits
 from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.at_bounds import at_bounds
+from bo_tuner.verdict.limit_verdict import LimitVerdict, by_certificate
 from bo_tuner.verdict.observed import Observed, WorstMean
 from bo_tuner.verdict.passed_over import passed_over_in_words
 from bo_tuner.verdict.quantities import quantities
@@ -104,7 +106,7 @@ def _by_validation(record: RunRecord) -> Verdict | None:
 
 
 def _outliers(record: RunRecord, ranked: object) -> list[int]:
-    """Return the trials that kept all limits, but were not ranked as they are outliers.
+    """Return the trials that broke no limit, but were not ranked as they are outliers.
 
     Not ranked are also those that repeat a parameter set, whose evaluations count as one trial, and
     those that failed when they were run again.
@@ -161,13 +163,16 @@ def _certified(
         of_trial = _observed(tuned, rows, TUNED, draws, _on_record(record, trial))
         if default is None:
             observed, default_reasons = _beside_validation(by_validation, of_trial, is_result)
+            default_limits = {} if by_validation is None else _default_limits(by_validation)
         else:
             observed = (_observed(default, rows, DEFAULT, draws, []), of_trial)
             default_reasons = _reasons(default)
+            default_limits = _limits(study, default, draws)
         numbers = quantities(
             study,
             *observed,
-            {name: bool(of_tuned[name]["passed"]) for name in study.constraints},
+            default_limits,
+            _limits(study, tuned, draws),
             {name: _remark(of_tuned[name], draws, confidence) for name in study.constraints},
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -192,6 +197,8 @@ def _certified(
         is_default=same,
         is_result=is_result,
         has_result=has_result,
+        at_bounds=at_bounds(study, trial.parameters),
+        default_lost=by_validation.default_lost if by_validation and default is None else 0,
     )
 
 
@@ -296,6 +303,30 @@ def _remark(constraint: Mapping[str, Any], draws: int, confidence: float) -> str
         f"{constraint['violations']} of {draws} draws {beyond} the limit; probability {where} with "
         f"{100.0 * confidence:g} % confidence"
     )
+
+
+def _limits(study: Study, findings: Mapping[str, Any], draws: int) -> dict[str, LimitVerdict]:
+    """Return what a certificate says of each limit of a parameter set, by its name."""
+    by_name = {c["name"]: c for c in findings["constraints"]}
+    return {
+        name: by_certificate(
+            study,
+            constraint,
+            passed=bool(by_name[name]["passed"]),
+            draws=draws,
+            violations=int(by_name[name]["violations"]),
+        )
+        for name, constraint in study.constraints.items()
+    }
+
+
+def _default_limits(by_validation: Verdict) -> dict[str, LimitVerdict]:
+    """Return what the validation says of each limit for the default, by its name."""
+    return {
+        q.constraint: q.default_found
+        for q in by_validation.quantities
+        if q.default_found is not None
+    }
 
 
 def _reasons(findings: Mapping[str, Any]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """What the commands return to the shell."""
 
-from bo_tuner.verdict.verdict import Verdict
+from bo_tuner.verdict.verdict import State, Verdict
 
 EXIT_OK = 0
 EXIT_FAULT = 1
@@ -12,4 +12,6 @@ EXIT_SIGNAL = 128
 
 def exit_code(verdict: Verdict) -> int:
     """Return what a command that has come to a verdict returns."""
+    if verdict.state is State.INCOMPLETE:
+        return EXIT_FAULT
     return EXIT_OK if verdict.feasible else EXIT_INFEASIBLE

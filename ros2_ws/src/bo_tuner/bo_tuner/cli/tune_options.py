@@ -20,12 +20,14 @@ Bayesian optimization, and validate them on fresh draws.
 
 EPILOG = """\
 exit codes:
-  0    a feasible parameter set was found, and kept all limits in the
-       validation; with --check, both test runs were completed; with --init, the
-       study is written
+  0    a feasible parameter set was found, and the validation does not refute
+       it; with --check, both test runs were completed; with --init, the study
+       is written
   1    the run had to stop (nodes lost or disturbed three times in a row, disk
-       full), and its record is kept; or it is complete, but an attached node
-       was not restored, or an action goal did not end
+       full), and its record is kept; or test runs of the validation were lost,
+       so that the verdict is incomplete, and --resume completes it; or it is
+       complete, but an attached node was not restored, or an action goal did
+       not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
        certificate is a FAIL; with --check, a run of the default failed

@@ -38,6 +38,7 @@ from bo_tuner.figures.figure import (
     Values,
 )
 from bo_tuner.figures.palette import DIVERGING, LIGHT, SEQUENTIAL
+from bo_tuner.text import printable
 
 PANEL_WIDTH = 5.2
 """Width of a panel [inch]."""
@@ -125,12 +126,14 @@ def draw(figure: Figure) -> Sheet:
     for ax in axes[len(figure.panels) :]:
         ax.set_axis_off()
     for scale, (mappable, of_axes) in bars.items():
-        bar = sheet.colorbar(mappable, ax=of_axes, label=scale.title, format=PLAIN)
+        bar = sheet.colorbar(mappable, ax=of_axes, label=printable(scale.title), format=PLAIN)
         if scale.scale is Scale.LOG:
             bar.set_ticks(np.geomspace(scale.low, scale.high, 5).tolist())
             bar.minorticks_off()
     sheet.suptitle(
-        "\n".join(textwrap.wrap(figure.title, 46 * figure.columns)), fontweight="bold", fontsize=11
+        "\n".join(textwrap.wrap(printable(figure.title), 46 * figure.columns)),
+        fontweight="bold",
+        fontsize=11,
     )
     if legend:
         sheet.legend(
@@ -151,11 +154,11 @@ def _legend_columns(names: Iterable[str], width: float) -> int:
 def _panel(ax: Any, panel: Panel, legend: dict[str, Any]) -> None:
     _axis(panel.x, ax.xaxis, ax.set_xscale, ax.set_xlabel, ax.set_xlim, ax.set_xticks)
     _axis(panel.y, ax.yaxis, ax.set_yscale, ax.set_ylabel, ax.set_ylim, ax.set_yticks)
-    ax.set_title(panel.title, loc="left")
+    ax.set_title(printable(panel.title), loc="left")
     together = [e for e in panel.elements if isinstance(e, Bars) and e.base is None]
     for order, element in enumerate(panel.elements):
         handle = _element(ax, element, together, order + 2)
-        name = getattr(element, "name", "")
+        name = printable(getattr(element, "name", ""))
         if name and handle is not None:
             legend.setdefault(name, handle)
     for ticks in (ax.xaxis, ax.yaxis):
@@ -175,13 +178,15 @@ def _axis(
     set_ticks: Callable[..., Any],
 ) -> None:
     set_scale(axis.scale.value)
-    set_label(axis.title)
+    set_label(printable(axis.title))
     if axis.scale is Scale.LOG:
         ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ticks.set_major_formatter(PLAIN)
         ticks.set_minor_formatter(NullFormatter())
     if axis.ticks:
-        set_ticks([position for position, _ in axis.ticks], [text for _, text in axis.ticks])
+        set_ticks(
+            [position for position, _ in axis.ticks], [printable(text) for _, text in axis.ticks]
+        )
     if axis.limits is not None:
         set_limits(*axis.limits)
 

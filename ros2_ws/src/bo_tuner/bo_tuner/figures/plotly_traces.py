@@ -24,6 +24,7 @@ from bo_tuner.figures.figure import (
     Values,
 )
 from bo_tuner.figures.keys import stops
+from bo_tuner.text import printable
 
 DIGITS = 6
 """Significant digits of the data: more than is visible, few enough to keep the page small."""
@@ -225,8 +226,8 @@ def _errors(y: Values, low: Values, high: Values, color: str) -> dict[str, Any]:
 
 
 def text_of(text: str) -> str:
-    """Escape what Plotly would interpret as markup; line breaks become its own."""
-    return html.escape(text, quote=False).replace("\n", "<br>")
+    """Escape what Plotly would interpret as markup, or a browser; line breaks become its own."""
+    return html.escape(printable(text), quote=False).replace("\n", "<br>")
 
 
 def _numbers(values: Values) -> list[float | None]:

@@ -80,7 +80,9 @@ class Display(RunObserver):
         print_verdict(out, result.study, result.verdict, result.tuned)
         front = result.summary.get("front")
         if isinstance(front, list):
-            print_front(out, result.study, front, result.verdict.trial)
+            print_front(
+                out, result.study, front, result.verdict.trial, result.parameters_file.parent
+            )
         out.print(f"parameters: {result.parameters_file}", soft_wrap=True)
         out.print("next:")
         print_next_steps(out, result.verdict, result.parameters_file.parent)

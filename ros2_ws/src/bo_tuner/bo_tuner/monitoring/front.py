@@ -1,6 +1,8 @@
 """The Pareto front in the terminal."""
 
+import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -13,7 +15,11 @@ from bo_tuner.tuning.front import CONFIDENCE
 
 
 def print_front(
-    console: Console, study: Study, front: Sequence[Mapping[str, Any]], result: int | None
+    console: Console,
+    study: Study,
+    front: Sequence[Mapping[str, Any]],
+    result: int | None,
+    run: Path,
 ) -> None:
     """Print the front with a mark on the result.
 
@@ -27,10 +33,12 @@ def print_front(
         The points as a summary has them, see `bo_tuner.tuning.front`.
     result
         Number of the trial of the result.
+    run
+        The run folder.
     """
     if not front:
         console.print(
-            "no parameter set that is believed feasible kept all limits in its own evaluations, so "
+            "each parameter set that is believed feasible broke a limit in its own evaluations, so "
             "there is no Pareto front",
             soft_wrap=True,
         )
@@ -51,7 +59,8 @@ def print_front(
         )
     console.print(
         "Pareto front of the trials, ± half the width of a "
-        f"{100 * CONFIDENCE:g} % interval; for another point: validate RUN --trial N",
+        f"{100 * CONFIDENCE:g} % interval; for another point: "
+        f"validate {shlex.quote(str(run))} --trial N",
         soft_wrap=True,
     )
     console.print(table)

@@ -14,7 +14,7 @@ from bo_tuner.report.sections.trajectories import NoTraceError, Trace, panels, s
 from bo_tuner.text import with_unit
 from bo_tuner.trials import Evaluation, Stage, count_trials
 from bo_tuner.tuning.limits import tightest
-from bo_tuner.verdict.verdict import Quantity, Status, Verdict
+from bo_tuner.verdict.verdict import Quantity, Status
 
 DASHES = (Dash.SOLID, Dash.DASHED, Dash.DOTTED, Dash.DASH_DOT)
 COLORS = (Color.INK, Color.BLUE, Color.ORANGE, Color.GREEN, Color.PURPLE)
@@ -111,7 +111,7 @@ def _parameter_set(analysis: Analysis) -> dict[Row, str]:
 def _numbers(runs: Mapping[str, Analysis]) -> Section:
     cells = {
         name: {
-            (quantity.label, quantity.unit): _in_words(analysis.verdict, quantity)
+            (quantity.label, quantity.unit): _in_words(quantity)
             for quantity in analysis.verdict.quantities
         }
         for name, analysis in runs.items()
@@ -130,11 +130,11 @@ def _numbers(runs: Mapping[str, Analysis]) -> Section:
     )
 
 
-def _in_words(verdict: Verdict, quantity: Quantity) -> str:
+def _in_words(quantity: Quantity) -> str:
     default, tuned = quantity.values_in_words
     text = f"{tuned} ({default})"
-    if quantity.holds is not None:
-        text += f", limit {quantity.limit_in_words} {verdict.kept_in_words(quantity)}"
+    if quantity.found is not None:
+        text += f", limit {quantity.limit_in_words}: {quantity.found.words}"
     if quantity.difference is not None:
         text += f", {quantity.change}"
     return text

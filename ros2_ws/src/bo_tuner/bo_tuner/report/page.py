@@ -36,6 +36,7 @@ from bo_tuner.report.sections.trade_off import trade_off
 from bo_tuner.report.sections.trajectories import trajectories
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.record import RunRecord
+from bo_tuner.text import printable
 from bo_tuner.trials import Trial
 from bo_tuner.verdict.verdict import State
 
@@ -195,6 +196,7 @@ def _environment() -> Environment:
         loader=PackageLoader("bo_tuner.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -202,6 +204,12 @@ def _environment() -> Environment:
     environment.filters["color_bars"] = color_bars
     environment.filters["figure_data"] = figure_data
     return environment
+
+
+def _shown(value: Any) -> Any:
+    """Make text of others fit for a page; markup is that of the templates."""
+    is_text = isinstance(value, str) and not hasattr(value, "__html__")
+    return printable(value) if is_text else value
 
 
 def _macros() -> Any:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from bo_tuner.errors import ParameterError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.latin_hypercube import latin_hypercube
+from bo_tuner.study.constraint import LOWER, UPPER
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parameter_space import ParameterSpace
 from bo_tuner.trials import Value
@@ -174,6 +175,24 @@ class SearchSpace:
                 row.tolist(), self._scaled(row).tolist(), self._places, strict=True
             )
         )
+
+    def at_bounds(self, parameters: Mapping[str, Value]) -> dict[str, str]:
+        """Return which tuned numbers are at a bound, ``lower`` or ``upper``, by their names.
+
+        A double is if it differs from the bound by no more than `RESOLUTION` times its range, on
+        its scale; of a number with a step the last one within the bounds counts as the upper bound.
+        """
+        row = self._space.row(parameters)
+        last = np.array(
+            [item.on_grid(b) for item, b in zip(self._tuned, self.upper.tolist(), strict=True)]
+        )
+        near = np.where(self.discrete, 0.0, RESOLUTION) * self._scaled_width
+        scaled = self._scaled(row)
+        found: dict[str, str] = {}
+        for side, bound in ((LOWER, self.lower), (UPPER, last)):
+            at = np.abs(scaled - self._scaled(bound)) <= near
+            found |= {item.name: side for item, a in zip(self._tuned, at, strict=True) if a}
+        return {name: found[name] for name in self.numbers if name in found}
 
     def latin_hypercube(
         self,

@@ -15,18 +15,24 @@ is observed in the worst context estimates whether a worst-case limit holds ther
 distribution of the contexts cannot show it, only refute it: what holds in every context holds in
 those that were drawn. They do where so many violations, or so large a mean, would be a coincidence
 of less than `COINCIDENCE`. In a study without contexts the draws are of the only one there is.
+
+References
+----------
+Clopper and Pearson (1934). The use of confidence or fiducial limits illustrated in the case of the
+binomial. Biometrika 26(4).
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtrc, stdtrit
+from scipy.special import bdtr, bdtrc, stdtrit
 
 from bo_tuner.numerics.arrays import Array
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
+from bo_tuner.study.constraint import CHANCE, EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Trial, TrialState, WorstCase
 
@@ -34,6 +40,17 @@ WITHIN = "within limits"
 
 COINCIDENCE = 0.05
 """Probability below which draws refute a worst-case limit."""
+
+
+class Standing(StrEnum):
+    """What evaluations say of a limit: they show that it is kept, or leave it open, or violate it.
+
+    One that a certificate does not show to be kept counts as violated.
+    """
+
+    SHOWN = "shown"
+    OPEN = "open"
+    VIOLATED = "violated"
 
 
 @dataclass(frozen=True)
@@ -49,31 +66,50 @@ class Sample:
         there are no values.
     count, violations
         Number of values, and of those beyond the limit.
-    holds
-        Whether the values agree with the constraint; False if there are no values.
+    permitted
+        How many of them may be, see `permitted_violations`; None if the limit is on the mean.
+    standing
+        What the values say of the constraint; `VIOLATED` if there are none.
     """
 
     name: str
     worst: float
     count: int
     violations: int
-    holds: bool
+    permitted: int | None
+    standing: Standing
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the values agree with the constraint, which need not show it."""
+        return self.standing is not Standing.VIOLATED
+
+
+def permitted_violations(constraint: Constraint, count: int) -> int | None:
+    """Return how many of `count` runs a limit on single runs permits beyond it; None on the mean.
+
+    It is floor((1 - probability) count); the tolerance of 1e-9 compensates for the rounding of
+    1 - probability.
+    """
+    if constraint.statistic == EXPECTATION:
+        return None
+    return math.floor(constraint.allowed * count + 1e-9)
 
 
 def most_violations(constraint: Constraint, count: int, *, alone: bool = False) -> int:
-    """Return how many of `count` draws may violate the limit.
+    """Return how many of `count` draws may violate the limit before they refute it.
 
-    The result is floor((1 - probability) count) for a chance constraint, and, with `alone`, for a
-    worst-case one on single runs; the tolerance of 1e-9 compensates for the rounding of
-    1 - probability. Otherwise it is for the latter the largest k with P(X >= k) >= `COINCIDENCE`
+    They are the `permitted_violations` of a chance constraint, and, with `alone`, of a worst-case
+    one on single runs. Otherwise it is for the latter the largest k with P(X >= k) >= `COINCIDENCE`
     for X ~ Binomial(count, 1 - probability). One on the mean over noise permits any number.
     """
-    if constraint.statistic == EXPECTATION:
+    permitted = permitted_violations(constraint, count)
+    if permitted is None:
         return count
     if constraint.kind == WORST_CASE and not alone:
         above = np.arange(1, count + 1)
         return int(np.sum(bdtrc(above - 1, count, constraint.allowed) >= COINCIDENCE))
-    return math.floor(constraint.allowed * count + 1e-9)
+    return permitted
 
 
 def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = False) -> Sample:
@@ -84,24 +120,28 @@ def judge_sample(constraint: Constraint, values: ArrayLike, *, alone: bool = Fal
     """
     found = np.asarray(values, dtype=np.float64)
     violations = int(np.sum(constraint.violations(found)))
-    holds = len(found) > 0 and violations <= most_violations(constraint, len(found), alone=alone)
-    if holds and constraint.statistic == EXPECTATION:
+    agrees = len(found) > 0 and violations <= most_violations(constraint, len(found), alone=alone)
+    if agrees and constraint.statistic == EXPECTATION:
         # From the limit, as the mean of equal values may differ from them by rounding.
         beyond = constraint.sign * (found - constraint.limit)
-        holds = (float(beyond.mean()) if alone else _lowest_mean(beyond)) <= 0.0
+        agrees = (float(beyond.mean()) if alone else _lowest_mean(beyond)) <= 0.0
     return Sample(
         name=constraint.name,
         worst=constraint.farthest(found),
         count=len(found),
         violations=violations,
-        holds=holds,
+        permitted=permitted_violations(constraint, len(found)),
+        standing=Standing.OPEN if agrees else Standing.VIOLATED,
     )
 
 
 def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, Sample]:
-    """Judge each constraint, by name, on the complete evaluations among some draws."""
+    """Judge each constraint, by name, on the complete evaluations among some draws.
+
+    Draws that are all complete, and enough, show a limit on single runs over the contexts.
+    """
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
-    return {
+    found = {
         name: judge_sample(
             constraint,
             [metrics[constraint.metric] for metrics in complete],
@@ -109,6 +149,28 @@ def judge_samples(study: Study, evaluations: Sequence[Evaluation]) -> dict[str, 
         )
         for name, constraint in study.constraints.items()
     }
+    if len(complete) < len(evaluations):
+        return found
+    return {
+        name: replace(sample, standing=Standing.SHOWN) if is_shown(study, sample) else sample
+        for name, sample in found.items()
+    }
+
+
+def is_shown(study: Study, sample: Sample) -> bool:
+    """Return whether independent draws show that runs keep a limit as often as they must.
+
+    They do if the upper confidence bound of the probability of a violation, at the confidence that
+    the study asks of a certificate, is at most the one that is allowed (Clopper and Pearson 1934):
+    P(X <= violations) <= 1 - confidence for X ~ Binomial(count, allowed). Draws never show what is
+    to hold in every context, unless there is but one, and this bound is none of a mean.
+    """
+    constraint = study.constraints[sample.name]
+    over_draws = constraint.kind == CHANCE or not study.contexts
+    if not over_draws or constraint.statistic == EXPECTATION or not sample.agrees:
+        return False
+    luck = float(bdtr(sample.violations, sample.count, constraint.allowed))
+    return luck <= 1.0 - study.certificate.confidence
 
 
 def excess(constraint: Constraint, worst_case: WorstCase) -> float:
@@ -154,7 +216,7 @@ def violated(study: Study, trial: Trial) -> tuple[str, ...]:
     for chance in study.chance_constraints:
         values = trial.observations(chance.metric)
         # A repetition in the worst context alone has none, and says nothing of this limit.
-        if values and not judge_sample(chance, values).holds:
+        if values and not judge_sample(chance, values).agrees:
             broken.append(chance.name)
     for worst in study.worst_case_constraints:
         found = trial.worst_cases.get(worst.name)

@@ -157,7 +157,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
     if not completed:
         return extended, False
     holds = all(
-        judge_sample(chance, extended.observations(chance.metric)).holds
+        judge_sample(chance, extended.observations(chance.metric)).agrees
         for chance in study.chance_constraints
     )
     samples = judge_samples(study, [e for e in check if e.stage is Stage.CHECK_DRAWN])
@@ -168,7 +168,7 @@ def with_check(study: Study, trial: Trial, check: Sequence[Evaluation]) -> tuple
         if worst is None:
             continue
         there = _values([e for e in repeated if e.context == worst.context], constraint.metric)
-        holds = holds and not refuted(constraint, there) and samples[constraint.name].holds
+        holds = holds and not refuted(constraint, there) and samples[constraint.name].agrees
         found[constraint.name] = replace(
             worst,
             value=float(np.mean(there)),

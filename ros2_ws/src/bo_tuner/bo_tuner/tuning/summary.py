@@ -202,8 +202,8 @@ def summarize(
         "passed_over": [asdict(item) for item in best.passed_over],
         "predicted_objective": best.candidate.objective,
         "predicted_feasibility": best.candidate.feasibility,
-        "default": asdict(default) | {"feasible": default.feasible},
-        "tuned": asdict(tuned) | {"feasible": tuned.feasible},
+        "default": asdict(default),
+        "tuned": asdict(tuned),
         "stop_advice": advice and asdict(advice),
         "stopped_early": stop_early and advice is not None,
     }

@@ -13,7 +13,7 @@ from bo_tuner.study import checks
 from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Stage, Value
 from bo_tuner.tuning.evaluation import Losses, evaluate
-from bo_tuner.tuning.limits import Sample, judge_samples
+from bo_tuner.tuning.limits import Sample, Standing, judge_samples
 from bo_tuner.tuning.observer import NOBODY, RunObserver
 
 
@@ -25,8 +25,11 @@ class Validation:
     ----------
     parameters
         The parameter set.
-    draws, failures
-        Number of evaluations, and of those that are not complete.
+    draws
+        Number of evaluations.
+    failures, lost
+        Number of those that failed for the parameters, and of those that tell nothing of them: lost
+        with their nodes, or disturbed by others.
     objective, deviation
         Mean and standard deviation of the objective's metric over the complete evaluations, in the
         metric's unit; NaN if there are too few.
@@ -37,6 +40,7 @@ class Validation:
     parameters: Mapping[str, Value]
     draws: int
     failures: int
+    lost: int
     objective: float
     deviation: float
     constraints: Mapping[str, Sample]
@@ -56,6 +60,7 @@ class Validation:
             parameters=dict(entry["parameters"]),
             draws=checks.integer(entry["draws"], at_least=0),
             failures=checks.integer(entry["failures"], at_least=0),
+            lost=checks.integer(entry["lost"], at_least=0),
             objective=to_number(entry["objective"]),
             deviation=to_number(entry["deviation"]),
             constraints={
@@ -64,7 +69,8 @@ class Validation:
                     worst=to_number(sample["worst"]),
                     count=checks.integer(sample["count"], at_least=0),
                     violations=checks.integer(sample["violations"], at_least=0),
-                    holds=bool(sample["holds"]),
+                    permitted=None if (most := sample["permitted"]) is None else int(most),
+                    standing=Standing(sample["standing"]),
                 )
                 for name, sample in entry["constraints"].items()
             },
@@ -72,8 +78,8 @@ class Validation:
 
     @property
     def feasible(self) -> bool:
-        """Whether all evaluations are complete and every constraint holds."""
-        return self.failures == 0 and all(s.holds for s in self.constraints.values())
+        """Whether all evaluations are complete and agree with every constraint."""
+        return self.failures == self.lost == 0 and all(s.agrees for s in self.constraints.values())
 
 
 def validate(
@@ -128,11 +134,13 @@ def _judge(
     study: Study, parameters: Mapping[str, Value], evaluations: Sequence[Evaluation]
 ) -> Validation:
     complete = [e.outcome.metrics for e in evaluations if e.outcome.complete]
+    lost = sum(not e.outcome.complete and e.outcome.spoilt for e in evaluations)
     objective = np.array([metrics[study.objective.metric] for metrics in complete])
     return Validation(
         parameters=dict(parameters),
         draws=len(evaluations),
-        failures=len(evaluations) - len(complete),
+        failures=len(evaluations) - len(complete) - lost,
+        lost=lost,
         objective=float(objective.mean()) if len(complete) else float("nan"),
         deviation=float(objective.std(ddof=1)) if len(complete) > 1 else float("nan"),
         constraints=judge_samples(study, evaluations),

@@ -3,6 +3,7 @@
 import shlex
 from dataclasses import dataclass
 
+from bo_tuner.verdict.at_bounds import wider_options
 from bo_tuner.verdict.verdict import State, Verdict
 
 
@@ -17,6 +18,8 @@ class Step:
 def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     """Return the commands that come next, the most useful one first.
 
+    Wider bounds, where the result is at one, are a further run, and come last.
+
     Parameters
     ----------
     verdict
@@ -25,6 +28,12 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
         Path of the run folder.
     """
     where = shlex.quote(run)
+    options = wider_options(verdict.at_bounds)
+    wider = Step(f"tune --from {where} {options}", "go on with wider bounds, in a new run")
+    return (*_by_state(verdict, where), *((wider,) if options else ()))
+
+
+def _by_state(verdict: Verdict, where: str) -> tuple[Step, ...]:
     # Without it the commands are about the result of the run.
     trial = "" if verdict.is_result else f" --trial {verdict.trial}"
     replayed = "" if verdict.is_result else f" {verdict.trial}"
@@ -43,6 +52,9 @@ def next_steps(verdict: Verdict, run: str) -> tuple[Step, ...]:
     match verdict.state:
         case State.OPEN:
             return (again, report)
+        case State.INCOMPLETE:
+            lost = Step(f"tune --resume {where}", "run the lost test runs again: completes it")
+            return (lost, validate)
         case State.INFEASIBLE:
             return (more, replay) if verdict.trial is not None else (more,)
         case State.VALIDATED:

@@ -1,12 +1,14 @@
 """The numbers of a verdict, from evaluations of the default and of the tuned parameter set."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import nan
 
 from bo_tuner.study.constraint import EXPECTATION, WORST_CASE, Constraint
 from bo_tuner.study.study import Study
 from bo_tuner.text import shown_beside
 from bo_tuner.verdict.differences import Change, Difference, paired, unpaired
+from bo_tuner.verdict.limit_verdict import LimitVerdict
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.verdict import Quantity, ordered
 
@@ -15,7 +17,8 @@ def quantities(
     study: Study,
     default: Observed,
     tuned: Observed,
-    holds: Mapping[str, bool],
+    default_limits: Mapping[str, LimitVerdict],
+    tuned_limits: Mapping[str, LimitVerdict],
     remarks: Mapping[str, str],
 ) -> tuple[Quantity, ...]:
     """Return the numbers of a verdict: of each constraint, and the mean of each other metric.
@@ -26,13 +29,17 @@ def quantities(
         The study.
     default, tuned
         What was observed of the two parameter sets, in the same draws.
-    holds
-        Whether the tuned parameter set keeps each constraint, by its name.
+    default_limits, tuned_limits
+        What was found of each constraint, by its name; nothing of a default that is not known.
     remarks
-        A remark on each constraint, by its name.
+        A further remark on constraints, by their names.
     """
     found = [
-        _of_constraint(study, constraint, default, tuned, holds[name], remarks.get(name, ""))
+        replace(
+            _of_constraint(study, constraint, default, tuned, remarks.get(name, "")),
+            default_found=default_limits.get(name),
+            found=tuned_limits[name],
+        )
         for name, constraint in study.constraints.items()
     ]
     objectives = {objective.metric for objective in study.objectives}
@@ -64,7 +71,6 @@ def quantities(
                 change=difference.change(sign),
                 limit=nan,
                 bound=nan,
-                holds=None,
                 remark="",
                 draws=_draws(default, tuned, name, difference),
                 objective=name in objectives,
@@ -78,7 +84,6 @@ def _of_constraint(
     constraint: Constraint,
     default: Observed,
     tuned: Observed,
-    holds: bool,
     remark: str,
 ) -> Quantity:
     """Return the worst case if that of the tuned parameter set was searched, or else the extreme.
@@ -121,7 +126,6 @@ def _of_constraint(
         change=change,
         limit=constraint.limit,
         bound=bound,
-        holds=holds,
         remark="; ".join(parts),
         draws=draws,
         constraint=name,

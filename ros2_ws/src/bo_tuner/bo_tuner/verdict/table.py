@@ -86,8 +86,9 @@ def verdict_notes(verdict: Verdict) -> Iterator[str]:
     """Yield what the table needs to be read: the limits in detail, and what ± means."""
     yield from verdict.draws_in_words
     for quantity in verdict.quantities:
-        if quantity.remark:
-            parts = (quantity.bound_in_words, quantity.remark)
+        found = quantity.found
+        parts = ("" if found is None else found.words, quantity.bound_in_words, quantity.remark)
+        if any(parts):
             yield f"{quantity.label}: {'; '.join(filter(None, parts))}"
     yield (
         f"difference: tuned minus default; ± is half the width of its {100.0 * CONFIDENCE:g} % "

@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 from bo_tuner.optimizers.algorithms import ALGORITHMS
-from bo_tuner.study.constraint import EXPECTATION, WORST_CASE
 from bo_tuner.study.study import Study
-from bo_tuner.text import shown
+from bo_tuner.text import counted, shown
 from bo_tuner.trials import (
     DEFAULT,
     SEEKING_WORST,
@@ -19,8 +18,10 @@ from bo_tuner.trials import (
     evaluations_of,
 )
 from bo_tuner.tuning.front import RULE
-from bo_tuner.tuning.limits import Sample, worst_case_holds
+from bo_tuner.tuning.limits import Standing, worst_case_holds
 from bo_tuner.tuning.validation import Validation
+from bo_tuner.verdict.at_bounds import at_bounds
+from bo_tuner.verdict.limit_verdict import LimitVerdict, by_test_runs
 from bo_tuner.verdict.observed import Observed
 from bo_tuner.verdict.quantities import quantities
 from bo_tuner.verdict.verdict import State, Verdict
@@ -76,38 +77,36 @@ def validated(
     outliers
         As in `Verdict`.
     """
-    problems = _problems(study, tuned, evaluations)
-    reasons = (*([doubt] if doubt else []), *problems.values())
+    limits, default_limits = (limits_in(study, side, evaluations) for side in (tuned, default))
+    reasons = (*([doubt] if doubt else []), *_problems(study, tuned, limits).values())
+    lost = _lost(tuned, evaluations)
+    state = State.INFEASIBLE if reasons else State.INCOMPLETE if lost else State.VALIDATED
     same = is_default(study, tuned.parameters)
-    of_default = _found_by_search(study, trials) | _problems(study, default, evaluations)
-    observed_sides = (
+    of_default = _found_by_search(study, trials) | _problems(study, default, default_limits)
+    default_reasons = tuple(of_default.values()) if of_default or not default.lost else None
+    if same:
+        default_reasons = None if lost and not reasons else reasons
+    sides = (
         observed(evaluations, DEFAULT, default.parameters, default.draws),
         observed(evaluations, TUNED, tuned.parameters, tuned.draws),
     )
     return Verdict(
-        state=State.INFEASIBLE if reasons else State.VALIDATED,
+        state=state,
         trial=trial,
         evidence=f"the same {fresh_draws(study, tuned.draws)}",
-        reasons=reasons,
-        default_reasons=reasons if same else tuple(of_default.values()),
-        quantities=quantities(
-            study,
-            *observed_sides,
-            {name: name not in problems for name in tuned.constraints},
-            {
-                name: f"{sample.violations} of {sample.count} draws "
-                f"{study.constraints[name].beyond} the limit"
-                for name, sample in tuned.constraints.items()
-            },
-        ),
+        reasons=(lost,) if state is State.INCOMPLETE else reasons,
+        default_reasons=default_reasons,
+        quantities=quantities(study, *sides, default_limits, limits, {}),
         choice="" if doubt else _choice(study),
         remarks=(
             *(_load(study, tuned) if measured else ()),
-            *_lost(evaluations, tuned.parameters),
+            *_how_to_complete(tuned.lost + default.lost),
         ),
-        observed=observed_sides,
+        observed=sides,
         is_default=same,
         outliers=tuple(outliers),
+        at_bounds=at_bounds(study, tuned.parameters),
+        default_lost=default.lost,
     )
 
 
@@ -173,24 +172,46 @@ def observed(
     return Observed(drawn, draws, others)
 
 
-def _problems(study: Study, found: Validation, evaluations: Sequence[Evaluation]) -> dict[str, str]:
-    """Return why a parameter set is not feasible in the validation, by the name of the constraint.
+def limits_in(
+    study: Study, found: Validation, evaluations: Sequence[Evaluation]
+) -> dict[str, LimitVerdict]:
+    """Return what the validation of a parameter set says of each limit, by its name.
 
-    Where nobody searched for its worst context, as for the result of an algorithm with nominal
-    evaluations alone, a draw beyond a worst-case limit that does not refute it counts, too: nothing
-    else speaks for it. Without contexts there is none to search for.
+    Parameters
+    ----------
+    study
+        The study.
+    found
+        The validation.
+    evaluations
+        All that are on record: they tell whether its worst context was searched, which there is
+        none of without contexts.
     """
-    searched = not study.contexts or _searched(evaluations, found.parameters)
-    problems = {}
-    for name, sample in found.constraints.items():
-        constraint = study.constraints[name]
-        if not sample.holds:
-            problems[name] = _broken(study, sample)
-        elif not searched and sample.violations and constraint.kind == WORST_CASE:
-            problems[name] = f"{_broken(study, sample)} (no search was made for its worst context)"
+    unsearched = bool(study.contexts) and not _searched(evaluations, found.parameters)
+    return {
+        name: by_test_runs(study, sample, unsearched=unsearched)
+        for name, sample in found.constraints.items()
+    }
+
+
+def _problems(
+    study: Study, found: Validation, limits: Mapping[str, LimitVerdict]
+) -> dict[str, str]:
+    """Return what speaks against a parameter set in the validation, by the constraint's name."""
+    problems = {
+        name: f"{name}, limit {_limit(study, name)}: {limit.evidence}"
+        for name, limit in limits.items()
+        # All of the test runs may have been lost, which tells nothing.
+        if limit.standing is Standing.VIOLATED and (limit.runs or not found.lost)
+    }
     if found.failures:
-        problems[FAILURES] = f"{found.failures} of {found.draws} evaluations failed"
+        problems[FAILURES] = f"{found.failures} of {counted(found.draws, 'test run')} failed"
     return problems
+
+
+def _limit(study: Study, name: str) -> str:
+    constraint = study.constraints[name]
+    return f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
 
 
 def _found_by_search(study: Study, trials: Sequence[Trial]) -> dict[str, str]:
@@ -218,16 +239,6 @@ def _searched(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]
     return any(evaluation.stage in SEEKING_WORST for evaluation in of_set)
 
 
-def _broken(study: Study, sample: Sample) -> str:
-    if not sample.count:
-        return f"{sample.name}: no draw is complete"
-    constraint = study.constraints[sample.name]
-    limit = f"{constraint.limit:g} {study.metrics[constraint.metric].unit}".rstrip()
-    if constraint.statistic == EXPECTATION and not sample.holds:
-        return f"{sample.name}: the mean over the draws is {constraint.beyond} {limit}"
-    return f"{sample.name}: {sample.violations} of {sample.count} draws {constraint.beyond} {limit}"
-
-
 def _choice(study: Study) -> str:
     """Return how the result was chosen among those of several objectives; empty for one."""
     if len(study.objectives) == 1:
@@ -239,27 +250,31 @@ def _choice(study: Study) -> str:
     )
 
 
-def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) -> tuple[str, ...]:
-    """Return a remark if draws of the tuned parameter set tell nothing of it."""
-    drawn = {
-        evaluation.index: evaluation.outcome.spoilt
-        for evaluation in evaluations_of(evaluations, parameters)
-        if evaluation.whose == TUNED
+def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
+    """Return that test runs of the tuned parameter set tell nothing of it; empty if all do."""
+    if not tuned.lost:
+        return ""
+    why = {
+        evaluation.outcome.reason
+        for evaluation in evaluations_of(evaluations, tuned.parameters)
+        if evaluation.whose == TUNED and evaluation.outcome.spoilt
     }
-    lost = sum(drawn.values())
-    if not lost:
-        return ()
-    return (
-        f"{lost} of the draws that failed {'was' if lost == 1 else 'were'} lost with the nodes or "
-        "disturbed by others: tune --resume runs such draws again.",
-    )
+    cause = f" ({why.pop()})" if len(why) == 1 else ""
+    runs = counted(tuned.draws, "test run")
+    were = "was" if tuned.lost == 1 else "were"
+    return f"{tuned.lost} of {runs} {were} lost with the nodes or disturbed by others{cause}"
+
+
+def _how_to_complete(lost: int) -> tuple[str, ...]:
+    """Return a remark if test runs of the validation were lost."""
+    return ("tune --resume runs the lost test runs again, and completes the verdict.",) * bool(lost)
 
 
 def _load(study: Study, tuned: Validation) -> tuple[str, ...]:
     """Return a remark if only measured times exceed their limits, in all draws."""
-    samples = [s for s in tuned.constraints.values() if s.violations or not s.holds]
+    samples = [s for s in tuned.constraints.values() if s.violations or not s.agrees]
     metrics = [study.metrics[study.constraints[sample.name].metric] for sample in samples]
-    if all(sample.holds for sample in samples) or not all(m.measures_time for m in metrics):
+    if all(sample.agrees for sample in samples) or not all(m.measures_time for m in metrics):
         return ()
     names = ", ".join(metric.name for metric in metrics)
     return (f"Only {names} exceeded a limit; other load on this machine can cause this too.",)

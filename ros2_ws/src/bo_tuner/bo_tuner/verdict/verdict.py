@@ -4,23 +4,29 @@ Terminal, report, summary, topics, certificate and bundle show this one object, 
 follows from it, so no two of them can say different things. The words are those of this module.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import isfinite, isnan
 
 from bo_tuner.storage.json_numbers import without_nan
-from bo_tuner.text import shown, shown_beside
+from bo_tuner.text import counted, shown, shown_beside
+from bo_tuner.tuning.limits import Standing
+from bo_tuner.verdict.at_bounds import AtBound
 from bo_tuner.verdict.differences import CONFIDENCE, Change, Difference
+from bo_tuner.verdict.limit_verdict import LimitVerdict
 from bo_tuner.verdict.observed import Observed
 
 PASS, FAIL = "PASS", "FAIL"
+
+_KEEPS = {Standing.SHOWN: True, Standing.OPEN: None, Standing.VIOLATED: False, None: None}
 
 
 class State(StrEnum):
     """What is known of a result."""
 
     OPEN = "open"
+    INCOMPLETE = "incomplete"
     INFEASIBLE = "infeasible"
     VALIDATED = "validated"
     CERTIFIED = "certified"
@@ -57,17 +63,17 @@ class Quantity:
     bound
         Confidence bound of the tuned value on the side of the limit, by a certificate; NaN without
         one.
-    holds
-        Whether the tuned parameter set is shown to keep the limit, or kept it in the validation;
-        None without a limit.
     remark
-        What else to know, such as the number of draws beyond the limit.
+        What else to know, such as the largest value on record.
     draws
         How many draws each number is from, if they are not the same; else empty.
     objective
         Whether it is the mean of an objective.
     constraint
         Name of the constraint that the limit is of; empty without one.
+    found, default_found
+        What was found of the limit for the tuned parameter set and for the default; None without a
+        limit, or for a default of which nothing is known.
     """
 
     label: str
@@ -79,11 +85,12 @@ class Quantity:
     change: Change
     limit: float
     bound: float
-    holds: bool | None
     remark: str
     draws: str = ""
     objective: bool = False
     constraint: str = ""
+    found: LimitVerdict | None = None
+    default_found: LimitVerdict | None = None
 
     @property
     def values_in_words(self) -> tuple[str, str]:
@@ -142,9 +149,9 @@ class Verdict:
     evidence
         What the verdict rests on, in a few words.
     reasons
-        Why the tuned parameter set is not shown to keep all limits; empty if it is.
+        What speaks against the tuned parameter set; empty if nothing does.
     default_reasons
-        The same for the default; None if nothing is known of it.
+        The same for the default; None if it was not evaluated, or not in full.
     quantities
         The numbers, as `ordered` has them.
     choice
@@ -164,8 +171,12 @@ class Verdict:
     has_result
         Whether the run has a result: else `apply` waits for its end.
     outliers
-        Numbers of the trials that kept all limits, but are outliers of the objective and were
+        Numbers of the trials that broke no limit, but are outliers of the objective and were
         therefore no candidates.
+    at_bounds
+        The tuned parameters of the result that are at a bound of the search.
+    default_lost
+        Number of test runs of the default that tell nothing of it.
     """
 
     state: State
@@ -183,6 +194,8 @@ class Verdict:
     is_result: bool = True
     has_result: bool = True
     outliers: tuple[int, ...] = ()
+    at_bounds: tuple[AtBound, ...] = ()
+    default_lost: int = 0
 
     @property
     def feasible(self) -> bool:
@@ -190,22 +203,54 @@ class Verdict:
         return self.state in (State.VALIDATED, State.CERTIFIED)
 
     @property
-    def default_keeps(self) -> bool:
-        """Whether the default keeps all limits by the same evidence."""
+    def default_unrefuted(self) -> bool:
+        """Whether the same evidence speaks not against the default."""
         return self.trial is not None and self.default_reasons == ()
 
     @property
+    def standing(self) -> Standing:
+        """Whether the tuned parameter set is shown to keep all limits, or violates one."""
+        match self.state:
+            case State.CERTIFIED:
+                return Standing.SHOWN
+            case State.INFEASIBLE | State.REFUSED:
+                return Standing.VIOLATED
+            case State.VALIDATED if _all_shown(self._tuned_limits):
+                return Standing.SHOWN
+        return Standing.OPEN
+
+    @property
+    def default_standing(self) -> Standing | None:
+        """The same of the default; None if it was not evaluated, or not in full."""
+        if self.default_reasons is None:
+            return None
+        if not self.default_unrefuted:
+            return Standing.VIOLATED
+        certified = self.certificate != "" and self.default_certified
+        return Standing.SHOWN if certified or _all_shown(self._default_limits) else Standing.OPEN
+
+    @property
+    def _tuned_limits(self) -> dict[str, LimitVerdict]:
+        return {q.constraint: q.found for q in self.quantities if q.found is not None}
+
+    @property
+    def _default_limits(self) -> dict[str, LimitVerdict]:
+        return {
+            q.constraint: q.default_found for q in self.quantities if q.default_found is not None
+        }
+
+    @property
     def default_preferred(self) -> bool:
-        """Whether the default is another one that keeps all limits, and is better."""
+        """Whether the default is another one that nothing speaks against, and is better."""
         changes = {quantity.change for quantity in self.quantities if quantity.objective}
         worse = Change.WORSE in changes and Change.BETTER not in changes
-        return self.default_keeps and worse and not self.is_default
+        return self.default_unrefuted and worse and not self.is_default
 
     @property
     def gained(self) -> bool:
-        """Whether tuning gained something beyond chance: a limit that now holds, or a number.
+        """Whether tuning gained something beyond chance: a limit, or a number.
 
-        Nothing is gained at the expense of the objective, unless a limit now holds.
+        Nothing is gained at the expense of the objective, unless the default breaks a limit.
         """
         improved = any(q.change is Change.BETTER for q in self.quantities)
         return (
@@ -216,12 +261,18 @@ class Verdict:
 
     @property
     def status(self) -> Status:
-        """The mark of the result."""
+        """The mark of the result: good only if it is shown to keep all limits."""
         if self.state is State.OPEN:
             return Status.OPEN
+        if self.state is State.INCOMPLETE:
+            return Status.WARNING
         if not self.feasible:
             return Status.BAD
-        return Status.GOOD if self.gained or self.default_reasons is None else Status.WARNING
+        exceeds = any(found.exceeds for found in self._tuned_limits.values())
+        gained = self.gained or self.default_reasons is None
+        if not gained or (exceeds and self.standing is Standing.OPEN):
+            return Status.WARNING
+        return Status.GOOD if self.standing is Standing.SHOWN else Status.OPEN
 
     @property
     def certificate(self) -> str:
@@ -234,12 +285,14 @@ class Verdict:
         match self.state:
             case State.OPEN:
                 return f"No result yet: {self.evidence}"
+            case State.INCOMPLETE:
+                return f"Incomplete: {self.reasons[0]}"
             case State.INFEASIBLE:
-                if self.default_keeps and not self.is_default:
-                    return "The tuned parameter set is not feasible, but the default is"
+                if self.default_unrefuted and not self.is_default:
+                    return "The tuned parameter set is not feasible; nothing refutes the default"
                 return "No feasible parameter set was found"
             case State.VALIDATED:
-                return "The tuned parameter set kept all limits; not certified yet"
+                return f"{_found_in_words(self._tuned_limits)}; not certified yet"
             case State.CERTIFIED:
                 return f"{PASS}: the tuned parameter set is shown to keep all limits"
             case State.REFUSED:
@@ -253,11 +306,13 @@ class Verdict:
         if self.trial is None:
             return (*(f"{reason}." for reason in self.reasons), *self.remarks)
         found = [f"Trial {self.trial} against the default, in {self.evidence}."]
-        found += [f"{reason}." for reason in self.reasons]
+        if self.state is not State.INCOMPLETE:
+            found += [f"{reason}." for reason in self.reasons]
         if self.state is State.INFEASIBLE:
             found += self._not_to_be_used()
         found.append(self.default_in_words)
         found += self._changes()
+        found += [bound.sentence for bound in self.at_bounds]
         if self.choice:
             found.append(self.choice)
         return (*found, *self.remarks)
@@ -270,7 +325,7 @@ class Verdict:
         one = len(self.outliers) == 1
         numbers = ", ".join(map(str, self.outliers))
         return [
-            f"Trial{'' if one else 's'} {numbers} kept all limits, but {'is' if one else 'are'} "
+            f"Trial{'' if one else 's'} {numbers} broke no limit, but {'is' if one else 'are'} "
             f"{'an outlier' if one else 'outliers'} of the objective, far from all others, and "
             f"therefore not {'a candidate' if one else 'candidates'}.",
             do_not_use,
@@ -280,13 +335,16 @@ class Verdict:
     def default_in_words(self) -> str:
         """What the same evidence says of the default."""
         if self.default_reasons is None:
-            return "The default was not evaluated."
-        if self.default_keeps:
-            certified = self.certificate != "" and self.default_certified
-            keeps = "is shown to keep all limits" if certified else "kept all limits"
-            return f"The default {keeps}{', too' if self.feasible else ''}."
-        reasons = "; ".join(self.default_reasons)
-        return f"The default is not shown to keep all limits: {reasons}."
+            if not self.default_lost:
+                return "The default was not evaluated."
+            runs = counted(self.default_lost, "test run")
+            return f"The default was not evaluated in full: {runs} lost or disturbed by others."
+        if self.default_reasons:
+            reasons = "; ".join(self.default_reasons)
+            return f"The default is not shown to keep all limits: {reasons}."
+        if self.certificate and self.default_certified:
+            return f"The default is shown to keep all limits{', too' if self.feasible else ''}."
+        return f"The default by the same evidence: {_found_in_words(self._default_limits)}."
 
     def _changes(self) -> list[str]:
         """Return the changes, by what they are: what improved first."""
@@ -321,14 +379,10 @@ class Verdict:
 
     @property
     def keeps_in_words(self) -> tuple[str, str]:
-        """Whether the default and the tuned parameter set keep all limits; a dash if not known."""
-        default = "–" if self.default_reasons is None else "yes" if self.default_keeps else "NO"
-        return default, "yes" if self.feasible else "NO"
-
-    def kept_in_words(self, quantity: Quantity) -> str:
-        """Return whether the tuned parameter set keeps the limit of a quantity."""
-        kept = "shown to be kept" if self.certificate else "kept"
-        return kept if quantity.holds else f"NOT {kept}"
+        """Whether default and tuned parameter set keep all limits; a dash for one not evaluated."""
+        words = {Standing.SHOWN: "yes", Standing.OPEN: "not shown", Standing.VIOLATED: "NO"}
+        default = self.default_standing
+        return "–" if default is None else words[default], words[self.standing]
 
     @property
     def draws_in_words(self) -> tuple[str, ...]:
@@ -349,8 +403,8 @@ class Verdict:
             "trial": self.trial,
             "evidence": self.evidence,
             "keeps_limits": {
-                "default": None if self.default_reasons is None else self.default_keeps,
-                "tuned": self.feasible,
+                "default": _KEEPS.get(self.default_standing),
+                "tuned": _KEEPS[self.standing],
             },
             "reasons": {
                 "default": list(self.default_reasons or ()),
@@ -360,6 +414,7 @@ class Verdict:
             "quantities": without_nan(
                 [asdict(q) | {"change": str(q.change)} for q in self.quantities]
             ),
+            "at_bounds": [asdict(bound) for bound in self.at_bounds],
         }
 
     def to_summary(self) -> dict[str, object]:
@@ -371,3 +426,22 @@ def ordered(quantities: Sequence[Quantity], objective: str) -> tuple[Quantity, .
     """Order quantities: what improved first, the objective's mean after the others alike."""
     rank = {Change.BETTER: 0, Change.LOWER: 0, Change.WORSE: 1, Change.HIGHER: 1}
     return tuple(sorted(quantities, key=lambda q: (rank.get(q.change, 2), q.metric == objective)))
+
+
+def _all_shown(limits: Mapping[str, LimitVerdict]) -> bool:
+    return all(found.standing is Standing.SHOWN for found in limits.values())
+
+
+def _found_in_words(limits: Mapping[str, LimitVerdict]) -> str:
+    """Return what test runs say of all limits of a parameter set that none of them refutes.
+
+    Violations that a limit permits are counted, and a limit is kept only if that is shown.
+    """
+    if not limits:
+        return "No limits to keep"
+    if _all_shown(limits):
+        asked = "; ".join(f"{name} {found.asked}" for name, found in limits.items())
+        return f"Shown to be kept: {asked}"
+    beyond = [f"{name}: {found.words}" for name, found in limits.items() if found.violations]
+    runs = max(found.runs for found in limits.values())
+    return "; ".join(beyond) or f"No limit broken in {counted(runs, 'test run')}"

@@ -26,7 +26,7 @@ from bo_tuner.optimizers.ranking import Candidate
 from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.storage.run_files import LOGS, open_file
 from bo_tuner.study.study import Study
-from bo_tuner.text import JOIN
+from bo_tuner.text import JOIN, printable
 from bo_tuner.trials import Evaluation, Trial
 from bo_tuner.tuning.observer import RunObserver
 from bo_tuner.web.address import Address
@@ -219,10 +219,10 @@ class LivePage(RunObserver):
                 "paused": now.paused,
                 "pausing": self._control is not None and self._control.pause_requested,
                 "ended": ended,
-                "verdict": "" if now.verdict is None else now.verdict.headline,
+                "verdict": "" if now.verdict is None else printable(now.verdict.headline),
                 "texts": {
                     # What the terminal aligns in columns is a sentence here.
-                    name: COLUMNS.sub(", ", text).replace(JOIN, " ")[:LONGEST_TEXT]
+                    name: printable(COLUMNS.sub(", ", text).replace(JOIN, " "))[:LONGEST_TEXT]
                     for name, text in texts.items()
                     if text
                 },

@@ -28,6 +28,7 @@ from tornado.iostream import IOStream
 from tornado.web import Application, HTTPError, RequestHandler
 
 from bo_tuner.errors import BoTunerError
+from bo_tuner.text import printable
 from bo_tuner.web.address import HOST
 from bo_tuner.web.request import Request
 from bo_tuner.web.runs import MOST_COMPARED, Runs
@@ -154,7 +155,7 @@ class State(Page):
                     "page": PAGE,
                     "version": state.version,
                     "now": state.now,
-                    "problem": state.problem,
+                    "problem": printable(state.problem),
                     "complete": state.complete,
                     "order": sorted(state.parts, key=lambda name: state.parts[name][1].place),
                     "sections": {

@@ -245,7 +245,7 @@ class Truth:
                 seen[constraint.name].append(metrics.get(constraint.metric, failed))
         samples = [judge_sample(constraint, seen[constraint.name]) for constraint in chances]
         shares = {s.name: (s.count - s.violations) / s.count for s in samples}
-        return shares, all(sample.holds for sample in samples)
+        return shares, all(sample.agrees for sample in samples)
 
     def _columns(self, contexts: Array) -> dict[str, Array]:
         variables = self.study.contexts.values()

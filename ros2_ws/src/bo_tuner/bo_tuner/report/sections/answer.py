@@ -9,6 +9,7 @@ from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Table, number
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.run_folder import BEST, JOURNAL
+from bo_tuner.tuning.limits import Standing
 from bo_tuner.verdict.differences import CONFIDENCE, Change
 from bo_tuner.verdict.next_steps import Step, next_steps
 from bo_tuner.verdict.verdict import FAIL, PASS, Quantity, Status, Verdict
@@ -73,7 +74,6 @@ class Answer:
 def answer(analysis: Analysis) -> Answer:
     """Return the answer of a run, or its state so far."""
     verdict, record = analysis.verdict, analysis.record
-    folder = record.path.resolve()
     sentences = list(verdict.sentences)
     if verdict.quantities:
         tiles, table = _tiles(analysis), _comparison(analysis)
@@ -86,8 +86,8 @@ def answer(analysis: Analysis) -> Answer:
         verdict=verdict,
         sentences=sentences,
         tiles=tiles,
-        # As from where the runs are: the page may be read on another machine.
-        steps=next_steps(verdict, f"{folder.parent.name}/{folder.name}"),
+        # The page may be opened from any folder.
+        steps=next_steps(verdict, str(record.path.resolve())),
         files=[(name, what) for name, what in FILES if (record.path / name).exists()],
         table=table,
         notes=[f"{line}." for line in verdict.draws_in_words],
@@ -97,7 +97,7 @@ def answer(analysis: Analysis) -> Answer:
 def _tiles(analysis: Analysis) -> list[Tile]:
     """Return the certificate, and the numbers that matter most."""
     verdict = analysis.verdict
-    tiles = [_of_quantity(verdict, q) for q in _that_matter(analysis)]
+    tiles = [_of_quantity(q) for q in _that_matter(analysis)]
     found, result = analysis.certificate, analysis.answer
     if found is not None and result is not None and found.is_of(result):
         tiles.insert(0, Tile("certificate", verdict.certificate, "", [found.scope], verdict.status))
@@ -114,33 +114,37 @@ def _tiles(analysis: Analysis) -> list[Tile]:
 def _that_matter(analysis: Analysis) -> list[Quantity]:
     """Return the numbers with a tile in the order of the verdict: `MOST_NUMBERS`, if possible.
 
-    Each limit that is not kept has one. Then come the worst case, the objective, the other
-    metrics without a limit, and the limits that are kept; all others stand in the table.
+    Each limit that is violated has one. Then come the worst case, the objective, the other metrics
+    without a limit, and the other limits; all others stand in the table.
     """
     study, found = analysis.study, analysis.verdict.quantities
     limited = {constraint.metric for constraint in study.constraints.values()}
     worst = {constraint.metric for constraint in study.worst_case_constraints}
 
     def rank(quantity: Quantity) -> int:
-        if quantity.holds is False:
+        if _violated(quantity):
             return 0
-        if quantity.holds and quantity.metric in worst:
+        if quantity.found is not None and quantity.metric in worst:
             return 1
         if quantity.metric == study.objective.metric:
             return 2
-        return 4 if quantity.holds else 3
+        return 3 if quantity.found is None else 4
 
-    eligible = [q for q in found if q.holds is not None or q.metric not in limited]
-    broken = sum(q.holds is False for q in eligible)
+    eligible = [q for q in found if q.found is not None or q.metric not in limited]
+    broken = sum(map(_violated, eligible))
     chosen = sorted(eligible, key=rank)[: max(MOST_NUMBERS, broken)]
     return [quantity for quantity in found if quantity in chosen]
 
 
-def _of_quantity(verdict: Verdict, quantity: Quantity) -> Tile:
+def _violated(quantity: Quantity) -> bool:
+    return quantity.found is not None and quantity.found.standing is Standing.VIOLATED
+
+
+def _of_quantity(quantity: Quantity) -> Tile:
     default, tuned = quantity.values_in_words
     remarks = [f"default {default}"]
-    if limit := quantity.limit_in_words:
-        remarks[0] += f", limit {limit}: {verdict.kept_in_words(quantity)}"
+    if quantity.found is not None:
+        remarks[0] += f", limit {quantity.limit_in_words}: {quantity.found.words}"
     if quantity.difference is not None:
         remarks.append(f"{quantity.change}: {quantity.change_in_words}")
     remarks += filter(None, (quantity.bound_in_words, quantity.draws, quantity.remark))
@@ -148,8 +152,11 @@ def _of_quantity(verdict: Verdict, quantity: Quantity) -> Tile:
 
 
 def _status(quantity: Quantity) -> Status:
-    if quantity.holds is not None:
-        return Status.GOOD if quantity.holds else Status.BAD
+    """Return the mark of a number: good only for a limit that is shown to be kept."""
+    if (found := quantity.found) is not None:
+        if found.standing is Standing.OPEN:
+            return Status.WARNING if found.exceeds else Status.OPEN
+        return Status.GOOD if found.standing is Standing.SHOWN else Status.BAD
     marks = {Change.BETTER: Status.GOOD, Change.WORSE: Status.WARNING}
     return marks.get(quantity.change, Status.OPEN)
 

@@ -20,7 +20,9 @@ def draws(analysis: Analysis) -> Section | None:
         return None
     panels = [_panel(analysis, constraint) for constraint in study.constraints.values()]
     sentences = [
-        f"{q.label}: {q.remark}" for q in verdict.quantities if q.holds is not None and q.remark
+        f"{q.label}: {'; '.join(filter(None, (q.found.words, q.remark)))}"
+        for q in verdict.quantities
+        if q.found is not None
     ]
     bound = ""
     if any(isfinite(quantity.bound) for quantity in verdict.quantities):
@@ -33,9 +35,9 @@ def draws(analysis: Analysis) -> Section | None:
             Figure(
                 name="draws",
                 title="Share of the draws up to each value",
-                caption="A line that reaches 100 % left of an upper limit kept it in all draws; so "
-                "did one that leaves 0 % right of a lower limit. The part beyond is the share that "
-                f"violated it.{bound}",
+                caption="A line that reaches 100 % left of an upper limit has no draw beyond it; "
+                "nor has one that leaves 0 % right of a lower limit. The part beyond is the share "
+                f"that violated it.{bound}",
                 alternative="; ".join(sentences) or "Empirical distributions of the draws.",
                 panels=panels,
                 columns=min(2, len(panels)),

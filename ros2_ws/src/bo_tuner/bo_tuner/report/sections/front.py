@@ -1,6 +1,7 @@
 """The Pareto front of a study with several objectives."""
 
 import math
+import shlex
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -37,6 +38,7 @@ def front(analysis: Analysis) -> Section | None:
     # A run that found no feasible parameter set has a result that was not chosen from the front.
     chosen = any(point.trial == analysis.verdict.trial for point in points)
     rule = f" The result is {RULE}." if chosen else ""
+    run = shlex.quote(str(analysis.record.path.resolve()))
     return Section(
         name="front",
         title="Pareto front",
@@ -47,7 +49,7 @@ def front(analysis: Analysis) -> Section | None:
         notes=[
             "Only the result was validated on fresh draws; the means of the others are those of "
             "their own evaluations, the best of which are biased by selection. To use one of them: "
-            "validate RUN --trial N, then apply RUN --trial N."
+            f"validate {run} --trial N, then apply {run} --trial N."
         ],
     )
 
