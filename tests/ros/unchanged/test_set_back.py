@@ -170,6 +170,13 @@ def test_a_kill_before_the_first_trial(backend, system, killed):
     assert system.get_parameter("count").value == 3
 
 
+def test_what_the_tuner_itself_has_set_was_left_by_none_that_was_killed(backend, system, capfd):
+    """It has noted that down before it asks the node for its ranges."""
+    backend(run={"before": []}, nodes={"servo": {"node": "servo", "parameters": {"count": 5}}})
+    assert system.get_parameter("count").value == 5
+    assert capfd.readouterr().err == ""
+
+
 class Empty(Node):
     """Has an array of doubles without an item."""
 
@@ -227,6 +234,24 @@ def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(ba
         with pytest.raises(BackendError, match=complaint):
             made.close()
     backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+
+
+def test_a_node_that_refuses_until_it_is_at_rest_is_asked_again(backend, system, patience):
+    """As one that still moves after a run that failed."""
+    patience(DEADLINE)
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    asked = []
+
+    def accepts():
+        asked.append(True)
+        # What parks the node is refused first.
+        return len(asked) > 4
+
+    system.accepts = accepts
+    made.close()
     assert gain(system) == 0.375
 
 

@@ -76,9 +76,27 @@ def opened_node(
 
 
 def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
-    """Return all parameters of a node, by name.
+    """Return all parameters of a node, by name, for a tuner that has told it nothing yet.
 
     Those that a tuner which was killed has left on it have the values from before.
+
+    Raises
+    ------
+    BackendError
+        As by `describe_now`.
+    """
+    found = describe_now(tuner, node)
+    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
+    left = note.left_behind(node, {name: item.value for name, item in found.items()})
+    for name, value in left.items():
+        of_killed = said_of_killed(node, name, found[name].value)
+        tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
+        found[name] = replace(found[name], value=value)
+    return found
+
+
+def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
+    """Return all parameters of a node, by name, as they are.
 
     Raises
     ------
@@ -101,17 +119,10 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
         raise BackendError(str(error)) from error
     finally:
         client.destroy()
-    found = {
+    return {
         name: _described(descriptor, value)
         for name, descriptor, value in zip(names, descriptors, values, strict=False)
     }
-    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
-    left = note.left_behind(node, {name: item.value for name, item in found.items()})
-    for name, value in left.items():
-        of_killed = said_of_killed(node, name, found[name].value)
-        tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
-        found[name] = replace(found[name], value=value)
-    return found
 
 
 def describe_nodes(

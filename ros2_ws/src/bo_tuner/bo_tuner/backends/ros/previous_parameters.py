@@ -1,6 +1,8 @@
 """What attached nodes had before a tuner came, and have again in the end."""
 
-from bo_tuner.backends.ros.errors import RefusedError
+import time
+
+from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.held_parameters import left_parked, named_safe
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.parameter_note import ParameterNote
@@ -8,6 +10,12 @@ from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
+
+PATIENCE = 5.0
+"""Time [s] in which a node that does not take back what it had is asked again: it may be at work
+still after a run that failed, or hang."""
+PAUSE = 0.25
+"""Time [s] between two such attempts."""
 
 
 class PreviousParameters:
@@ -63,6 +71,8 @@ class PreviousParameters:
             except RefusedError as refusal:
                 raise BackendError(f"{spec.node} could not be restored: {refusal}") from refusal
             found[key] = self._parameters.read_anew(key)
+            self._note.content.pop(spec.node)
+            self._write()
 
     def begin(self, previous: Values, safe: Values) -> None:
         """Note what nodes have, by key, and what they will have between evaluations."""
@@ -117,6 +127,7 @@ class PreviousParameters:
         }
         again = {key: previous[key] for key in refused}
         failed |= self._parameters.assign_side_by_side(again, timeout)
+        failed = self._restore_late(failed, timeout)
         for key in previous.keys() - failed.keys():
             self._note.content.pop(study.nodes[key].node, None)
         self._write()
@@ -130,6 +141,17 @@ class PreviousParameters:
         return [
             f"{study.nodes[key].node} could not be restored: {why}" for key, why in failed.items()
         ]
+
+    def _restore_late(
+        self, failed: dict[str, RefusedError | LostError], timeout: float
+    ) -> dict[str, RefusedError | LostError]:
+        """Give nodes back what they had that did not take it; returns those that still do not."""
+        deadline = time.monotonic() + PATIENCE
+        while failed and time.monotonic() < deadline:
+            self._tuner.spin_for(PAUSE)
+            again = {key: self._previous[key] for key in failed}
+            failed = self._parameters.assign_side_by_side(again, timeout)
+        return failed
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""
