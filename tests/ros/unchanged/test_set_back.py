@@ -8,10 +8,12 @@ import pytest
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from servo import SAFE, gain, run
+from servo import SAFE, gain, run, study
 from waiting import DEADLINE
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.graph import describe, opened_node
+from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
 from bo_tuner.storage.state import state_folder
@@ -157,6 +159,23 @@ def test_nobody_takes_what_a_killed_tuner_has_left_for_the_nodes_own(
         assert live.before_killed("servo", now) == {"gain": 0.375}
         # As somebody who has set just this.
         live.forget_killed("servo", now)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.75
+
+
+def test_a_check_that_finds_mistakes_sets_back_what_a_killed_tuner_has_left(
+    backend, system, killed
+):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    with opened_node([], lambda: None) as tuner:
+        assert tuner.wait_until(lambda: "servo" in others.nodes(tuner.node), DEADLINE)
+        undo_killed(study(), tuner)
+    assert gain(system) == 0.375
+    # That is done, so what somebody sets now is meant.
+    system.set_gain(0.75)
     backend(run={"before": []}).close()
     assert gain(system) == 0.75
 

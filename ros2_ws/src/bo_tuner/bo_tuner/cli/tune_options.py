@@ -38,7 +38,7 @@ examples:
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
   tune --init my_axis.yaml             write a first study for running nodes
-  tune --check my_axis.yaml            try the study on nodes that are running
+  tune --check my_axis.yaml            try the study on its nodes
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
@@ -163,10 +163,11 @@ def _add_running_nodes(parser: Parser) -> None:
     parser.add_argument(
         "--check",
         metavar="NAME|FILE",
-        help="check a study against the nodes that are running, report every mistake in "
-        "parameters, contexts, signals and steps of the run, make two test runs of the default, "
-        "and estimate how long the study would take (also with --trials, --evaluations or "
-        "--seed); nothing is recorded, and all values of the nodes are restored",
+        help="check a study against its nodes, report every mistake in parameters, contexts, "
+        "signals and steps of the run, make two test runs of the default, and estimate how long "
+        "the study would take (also with --trials, --evaluations or --seed); nothing is recorded, "
+        "and all values of the nodes are restored; nodes that are not running are started and "
+        "ended if the study says how (--attach: never, --no-attach: always)",
     )
     parser.add_argument(
         "--init",

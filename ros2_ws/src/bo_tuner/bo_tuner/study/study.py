@@ -265,6 +265,11 @@ class Study:
         return ContextSpace({name: item.distribution for name, item in self.contexts.items()})
 
     @property
+    def starts_nodes(self) -> bool:
+        """Whether it says how to start a node; others may start along with that."""
+        return any(spec.is_started for spec in self.nodes.values())
+
+    @property
     def chance_constraints(self) -> tuple[Constraint, ...]:
         """Constraints that must hold with a probability."""
         return tuple(item for item in self.constraints.values() if item.kind == CHANCE)

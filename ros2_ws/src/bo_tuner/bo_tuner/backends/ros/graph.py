@@ -28,6 +28,8 @@ from bo_tuner.text import brief
 NODE_NAME = "bo_tuner_look"
 DISCOVERY = 5.0
 """Time [s] to find a node or a topic."""
+FIRST_LOOK = 3.0
+"""Time [s] to find out whether a node runs at all, which may not."""
 ANSWER = 2.0
 """Time [s] for the answer of a node."""
 LARGEST = (1e30, 2.0**62)
@@ -71,6 +73,26 @@ def opened_node(
             yield tuner
         finally:
             claim.release()
+    finally:
+        tuner.close()
+
+
+def any_runs(
+    names: Sequence[str], ros_arguments: Sequence[str], interrupted: Callable[[], None]
+) -> bool:
+    """Return whether one of some nodes runs, whoever else is at work there.
+
+    Parameters
+    ----------
+    names
+        Of the nodes, as a study has them.
+    ros_arguments, interrupted
+        As of `opened_node`.
+    """
+    tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
+    try:
+        wanted = set(names)
+        return tuner.wait_until(lambda: not wanted.isdisjoint(others.nodes(tuner.node)), FIRST_LOOK)
     finally:
         tuner.close()
 

@@ -2,6 +2,7 @@
 
 import time
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.held_parameters import left_parked, named_safe
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
@@ -16,6 +17,29 @@ PATIENCE = 5.0
 still after a run that failed, or hang."""
 PAUSE = 0.25
 """Time [s] between two such attempts."""
+
+
+def undo_killed(study: Study, tuner: TunerNode) -> None:
+    """Set back what a killed tuner has left on the nodes of a study that are there.
+
+    One that does not take it is told, and stays for the next tuner.
+    """
+    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
+    running = set(others.nodes(tuner.node))
+    nodes = {
+        key: spec.node
+        for key, spec in study.nodes.items()
+        if spec.node in note.content and spec.node in running
+    }
+    if not nodes:
+        return
+    parameters = NodeParameters(tuner, nodes)
+    previous = PreviousParameters(study, tuner, parameters)
+    for key in nodes:
+        try:
+            previous.undo_killed({key: parameters.read_anew(key)})
+        except (BackendError, LostError) as error:
+            tuner.warn(str(error))
 
 
 class PreviousParameters:
@@ -48,7 +72,7 @@ class PreviousParameters:
         Parameters
         ----------
         found
-            What the nodes have, by key; changed along with them.
+            What nodes have, by key; changed along with them.
 
         Raises
         ------
@@ -57,7 +81,8 @@ class PreviousParameters:
         LostError
             If it does not answer.
         """
-        for key, spec in self._study.nodes.items():
+        for key in found:
+            spec = self._study.nodes[key]
             left = self._note.left_behind(spec.node, found[key])
             if not left:
                 continue
