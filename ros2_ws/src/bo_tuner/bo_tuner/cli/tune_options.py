@@ -27,7 +27,8 @@ exit codes:
        was not restored, or an action goal did not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
-       certificate is a FAIL; with --check, a run of the default failed
+       certificate is a FAIL; with --check, a run of the default failed, or
+       nothing moved in it
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: the output pipe was closed);
        the nodes are stopped, the record is kept, and --resume continues the run
