@@ -328,9 +328,7 @@ def test_runs_that_begin_where_the_last_one_was(servo, tmp_path):
     servo.angle = servo.setpoint = 0.0
     code, out, err = study(tmp_path, run={"end": {"when": "t > 0.3"}})
     assert (code, err) == (0, "")
-    said = (
-        r"note: angle: is (1|0\.99\d*) at the start of run 2 and 0 at that of run 1: the "
-    )
+    said = r"note: angle: is (1|0\.99\d*) at the start of run 2 and 0 at that of run 1: the "
     assert re.search(said, out), out
 
 
