@@ -319,7 +319,7 @@ def test_a_machine_that_does_not_move(servo, tmp_path):
     gain = {"node": "servo", "type": "double", "bounds": [0.0, 0.9], "default": 0.0}
     code, out, err = study(tmp_path, parameters={"gain": gain})
     assert code == 3
-    assert err.startswith("error: nothing moves: angle keep one value in all 2 runs; see that ")
+    assert err.startswith("error: nothing moves: angle did not change in 2 runs; see that the ")
     assert "metrics of the default" in out
 
 

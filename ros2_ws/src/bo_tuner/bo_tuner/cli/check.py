@@ -267,8 +267,8 @@ def _tell_of_motion(study: Study, recordings: Sequence[Recording], heard: Sequen
     """Tell what the signals of complete runs look wrong in; returns whether anything moves."""
     if all_stand(recordings, heard):
         say_error(
-            f"error: nothing moves: {', '.join(standing(recordings, heard))} keep one value in "
-            f"all {RUNS} runs; see that the machine is switched on, and run.start sets it going"
+            f"error: nothing moves: {', '.join(standing(recordings, heard))} did not change in "
+            f"{RUNS} runs; see that the machine is switched on, and that run.start sets it going"
         )
         return False
     notes = [
