@@ -72,6 +72,10 @@ def arguments(
                 raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
     for field in fields:
         if is_required(field) and field.name not in value:
+            # Of a key that is misspelt it is told already which one is meant.
+            unknown = [key for key in value.keys() - names if isinstance(key, str)]
+            if any(checks.meant(key, [field.name]) for key in unknown):
+                continue
             with findings.under():
                 raise StudyError("missing", (field.name,))
     findings.check()
