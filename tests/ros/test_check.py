@@ -4,9 +4,13 @@ import contextlib
 import itertools
 import json
 import re
+import shutil
+import sys
+from pathlib import Path
 
 import pytest
 from commands import Fork, finish
+from example_nodes import UNCHANGED
 from in_process import call
 from node_threads import at_work
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
@@ -18,8 +22,9 @@ from bo_tuner.backends.ros import others, preparation, steps
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.cli import tune
-from bo_tuner.cli.check import _spread
+from bo_tuner.cli.test_runs import spread
 from bo_tuner.errors import BackendError
+from bo_tuner.study.study_file import load_study, study_to_mapping
 
 pytestmark = pytest.mark.ros
 
@@ -308,7 +313,102 @@ def test_a_node_that_is_not_there(servo, tmp_path):
     assert "there is no node 'pid'" in err
 
 
+def test_a_machine_that_does_not_move(servo, tmp_path):
+    """Without a gain the servo follows nothing, in both runs."""
+    servo.angle = servo.setpoint = 0.0
+    gain = {"node": "servo", "type": "double", "bounds": [0.0, 0.9], "default": 0.0}
+    code, out, err = study(tmp_path, parameters={"gain": gain})
+    assert code == 3
+    assert err.startswith("error: nothing moves: angle did not change in 2 runs; see that the ")
+    assert "metrics of the default" in out
+
+
+def test_runs_that_begin_where_the_last_one_was(servo, tmp_path):
+    """The servo begins again only when it is told a set-point; what was before is in the signal."""
+    servo.angle = servo.setpoint = 0.0
+    code, out, err = study(tmp_path, run={"end": {"when": "t > 0.3"}})
+    assert (code, err) == (0, "")
+    said = r"note: angle: is (1|0\.99\d*) at the start of run 2 and 0 at that of run 1: the "
+    assert re.search(said, out), out
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Function that writes a study of a motor and its controller, which it starts, with changes."""
+    scripts = {key: shutil.copy(UNCHANGED / f"{key}_node.py", tmp_path) for key in ("pid", "motor")}
+
+    def make(**changes):
+        mapping = study_to_mapping(load_study(str(UNCHANGED / "study.yaml")))
+        # A node that gets no processor for a moment fails no run.
+        for spec in mapping["signals"].values():
+            spec.pop("largest_gap", None)
+        del mapping["run"]["abort_when"]
+        mapping["nodes"] = {
+            key: {"node": key, "command": f"'{sys.executable}' '{script}'"}
+            for key, script in scripts.items()
+        }
+        for section, items in changes.items():
+            mapping[section] |= items
+        (tmp_path / "study.yaml").write_text(json.dumps(mapping))
+
+    return make
+
+
+def check(folder, *options):
+    found = finish(Fork("tune", "--check", "study.yaml", *options, folder=folder))
+    running = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline") if path.exists()]
+    assert not [line for line in running if str(folder).encode() in line], "a node was left"
+    return found
+
+
+def test_a_study_that_starts_its_nodes(empty_domain, started, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    started()
+    code, out, err = check(tmp_path)
+    assert (code, err) == (0, "")
+    assert out.startswith("no node of the study is running: the check starts them, and ends them\n")
+    assert "the nodes match the study: 3 parameters and 3 signals" in out
+    assert "metrics of the default" in out
+    assert list(tmp_path.glob("bo_tuner-check-*")) == []
+
+
+def test_all_mistakes_in_a_study_that_starts_its_nodes(empty_domain, started, tmp_path):
+    gain = {"node": "pid", "type": "double", "bounds": [0.1, 10.0], "default": 0.5}
+    started(
+        parameters={"kpp": gain},
+        signals={"speed": {"topic": "/joint_states", "field": "velocity[arm]"}},
+        run={"recover": [{"restart": "motor"}]},
+    )
+    code, _, err = check(tmp_path, "--no-attach")
+    assert code == 2
+    first, second, count = sorted(err.splitlines(), reverse=True)
+    assert first.startswith("error: signals.speed.field: a message on /joint_states has no ")
+    assert second == "error: parameters.kpp: the node has no parameter 'kpp'; did you mean 'kp'?"
+    assert count == "2 problems found; nothing was set"
+
+
+def test_what_a_started_node_has_printed_can_be_read(empty_domain, started, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    started(
+        nodes={"pid": {"node": "pid", "command": f"'{sys.executable}' -c 'exit(\"no motor\")'"}}
+    )
+    code, _, err = check(tmp_path)
+    assert code == 2
+    (folder,) = tmp_path.glob("bo_tuner-check-*")
+    where, why = err.splitlines()
+    assert where == f"what the nodes have printed is in {folder}"
+    assert why == f"error: pid ended with exit code 1; see {folder / 'pid.log'}"
+    assert (folder / "pid.log").read_text() == "no motor\n"
+
+
+def test_nodes_that_run_already_are_not_started(servo, tmp_path):
+    nodes = {"servo": {"node": "servo", "command": "no_such_program"}}
+    code, out, err = study(tmp_path, nodes=nodes)
+    assert (code, err) == (0, "")
+    assert "starts them" not in out
+
+
 def test_one_value_of_a_metric_without_a_limit_does_not_differ():
     """As where the other run failed."""
-    assert _spread("error", [0.5], []) == ""
-    assert _spread("error", [0.5, 0.7], []).startswith("error: differs by 0.2 ")
+    assert spread("error", [0.5], []) == ""
+    assert spread("error", [0.5, 0.7], []).startswith("error: differs by 0.2 ")

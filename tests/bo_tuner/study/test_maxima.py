@@ -90,6 +90,6 @@ def test_the_documents_have_the_same_numbers():
     page = (Path(__file__).parents[3] / "docs" / "interfaces.md").read_text()
     section = page.partition("## Maxima")[2].partition("\n## ")[0]
     told = {row[0]: float(row[1].replace(" ", "")) for row in re.findall(
-        r"^\| `(\w+)` \|[^|]*\| ([\d ]+)[^|]*\|$", section, re.M)}  # fmt: skip
+        r"^\| `(\w+)` \|[^|]*\| ([\de ]+)[^|]*\|$", section, re.M)}  # fmt: skip
     held = {name: value for name, value in vars(maxima).items() if name.isupper()}
     assert told == held

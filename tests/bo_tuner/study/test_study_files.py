@@ -66,9 +66,11 @@ class TestLines:
         with pytest.raises(StudyError) as caught:
             parse_study(text, "mine.yaml")
         assert str(caught.value).startswith("mine.yaml:5: parameters.gains.kp.bounds: lower")
-        (other,) = caught.value.others
-        assert str(other).startswith("mine.yaml:22: budget.trials: missing")
-        # What refers to parts is checked when these are right.
+        # A reference to what is not there is told along with parts that are wrong.
+        current, worst, budget = map(str, caught.value.others)
+        assert current.startswith("mine.yaml:20: constraints.current.metric: there is no metric")
+        assert worst.startswith("mine.yaml:21: constraints.worst.metric: there is no metric")
+        assert budget.startswith("mine.yaml:22: budget.trials: missing")
         with pytest.raises(StudyError) as caught:
             parse_study(
                 STUDY.replace("  peak:", "  peek:", 1).replace("[window, span]", "[windw, span]"),
@@ -77,6 +79,76 @@ class TestLines:
         messages = [str(error) for error in (caught.value, *caught.value.others)]
         assert len(messages) > 1
         assert all("did you mean 'peek'" in m or "windw" in m for m in messages)
+
+    def test_mistakes_of_all_kinds_are_told_in_one_go(self):
+        """In keys, values and references, of parts that are right and of those that are not."""
+        text = """\
+name: position
+sead: 3
+nodes:
+  pid: {node: pid}
+parameters:
+  kp: {node: pid, type: double, bounds: [0.1, 10.0], defalt: 0.5, scal: log}
+  ki: {node: motor, type: double, bounds: [0.0, 2.0], default: 0.0}
+signals:
+  angle: {topic: /joint_states, field: "position[motor]", largest_gap: 0}
+run:
+  before:
+    - publish: {topic: /set point, message: {data: 0.0}}
+    - wait: -0.5
+  start:
+    - {}
+  end: {after: yes}
+metrics:
+  error: {of: setpoint - angle, measure: iae}
+  effort: {of: angle, measure: total}
+objective: {metric: eror}
+constraints:
+  calm: {kind: chance, metric: effort, upper: 8.0, probability: 2}
+  fast: {kind: worst_case, metric: speed, upper: 8.0}
+budget: {initial_trials: 8}
+"""
+        with pytest.raises(StudyError) as caught:
+            parse_study(text, "mine.yaml")
+        found = [str(error) for error in (caught.value, *caught.value.others)]
+        expected = [
+            "2: sead: unknown key",
+            "6: parameters.kp.defalt: unknown key",
+            "6: parameters.kp.scal: unknown key",
+            "7: parameters.ki.node: there is no node 'motor'",
+            "9: signals.angle.largest_gap: expected a number above 0",
+            "12: run.before[0].publish.topic: expected a topic name",
+            "13: run.before[1].wait: expected a number above 0",
+            "15: run.start[0]: expected one of",
+            "16: run.end.after: expected a number",
+            "18: metrics.error.of: there is no signal or function 'setpoint'",
+            "19: metrics.effort.measure: unknown 'total'",
+            "20: objective.metric: there is no metric 'eror'; did you mean 'error'?",
+            "22: constraints.calm.probability: expected a number between 0 and 1",
+            "23: constraints.fast.metric: there is no metric 'speed'",
+            "24: budget.trials: missing",
+        ]
+        assert [text[: len(f"mine.yaml:{e}")] for text, e in zip(found, expected, strict=True)] == [
+            f"mine.yaml:{each}" for each in expected
+        ]
+
+    def test_a_section_that_is_missing_is_missed_by_nothing_that_refers_to_it(self):
+        text = STUDY.replace("metrics:", "metrcs:", 1).replace("objective:", "objectve:", 1)
+        with pytest.raises(StudyError) as caught:
+            parse_study(text, "mine.yaml")
+        found = [str(error) for error in (caught.value, *caught.value.others)]
+        assert found == [
+            "mine.yaml:15: metrcs: unknown key; did you mean 'metrics'?",
+            "mine.yaml:18: objectve: unknown key; did you mean 'objective'?",
+        ]
+
+    def test_fields_of_the_study_are_told_with_references(self):
+        text = STUDY.replace("name: drive", "name: my drive\nseed: -1", 1)
+        text = text.replace("{metric: error}", "{metric: eror}", 1)
+        with pytest.raises(StudyError) as caught:
+            parse_study(text, "mine.yaml")
+        paths = [error.path for error in (caught.value, *caught.value.others)]
+        assert paths == [("name",), ("seed",), ("objective", "metric")]
 
     def test_an_error_of_the_parameters_is_told_once(self):
         """Not of each part that refers to them."""

@@ -13,8 +13,10 @@ from rclpy.parameter import Parameter
 from servo import SAFE, gain, run, study
 from waiting import DEADLINE
 
+from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import describe, opened_node
+from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.cli import apply
 from bo_tuner.deploy.live_parameters import LiveParameters
 from bo_tuner.errors import BackendError
@@ -234,6 +236,23 @@ def test_nobody_takes_what_a_killed_tuner_has_left_for_the_nodes_own(
     assert gain(system) == 0.75
 
 
+def test_a_check_that_finds_mistakes_sets_back_what_a_killed_tuner_has_left(
+    backend, system, killed
+):
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    killed(made)
+    with opened_node([], lambda: None) as tuner:
+        assert tuner.wait_until(lambda: "servo" in others.nodes(tuner.node), DEADLINE)
+        undo_killed(study(), tuner)
+    assert gain(system) == 0.375
+    # That is done, so what somebody sets now is meant.
+    system.set_gain(0.75)
+    backend(run={"before": []}).close()
+    assert gain(system) == 0.75
+
+
 def test_a_kill_before_the_first_trial(backend, system, killed):
     """The constants of the study are set by then."""
     constant = {"servo": {"node": "servo", "parameters": {"count": 5}}}
@@ -241,6 +260,13 @@ def test_a_kill_before_the_first_trial(backend, system, killed):
     assert system.get_parameter("count").value == 5
     backend(run={"before": []}, nodes=constant).close()
     assert system.get_parameter("count").value == 3
+
+
+def test_what_the_tuner_itself_has_set_was_left_by_none_that_was_killed(backend, system, capfd):
+    """It has noted that down before it asks the node for its ranges."""
+    backend(run={"before": []}, nodes={"servo": {"node": "servo", "parameters": {"count": 5}}})
+    assert system.get_parameter("count").value == 5
+    assert capfd.readouterr().err == ""
 
 
 class Empty(Node):
@@ -300,6 +326,24 @@ def test_a_node_that_is_not_set_back_is_told_and_set_back_by_the_next_command(ba
         with pytest.raises(BackendError, match=complaint):
             made.close()
     backend(run={"before": []}).close()
+    assert gain(system) == 0.375
+
+
+def test_a_node_that_refuses_until_it_is_at_rest_is_asked_again(backend, system, patience):
+    """As one that still moves after a run that failed."""
+    patience(DEADLINE)
+    system.set_gain(0.375)
+    made = backend(run={"before": []})
+    run(made, 0.75)
+    asked = []
+
+    def accepts():
+        asked.append(True)
+        # What parks the node is refused first.
+        return len(asked) > 4
+
+    system.accepts = accepts
+    made.close()
     assert gain(system) == 0.375
 
 

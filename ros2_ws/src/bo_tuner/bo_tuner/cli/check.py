@@ -1,32 +1,37 @@
-"""``tune --check``: hold a study against the running nodes, and try two runs."""
+"""``tune --check``: hold a study against its nodes, and try two runs."""
 
+import contextlib
 import dataclasses
-import math
-from collections.abc import Collection, Mapping, Sequence
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import ArrayLike
-from rich.table import Table
 
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.graph import (
+    any_runs,
     describe,
+    describe_now,
     opened_node,
     signal_problems,
 )
+from bo_tuner.backends.ros.plant import plant_notes
 from bo_tuner.backends.ros.preparation import run_problems
+from bo_tuner.backends.ros.previous_parameters import undo_killed
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.certificate.certification import Subject, most_evaluations
 from bo_tuner.certificate.store import required_draws
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.exit_codes import EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
 from bo_tuner.cli.streams import say_error
+from bo_tuner.cli.test_runs import show_metrics, show_signals
 from bo_tuner.errors import BackendError
 from bo_tuner.interruption import Interruption
+from bo_tuner.metrics.equal_runs import all_stand, standing, unlike_starts, unmoved
 from bo_tuner.metrics.recording import Recording
-from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.monitoring.display import say
 from bo_tuner.numerics.seeds import Stream, noise_seed
 from bo_tuner.optimizers.algorithms import ALGORITHMS, default_algorithm
 from bo_tuner.optimizers.boundary import evaluations_ahead, new_point
@@ -42,19 +47,20 @@ from bo_tuner.tuning.recommendation import most_check_evaluations
 from bo_tuner.tuning.settling import most_repetitions
 
 RUNS = 2
-WIDTH, LEAST_WIDTH = 60, 10
-"""Characters of a plot, where there is room, and at least."""
-BESIDE_PLOT = 44
-"""Characters of the other columns of the table of signals, and of its lines, but for the names."""
-LARGE_SPREAD = 0.2
-"""Difference of two equal runs, of the larger value, from which on it is worth a note."""
-SMALL = 0.01
-"""Share of a limit below which values may differ by as much as they do just there."""
-BARS = " ▁▂▃▄▅▆▇█"
 
 
-def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interruption) -> int:
-    """Check a study on the nodes that are running; returns the exit code.
+class _MistakesError(Exception):
+    """The nodes do not match the study, and all that is wrong has been said."""
+
+
+def check_study(
+    study: Study,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+    *,
+    attach: bool | None = None,
+) -> int:
+    """Check a study on its nodes; returns the exit code.
 
     Parameters
     ----------
@@ -64,44 +70,70 @@ def check_study(study: Study, ros_arguments: Sequence[str], interruption: Interr
         ``--ros-args`` of the tuner's node.
     interruption
         Ends the check on a signal.
+    attach
+        Whether to use nodes that run already, or else to start them. Unless given they are started
+        where the study says how, and none of them runs.
 
     Raises
     ------
     BackendError
         If the nodes cannot be had.
+    StudyError
+        If the study does not say how to start them.
     """
-    with opened_node(ros_arguments, interruption.check) as tuner:
-        heard = _heard(study, tuner)
-        problems, notes = _look(study, tuner, heard)
+    if attach is None:
+        attach = not study.starts_nodes or any_runs(
+            [spec.node for spec in study.nodes.values()], ros_arguments, interruption.check
+        )
+        if not attach:
+            say("no node of the study is running: the check starts them, and ends them")
+    try:
+        if attach:
+            with opened_node(ros_arguments, interruption.check) as tuner:
+                _hold_against(study, tuner, attached=True)
+        return _try(study, attach, ros_arguments, interruption)
+    except _MistakesError:
+        return EXIT_USAGE
+
+
+def _hold_against(study: Study, tuner: TunerNode, *, attached: bool) -> None:
+    """Hold a study against its nodes, and tell what is wrong.
+
+    Raises
+    ------
+    _MistakesError
+        If something is. Nodes have what they had before a tuner that was killed.
+    """
+    problems, notes = _look(study, tuner, attached=attached)
     for note in notes:
         say(f"note: {note}")
     for text in problems:
         say_error(f"error: {text}")
     if problems:
+        if attached:
+            undo_killed(study, tuner)
         say_error(f"{counted(len(problems), 'problem')} found; nothing was set")
-        return EXIT_USAGE
+        raise _MistakesError
     say(
         f"the nodes match the study: {counted(len(study.parameters), 'parameter')} and "
         f"{counted(len(study.signals), 'signal')}"
     )
-    return _try(study, heard, ros_arguments, interruption)
 
 
-def _look(
-    study: Study, tuner: TunerNode, heard: Mapping[str, Signal]
-) -> tuple[list[str], list[str]]:
+def _look(study: Study, tuner: TunerNode, *, attached: bool) -> tuple[list[str], list[str]]:
     """Hold parameters, signals and steps against the graph; problems and notes, a line each.
 
-    What a run itself publishes has no publisher yet, so of signals only those are looked for that
-    are `heard` from others.
+    What a run itself publishes has no publisher yet, so only signals of others are looked for.
     """
+    # What was left on a node that ran before says nothing of one that is started.
+    describe_node = describe if attached else describe_now
     problems: list[str] = []
     notes = [study.budget.warning] if study.budget.warning else []
     defaults = study.search_space().defaults
     absent = 0
     for key, spec in study.nodes.items():
         try:
-            known = describe(tuner, spec.node)
+            known = describe_node(tuner, spec.node)
         except BackendError as error:
             problems.append(f"nodes.{key}: {error}")
             absent += 1
@@ -128,8 +160,9 @@ def _look(
         return problems, notes
     if study.run is not None and not study.run.start:
         notes.append("run.start: missing, so nothing sends a reference when a run starts")
-    problems += [str(error) for error in signal_problems(tuner, heard)]
-    problems += [str(error) for error in run_problems(study, tuner)]
+    notes += plant_notes(study, tuner)
+    problems += [str(error) for error in signal_problems(tuner, _heard(study, tuner))]
+    problems += [str(error) for error in run_problems(study, tuner, attached=attached)]
     return problems, notes
 
 
@@ -157,133 +190,103 @@ def _heard(study: Study, tuner: TunerNode) -> dict[str, Signal]:
 
 
 def _try(
-    study: Study,
-    heard: Collection[str],
-    ros_arguments: Sequence[str],
-    interruption: Interruption,
+    study: Study, attach: bool, ros_arguments: Sequence[str], interruption: Interruption
 ) -> int:
     """Run the default a few times; shows signals and metrics, and how long a study will take."""
-    contexts = study.context_space()
-    nominal = contexts.to_dict(contexts.nominal())
-    defaults = study.search_space().defaults
-    done: list[Evaluation] = []
-    with TemporaryDirectory() as folder:
+    with _log_folder(keep=not attach) as folder:
         backend = RosBackend(
             study,
-            Path(folder),
-            attach=True,
+            folder,
+            attach=attach,
             keep_parked=False,
             ros_arguments=list(ros_arguments),
             interrupted=interruption.check,
         )
+        heard: list[str] = []
+
+        def look(tuner: TunerNode) -> None:
+            heard.extend(_heard(study, tuner))
+            if not attach:
+                _hold_against(study, tuner, attached=False)
+
+        backend.at_nodes = look
         with opened(backend, interruption) as left:
-            held = []
-            for index in range(RUNS):
-                seed = noise_seed(study.seed, Stream.NOISE, 0, index)
-                planned = Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)
-                done += backend.run([planned])
-                recording = backend.recording
-                held.append({n for n, s in recording.signals.items() if np.any(s.time < 0.0)})
-    _plot(study, recording)
-    failed = [e for e in done if not e.outcome.complete]
-    # Of a run that failed, nothing may be known.
-    for name in sorted((held[-1] - held[0]).intersection(heard)) if not failed else ():
-        say(
-            f"note: {name}: has a value at the start of run {RUNS} and none at that of run 1: it "
-            "is published in runs only (docs/procedure.md, signals at the start)"
-        )
-    for evaluation in failed:
+            done, recordings = _runs(study, backend)
+        show_signals(recordings[-1], RUNS)
+        failed = [e for e in done if not e.outcome.complete]
+        for evaluation in failed:
+            say_error(
+                f"error: run {evaluation.index + 1} of the default failed: "
+                f"{evaluation.outcome.reason}"
+            )
+        if complete := [e for e in done if e not in failed]:
+            show_metrics(study, complete)
+        # Of a run that failed, nothing may be known.
+        moves = bool(failed) or _tell_of_motion(study, recordings, heard)
+        if complete:
+            _estimate(study, float(np.mean([e.seconds for e in complete])))
+        code = ended(left, EXIT_OK if moves and not failed else EXIT_INFEASIBLE)
+        if code == EXIT_OK:
+            shutil.rmtree(folder)
+        return code
+
+
+@contextlib.contextmanager
+def _log_folder(*, keep: bool) -> Iterator[Path]:
+    """Give a folder for what nodes print; what is left of it stays, and is named, to be read."""
+    folder = Path(tempfile.mkdtemp(prefix="bo_tuner-check-"))
+    try:
+        yield folder
+    except BaseException as error:
+        # A mistake in the study is no fault of the nodes; nor is an interruption.
+        keep = keep and isinstance(error, BackendError)
+        raise
+    finally:
+        logs = sorted(folder.glob("*.log")) if folder.exists() and keep else []
+        if logs:
+            say_error(f"what the nodes have printed is in {folder}")
+        else:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _runs(study: Study, backend: RosBackend) -> tuple[list[Evaluation], list[Recording]]:
+    """Run the default a few times, in the nominal context."""
+    contexts = study.context_space()
+    nominal = contexts.to_dict(contexts.nominal())
+    defaults = study.search_space().defaults
+    done: list[Evaluation] = []
+    recordings = []
+    for index in range(RUNS):
+        seed = noise_seed(study.seed, Stream.NOISE, 0, index)
+        done += backend.run([Evaluation(0, index, Stage.NOMINAL, defaults, nominal, seed)])
+        recordings.append(backend.recording)
+    return done, recordings
+
+
+def _tell_of_motion(study: Study, recordings: Sequence[Recording], heard: Sequence[str]) -> bool:
+    """Tell what the signals of complete runs look wrong in; returns whether anything moves."""
+    if all_stand(recordings, heard):
         say_error(
-            f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
+            f"error: nothing moves: {', '.join(standing(recordings, heard))} did not change in "
+            f"{RUNS} runs; see that the machine is switched on, and that run.start sets it going"
         )
-    if complete := [e for e in done if e not in failed]:
-        _show_metrics(study, complete)
-        _estimate(study, float(np.mean([e.seconds for e in complete])))
-    return ended(left, EXIT_INFEASIBLE if failed else EXIT_OK)
-
-
-def _plot(study: Study, recording: Recording) -> None:
-    console = plain_console()
-    names = max((len(name) for name in recording.signals), default=0)
-    width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
-    table = Table(title=f"signals of run {RUNS}, {recording.end:.3g} s", title_justify="left")
-    for column in ("signal", "messages", "least", "over the run", "largest"):
-        table.add_column(column, no_wrap=True)
-    for name, seen in recording.signals.items():
-        if not len(seen.time):
-            table.add_row(name, "0", "", "", "")
-            continue
-        low, high = float(np.min(seen.value)), float(np.max(seen.value))
-        count = f"{seen.messages}"
-        table.add_row(
-            name,
-            count,
-            f"{low:.4g}",
-            plot(seen.time, seen.value, recording.end, width),
-            f"{high:.4g}",
-        )
-    if recording.signals:
-        console.print(table)
-
-
-def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
-    """Draw a signal in a line of bars, between its least and its largest value.
-
-    Parameters
-    ----------
-    time, value
-        The signal (n,), n ≥ 1; it keeps a value until the next one.
-    end
-        The right end [s]; the left one is 0.
-    width
-        Number of characters.
-    """
-    at = np.linspace(0.0, end, width)
-    held = np.asarray(value)[np.clip(np.searchsorted(time, at, side="right") - 1, 0, None)]
-    low, high = float(np.min(value)), float(np.max(value))
-    if not math.isfinite(high - low):
-        return "not finite"
-    height = (held - low) / (high - low) if high > low else np.full(width, 0.5)
-    return "".join(BARS[1 + round(float(h) * (len(BARS) - 2))] for h in height)
-
-
-def _show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
-    table = Table(title="metrics of the default", title_justify="left")
-    for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "violations"):
-        table.add_column(column)
-    notes = []
-    for name, metric in study.metrics.items():
-        values = [e.outcome.metrics[name] for e in done]
-        limits = [item for item in study.constraints.values() if item.metric == name]
-        limit = ", ".join(f"{'≤' if item.sign > 0 else '≥'} {item.limit:.4g}" for item in limits)
-        beyond = sum(any(item.violations(value) for item in limits) for value in values)
-        cells = (f"{value:.4g}" for value in values)
-        count = f"{beyond} of {len(values)}" if limits else ""
-        table.add_row(name, metric.unit, *cells, limit, count)
-        if beyond:
-            notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
-        if text := _spread(name, values, [abs(item.limit) for item in limits]):
-            notes.append(text)
-    plain_console().print(table)
+        return False
+    notes = [
+        f"{name}: keeps the value {shown(float(recordings[0].signals[name].value[-1]))} in all "
+        f"{RUNS} runs"
+        for name in standing(recordings, heard)
+    ]
+    notes += unmoved(study, recordings[-1], heard)
+    began = [{n for n, s in item.signals.items() if np.any(s.time < 0.0)} for item in recordings]
+    notes += [
+        f"{name}: has a value at the start of run {RUNS} and none at that of run 1: it is "
+        "published in runs only (docs/procedure.md, signals at the start)"
+        for name in sorted((began[-1] - began[0]).intersection(heard))
+    ]
+    notes += unlike_starts(recordings, heard)
     for note in notes:
         say(f"note: {note}")
-
-
-def _spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
-    """Return what to know of a metric that differs much between equal runs; empty if it does not.
-
-    Such noise is possible, but more often one run did not begin as the other. What is small beside
-    its limits may differ.
-    """
-    largest = max([*map(abs, values), *(SMALL * limit for limit in limits)])
-    spread = max(values) - min(values)
-    if spread <= LARGE_SPREAD * largest:
-        return ""
-    return (
-        f"{name}: differs by {spread:.3g} between runs of the same parameters: "
-        "either it is that noisy, or the runs do not start from the same state (see the steps "
-        "before and start)"
-    )
+    return True
 
 
 def evaluations_at_most(study: Study) -> tuple[int, int]:

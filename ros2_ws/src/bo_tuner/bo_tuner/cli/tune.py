@@ -54,7 +54,7 @@ FROM_THE_RECORD = ("study", "seed", "output", "backend", "algorithm", "start")
 """Options that a resumed run takes from its record."""
 OF_INIT = ("nodes", "parameters", "signals")
 """Options that go with ``--init``, and with nothing else."""
-OF_CHECK = ("trials", "evaluations", "seed", "bounds")
+OF_CHECK = ("trials", "evaluations", "seed", "bounds", "attach")
 """Options that go with ``--check``."""
 
 
@@ -106,9 +106,10 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
             parser.error(f"--{name} needs --init")
     if arguments.check is not None:
         parser.refuse_others(arguments, "check", OF_CHECK)
+        attach = arguments.attach
         look = _look(ros_arguments, interruption)
-        study = _changed(_load(arguments.check, True, look), arguments)
-        return check_study(study, ros_arguments, interruption)
+        study = _changed(_load(arguments.check, attach is not False, look), arguments)
+        return check_study(study, ros_arguments, interruption, attach=attach)
     return _run(arguments, parser, ros_arguments, interruption)
 
 

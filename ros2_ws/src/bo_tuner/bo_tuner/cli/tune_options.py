@@ -30,7 +30,8 @@ exit codes:
        not end
   2    bad input: study, option, folder or nodes
   3    the run is complete, but no feasible parameter set was found, or its
-       certificate is a FAIL; with --check, a run of the default failed
+       certificate is a FAIL; with --check, a run of the default failed, or
+       nothing moved in it
   130  interrupted by Ctrl-C (143: by SIGTERM, the service ~/abort or the live
        page, 129: the terminal was closed, 141: the output pipe was closed);
        the nodes are stopped, the record is kept, and --resume continues the run
@@ -41,7 +42,7 @@ examples:
   tune --study my_axis.yaml --attach   your study, on nodes that are running
   tune --backend inprocess --seed 7    without ROS, repeatable bit for bit
   tune --init my_axis.yaml             write a first study for running nodes
-  tune --check my_axis.yaml            try the study on nodes that are running
+  tune --check my_axis.yaml            try the study on its nodes
   tune --resume latest                 resume an interrupted run
   tune --resume latest --trials 60     continue a run to 60 trials in all
   tune --start known.yaml              try parameter sets that you know first
@@ -176,10 +177,11 @@ def _add_running_nodes(parser: Parser) -> None:
     parser.add_argument(
         "--check",
         metavar="NAME|FILE",
-        help="check a study against the nodes that are running, report every mistake in "
-        "parameters, contexts, signals and steps of the run, make two test runs of the default, "
-        "and estimate how long the study would take (also with --trials, --evaluations or "
-        "--seed); nothing is recorded, and all values of the nodes are restored",
+        help="check a study against its nodes, report every mistake in parameters, contexts, "
+        "signals and steps of the run, make two test runs of the default, and estimate how long "
+        "the study would take (also with --trials, --evaluations or --seed); nothing is recorded, "
+        "and all values of the nodes are restored; nodes that are not running are started and "
+        "ended if the study says how (--attach: never, --no-attach: always)",
     )
     parser.add_argument(
         "--init",

@@ -13,12 +13,8 @@ from bo_tuner.text import MOST_SAID, brief
 from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
 
 STATUS_OK = "ok"
-LARGEST_METRIC = 1e90
-"""Largest magnitude of a metric; beyond, a run has diverged, and nothing was measured.
-
-The models square responses and so take them up to 1e100, and the estimate of a worst case lies some
-standard deviations above the metrics that it comes from.
-"""
+LARGEST_METRIC = maxima.MAGNITUDE
+"""Largest magnitude of a metric; beyond, a run has diverged, and nothing was measured."""
 
 
 class Collector:

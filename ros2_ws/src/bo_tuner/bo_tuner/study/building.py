@@ -35,6 +35,10 @@ class Findings:
             found = error.under(*keys)
             self._found += [found.located(found.source, found.line), *found.others]
 
+    def __len__(self) -> int:
+        """How many were found."""
+        return len(self._found)
+
     def check(self) -> None:
         """Raise the first error that was found, if any, with the others."""
         if self._found:
@@ -52,19 +56,32 @@ def arguments(
 ) -> dict[str, Any]:
     """Return the mapping `value` if its keys are fields of `cls` and none is missing.
 
-    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one.
+    `skip` are fields that are not keys, `also` further keys to suggest for an unknown one. The
+    error has all that is wrong with the keys.
     """
     if not isinstance(value, dict):
         raise StudyError(f"expected a mapping, found {checks.show(value)}")
     fields = [field for field in dataclasses.fields(cls) if field.name not in skip]
     names = [field.name for field in fields]
+    findings = Findings()
     for key in value:
-        if not isinstance(key, str):
-            raise StudyError(f"expected text as a key, found {checks.show(key)}")
-        if key not in names:
-            raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
+        with findings.under():
+            if not isinstance(key, str):
+                raise StudyError(f"expected text as a key, found {checks.show(key)}")
+            if key not in names:
+                raise StudyError(f"unknown key; {checks.suggestion(key, [*also, *names])}", (key,))
     for field in fields:
-        needed = field.default is field.default_factory is dataclasses.MISSING
-        if needed and field.name not in value:
-            raise StudyError("missing", (field.name,))
+        if is_required(field) and field.name not in value:
+            # Of a key that is misspelt it is told already which one is meant.
+            unknown = [key for key in value.keys() - names if isinstance(key, str)]
+            if any(checks.meant(key, [field.name]) for key in unknown):
+                continue
+            with findings.under():
+                raise StudyError("missing", (field.name,))
+    findings.check()
     return dict(value)
+
+
+def is_required(field: "dataclasses.Field[Any]") -> bool:
+    """Return whether a field has no default."""
+    return field.default is field.default_factory is dataclasses.MISSING

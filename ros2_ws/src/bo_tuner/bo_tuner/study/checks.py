@@ -117,6 +117,21 @@ def number(value: object, *path: str | int) -> float:
     return float(value)
 
 
+def magnitude(value: object, *path: str | int) -> float:
+    """Return `value` as a float if it is a number that can be computed with, and so can its square.
+
+    It is 0, or `maxima.MAGNITUDE` in size at most, and not below the inverse of that.
+    """
+    checked = number(value, *path)
+    if checked != 0.0 and not 1.0 / maxima.MAGNITUDE <= abs(checked) <= maxima.MAGNITUDE:
+        raise StudyError(
+            f"expected 0, or a number between {1.0 / maxima.MAGNITUDE:g} and "
+            f"{maxima.MAGNITUDE:g} in size, found {checked:g}",
+            path,
+        )
+    return checked
+
+
 def boolean(value: object, *path: str | int) -> bool:
     """Return `value` if it is true or false."""
     if not isinstance(value, bool):
@@ -213,15 +228,15 @@ def pair(value: object, expected: str, *path: str | int) -> tuple[object, object
 
 
 def bounds(value: object, *path: str | int, instead: str) -> tuple[float, float]:
-    """Return finite bounds, the lower one below the upper one, as floats."""
+    """Return bounds to compute with, the lower one below the upper one, as floats."""
     items = pair(value, "bounds [lower, upper]", *path)
-    lower, upper = (number(item, *path, index) for index, item in enumerate(items))
+    lower, upper = (magnitude(item, *path, index) for index, item in enumerate(items))
     check_width(lower, upper, *path, instead=instead)
     return lower, upper
 
 
 def check_width(lower: float, upper: float, *path: str | int, instead: str) -> None:
-    """Refuse bounds that are equal or reversed, or whose width overflows or underflows.
+    """Refuse bounds that are equal or reversed.
 
     `instead` tells the user what to write for a value that does not vary.
     """
@@ -229,9 +244,6 @@ def check_width(lower: float, upper: float, *path: str | int, instead: str) -> N
         raise StudyError(f"lower bound {lower} is not below upper bound {upper}", path)
     if lower == upper:
         raise StudyError(f"both bounds are {lower}; {instead}", path)
-    width = float(upper) - float(lower)
-    if not 0.0 < width < math.inf or math.isinf(1.0 / width):
-        raise StudyError(f"bounds [{lower}, {upper}] have no usable width", path)
 
 
 def parameter_values(values: object, *path: str | int) -> dict[str, ParameterValue]:

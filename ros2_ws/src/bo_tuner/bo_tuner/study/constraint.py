@@ -58,9 +58,9 @@ class Constraint:
         if self.upper is None and self.lower is None:
             raise StudyError("missing; expected upper, lower or both", ("upper",))
         if self.upper is not None:
-            object.__setattr__(self, "upper", checks.number(self.upper, "upper"))
+            object.__setattr__(self, "upper", checks.magnitude(self.upper, "upper"))
         if self.lower is not None:
-            object.__setattr__(self, "lower", checks.number(self.lower, "lower"))
+            object.__setattr__(self, "lower", checks.magnitude(self.lower, "lower"))
             if self.upper is not None and not self.lower < self.upper:
                 raise StudyError(
                     f"expected less than upper, {self.upper:g}, found {self.lower:g}", ("lower",)

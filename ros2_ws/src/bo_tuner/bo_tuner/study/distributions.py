@@ -68,6 +68,11 @@ class Distribution(ABC):
         return np.clip(np.asarray(values, dtype=np.float64), self.lower, self.upper)
 
 
+def _positive(value: object, *path: str) -> float:
+    """Return `value` as a float if it is a number above zero that can be computed with."""
+    return checks.positive(checks.magnitude(value, *path), *path)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Continuous(Distribution):
     """Base of the continuous distributions: an interval and a nominal value in it.
@@ -113,7 +118,7 @@ class _Continuous(Distribution):
             raise StudyError(f"this {self.kind} is too extreme to compute its quantiles")
 
     def _inside(self, value: object, key: str) -> float:
-        checked = checks.number(value, key)
+        checked = checks.magnitude(value, key)
         if not self.lower <= checked <= self.upper:
             raise StudyError(
                 f"{checked} lies outside the bounds [{self.lower}, {self.upper}]", (key,)
@@ -141,8 +146,10 @@ class TruncatedNormal(_Continuous):
 
     def __post_init__(self) -> None:
         self._check_bounds()
-        object.__setattr__(self, "mean", checks.number(self.mean, "mean"))
-        deviation = checks.positive(self.standard_deviation, "standard_deviation")
+        object.__setattr__(self, "mean", checks.magnitude(self.mean, "mean"))
+        deviation = checks.positive(
+            checks.magnitude(self.standard_deviation, "standard_deviation"), "standard_deviation"
+        )
         object.__setattr__(self, "standard_deviation", deviation)
         self._finish(self.mean)
 
@@ -195,8 +202,8 @@ class Beta(_Continuous):
 
     def __post_init__(self) -> None:
         self._check_bounds()
-        object.__setattr__(self, "a", checks.positive(self.a, "a"))
-        object.__setattr__(self, "b", checks.positive(self.b, "b"))
+        object.__setattr__(self, "a", _positive(self.a, "a"))
+        object.__setattr__(self, "b", _positive(self.b, "b"))
         # Written so that neither a + b nor b / a of extreme shapes raises.
         with np.errstate(all="ignore"):
             mean = 1.0 / (1.0 + np.float64(self.b) / np.float64(self.a))
@@ -253,7 +260,7 @@ class Discrete(Distribution):
     def __post_init__(self) -> None:
         values, probabilities = (
             tuple(
-                checks.number(item, key, index)
+                checks.magnitude(item, key, index)
                 for index, item in enumerate(checks.sequence(value, "a list of numbers", key))
             )
             for key, value in (("values", self.values), ("probabilities", self.probabilities))
@@ -274,7 +281,7 @@ class Discrete(Distribution):
             raise StudyError(f"expected a sum of 1, found {sum(probabilities)}", ("probabilities",))
         nominal = values[int(np.argmax(probabilities))]
         if self.nominal is not None:
-            nominal = checks.number(self.nominal, "nominal")
+            nominal = checks.magnitude(self.nominal, "nominal")
             if nominal not in values:
                 raise StudyError(f"{nominal} is none of the values", ("nominal",))
         object.__setattr__(self, "values", values)

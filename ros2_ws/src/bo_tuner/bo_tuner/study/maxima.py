@@ -25,6 +25,10 @@ OBJECTIVES = 3
 """The first and the further ones; with more, a front cannot be looked at."""
 CONSTANTS = 1_000
 """Constant parameters of a node, and values in a list."""
+MAGNITUDE = 1e90
+"""Size of a number that is computed with, such as a bound, a limit or a metric. The models square
+responses and so take them up to 1e100, and the estimate of a worst case lies some standard
+deviations above the metrics that it comes from."""
 TIMEOUT = 86_400.0
 """Of an evaluation [s]."""
 MEGABYTES = 10_000_000

@@ -122,7 +122,7 @@ class SignalMetric:
             if value is not None and key not in options:
                 raise StudyError(f"{self.measure} has none", (key,))
             if value is not None and not (key == "target" and isinstance(value, str)):
-                object.__setattr__(self, key, checks.number(value, key))
+                object.__setattr__(self, key, checks.magnitude(value, key))
         if self.percent is not None and not 0.0 <= self.percent <= 100.0:
             raise StudyError(f"expected 0 to 100, found {self.percent:g}", ("percent",))
         if self.band is not None:

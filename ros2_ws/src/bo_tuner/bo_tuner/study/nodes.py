@@ -77,6 +77,11 @@ class NodeSpec:
         for key in ("parameters", "inprocess_parameters"):
             object.__setattr__(self, key, checks.parameter_values(getattr(self, key), key))
 
+    @property
+    def is_started(self) -> bool:
+        """Whether the study says how to start it."""
+        return bool(self.executable or self.command or self.launch)
+
     def _check_start(self) -> None:
         """Refuse two ways to start the node, and lines that no shell would take."""
         for key in ("command", "launch"):

@@ -190,13 +190,13 @@ class Parameter:
                 "missing; expected [lower, upper] (or tied_to or fixed instead)", ("bounds",)
             )
         items = checks.pair(self.bounds, "bounds [lower, upper]", "bounds")
-        lower, upper = (self._number(item, "bounds", i) for i, item in enumerate(items))
+        lower, upper = (self._computed(item, "bounds", i) for i, item in enumerate(items))
         if self.is_integer and max(abs(lower), abs(upper)) > LARGEST_BOUND:
             raise StudyError("expected bounds of at most 2^53 in size", ("bounds",))
         checks.check_width(lower, upper, "bounds", instead=f"use fixed: {lower}")
         object.__setattr__(self, "bounds", (lower, upper))
         if self.step is not None:
-            step = self._number(self.step, "step")
+            step = self._computed(self.step, "step")
             if not 0 < step <= upper - lower:
                 raise StudyError(f"expected above 0 and within the bounds, found {step}", ("step",))
             object.__setattr__(self, "step", step)
@@ -247,6 +247,9 @@ class Parameter:
         for key in keys:
             if getattr(self, key) is not None:
                 raise StudyError(f"{kind} has no {key}; leave it out", (key,))
+
+    def _computed(self, value: object, *path: str | int) -> Number:
+        return checks.integer(value, *path) if self.is_integer else checks.magnitude(value, *path)
 
     def _number(self, value: object, *path: str | int) -> Number:
         return checks.integer(value, *path) if self.is_integer else checks.number(value, *path)

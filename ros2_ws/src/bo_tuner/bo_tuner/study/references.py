@@ -3,14 +3,15 @@
 Each function raises `StudyError` with the key path in the study file, or below what it was given.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import under
+from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.metrics import PythonMetric, ReportedMetric, SignalMetric, StudyMetric
+from bo_tuner.study.metrics import ReportedMetric, SignalMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
@@ -39,8 +40,11 @@ def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) 
         taken.append(item.metric)
 
 
-def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric]) -> None:
-    """Refuse a limit on a metric that is not there, and one that no run can keep."""
+def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric | None]) -> None:
+    """Refuse a limit on a metric that is not there, and one that no run can keep.
+
+    Of a metric that is wrong itself, and None, nothing else is known.
+    """
     checks.reference(constraint.metric, "metric", metrics, "metric")
     metric = metrics[constraint.metric]
     if (
@@ -53,6 +57,40 @@ def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric])
             f"no run keeps it: {metric.measure} is at least 0, found {constraint.upper:g}",
             ("upper",),
         )
+
+
+def node_references(
+    parts: Iterable[tuple[str, Mapping[str, object]]],
+    trigger: Trigger | None,
+    seed: SeedParameter | None,
+) -> Iterator[tuple[KeyPath, str]]:
+    """Yield where a study refers to nodes, and by which key, in sections of parts by name."""
+    for section, items in parts:
+        for name, item in items.items():
+            if isinstance(item, Parameter | ContextVariable | ReportedMetric):
+                yield (section, name), item.node
+    if trigger is not None:
+        yield ("trigger",), trigger.node
+    if seed is not None:
+        yield ("seed_parameter",), seed.node
+
+
+def check_signals(
+    run: Run | None,
+    metrics: Mapping[str, object],
+    signals: Collection[str],
+    nodes: Collection[str],
+) -> None:
+    """Refuse expressions with signals that are not there, in metrics and in a run."""
+    findings = Findings()
+    for name, metric in metrics.items():
+        if isinstance(metric, SignalMetric):
+            with findings.under("metrics", name):
+                metric.check_signals(signals)
+    if run is not None:
+        with findings.under():
+            run.check_references(signals, nodes)
+    findings.check()
 
 
 def check_run(
@@ -73,10 +111,6 @@ def check_run(
         if not isinstance(metric, ReportedMetric):
             if run is None:
                 raise StudyError("signals are recorded in a run; add run", here)
-            if isinstance(metric, PythonMetric):
-                continue
-            with under(*here):
-                metric.check_signals(signals)
         elif run is not None:
             raise StudyError(
                 "is reported by a node that is triggered; with run, write of and measure",
@@ -89,10 +123,43 @@ def check_run(
     for node, needed_by in reporting.items():
         if not nodes[node].result:
             raise StudyError(f"missing; {needed_by} needs it", ("nodes", node, "result"))
-    if run is not None:
-        run.check_references(signals, nodes)
-    elif signals:
+    if run is None and signals:
         raise StudyError("signals are recorded in a run; add run", ("signals",))
+
+
+def check_names(
+    parts: Mapping[str, Any], names: Mapping[str, Collection[str]], findings: Findings
+) -> None:
+    """Look for references to nothing in a study of which some parts are wrong themselves.
+
+    Parameters
+    ----------
+    parts
+        What could be made of the study's sections.
+    names
+        By section the names of all parts in the file, also of those that could not be made; a
+        section that is none at all is left out, and so is what refers to it.
+    findings
+        Takes what is wrong.
+    """
+    named = {key: parts.get(key, {}) for key in ("parameters", "contexts", "metrics")}
+    if "nodes" in names:
+        found = node_references(named.items(), parts.get("trigger"), parts.get("seed_parameter"))
+        for path, node in found:
+            with findings.under():
+                checks.reference(node, "node", names["nodes"], *path, "node")
+    if {"signals", "nodes"} <= names.keys():
+        with findings.under():
+            check_signals(parts.get("run"), named["metrics"], names["signals"], names["nodes"])
+    if "metrics" not in names:
+        return
+    metrics = dict.fromkeys(names["metrics"]) | named["metrics"]
+    if "objective" in parts:
+        with findings.under():
+            check_objectives((parts["objective"], *parts.get("further_objectives", ())), metrics)
+    for name, constraint in parts.get("constraints", {}).items():
+        with findings.under("constraints", name):
+            check_constraint(constraint, metrics)
 
 
 def check_targets(

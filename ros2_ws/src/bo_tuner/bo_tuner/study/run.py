@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study import checks, maxima
-from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import Step, build_steps
 
@@ -121,15 +121,22 @@ class Run:
 
     def check_references(self, signals: Collection[str], nodes: Collection[str]) -> None:
         """Refuse conditions with signals, and restarts of nodes, that the study does not have."""
-        if self.end.when:
-            expression(self.end.when, signals, "run", "end", "when")
-        if self.abort_when:
-            expression(self.abort_when, signals, "run", "abort_when")
+        findings = Findings()
+        conditions: list[tuple[str, KeyPath]] = [
+            (self.end.when, ("run", "end", "when")),
+            (self.abort_when, ("run", "abort_when")),
+        ]
         for path, step in self.steps:
             if step.wait_until is not None:
-                expression(step.wait_until.condition, signals, *path, "wait_until", "condition")
+                conditions.append((step.wait_until.condition, (*path, "wait_until", "condition")))
             if step.restart:
-                checks.reference(step.restart, "node", nodes, *path, "restart")
+                with findings.under():
+                    checks.reference(step.restart, "node", nodes, *path, "restart")
+        for condition, path in conditions:
+            if condition:
+                with findings.under():
+                    expression(condition, signals, *path)
+        findings.check()
 
 
 def build_run(value: object) -> Run:
@@ -141,11 +148,13 @@ def build_run(value: object) -> Run:
         If it violates a rule.
     """
     fields = arguments(Run, value)
-    with under("end"):
+    findings = Findings()
+    with findings.under("end"):
         fields["end"] = _build_end(fields["end"])
     for phase in PHASES:
-        with under(phase):
+        with findings.under(phase):
             fields[phase] = build_steps(fields.get(phase, ()))
+    findings.check()
     return Run(**fields)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import checks
-from bo_tuner.study.building import arguments, build, under
+from bo_tuner.study.building import Findings, arguments, build, under
 from bo_tuner.study.signals import GRAPH_NAME, MESSAGE_TYPE
 
 TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
@@ -207,18 +207,22 @@ def build_steps(value: object) -> tuple[Step, ...]:
     StudyError
         If it is none, or one of its items is no step.
     """
-    steps = checks.sequence(value, "a list of steps")
-    return tuple(_build_step(index, step) for index, step in enumerate(steps))
+    steps = []
+    findings = Findings()
+    for index, step in enumerate(checks.sequence(value, "a list of steps")):
+        with findings.under(index):
+            steps.append(_build_step(step))
+    findings.check()
+    return tuple(steps)
 
 
-def _build_step(index: int, value: object) -> Step:
-    with under(index):
-        fields = arguments(Step, value)
-        for key, cls in _KINDS.items():
-            if key in fields:
-                with under(key):
-                    fields[key] = build(cls, fields[key])
-        return Step(**fields)
+def _build_step(value: object) -> Step:
+    fields = arguments(Step, value)
+    for key, cls in _KINDS.items():
+        if key in fields:
+            with under(key):
+                fields[key] = build(cls, fields[key])
+    return Step(**fields)
 
 
 def _check_message(value: object, *path: str | int) -> None:

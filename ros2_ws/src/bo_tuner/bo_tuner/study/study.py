@@ -1,14 +1,14 @@
 """A study: the nodes, parameters, contexts, objective, constraints and budget of a tuning run."""
 
 import dataclasses
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bo_tuner.errors import KeyPath, ParameterError, StudyError
+from bo_tuner.errors import ParameterError, StudyError
 from bo_tuner.numerics.arrays import Array
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.budget import Budget, CertificateRequirement
@@ -21,7 +21,7 @@ from bo_tuner.study.constraint import (
     Constraint,
 )
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.metrics import ReportedMetric, StudyMetric
+from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
@@ -30,7 +30,9 @@ from bo_tuner.study.references import (
     check_constraint,
     check_objectives,
     check_run,
+    check_signals,
     check_targets,
+    node_references,
 )
 from bo_tuner.study.run import Run
 from bo_tuner.study.search_space import SearchSpace
@@ -128,53 +130,90 @@ class Study:
 
     def __post_init__(self) -> None:
         """Check the references between the parts."""
-        checks.matching(self.name, checks.SIMPLE_NAME, "a name of letters, digits, _ and -", "name")
-        checks.text(self.description, "description")
-        checks.integer(self.seed, "seed", at_least=0)
-        object.__setattr__(self, "order", _order(self.order))
-        object.__setattr__(self, "start", _start(self.start))
-        taken = {f"{OUTLIERS}_{objective.metric}" for objective in self.further_objectives}
-        constraints = _one_limit_each(self.constraints, {*MODEL_NAMES, *taken})
-        object.__setattr__(self, "constraints", constraints)
-        for section, most in MOST.items():
-            checks.at_most(getattr(self, section), most, section)
-        tuned = [name for name, item in self.parameters.items() if item.is_tuned]
-        if len(tuned) > maxima.TUNED:
-            raise StudyError(
-                f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}", ("parameters",)
-            )
-        for section in ("nodes", "parameters", "metrics"):
-            if not getattr(self, section):
-                raise StudyError("expected at least one", (section,))
-        for section in ("nodes", "parameters", "signals", "contexts", "metrics"):
-            for name, item in getattr(self, section).items():
-                if item.name != name:
-                    raise StudyError(f"is called '{item.name}' in itself", (section, name))
         findings = Findings()
-        for path, node in self._node_references():
+        self._check_fields(findings)
+        self._check_sizes(findings)
+        parts = ((key, getattr(self, key)) for key in ("parameters", "contexts", "metrics"))
+        has_nodes = True
+        for path, node in node_references(parts, self.trigger, self.seed_parameter):
+            has_nodes = has_nodes and node in self.nodes
             with findings.under():
                 checks.reference(node, "node", self.nodes, *path, "node")
-        # The other references lead through those to nodes.
-        findings.check()
-        with findings.under():
-            check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
+        if self.run is not None:
+            with findings.under():
+                check_signals(self.run, self.metrics, self.signals, self.nodes)
+        # The others lead through the references to nodes.
+        if has_nodes:
+            with findings.under():
+                check_run(self.trigger, self.run, self.metrics, self.signals, self.nodes)
+            with findings.under():
+                check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
         with findings.under():
             check_objectives(self.objectives, self.metrics)
         for name, constraint in self.constraints.items():
             with findings.under("constraints", name):
                 check_constraint(constraint, self.metrics)
-        with findings.under():
-            check_targets(self.nodes, self.parameters, self.contexts, self.seed_parameter)
-        with findings.under():
-            # What is wrong with the parameters themselves is told once, and not of each use.
-            self.search_space()
+        if has_nodes:
             with findings.under():
-                self._check_park()
-            with findings.under():
-                self._check_parked_configuration()
-            with findings.under():
-                self.starting_sets()
+                self._check_sets(findings)
         findings.check()
+
+    def _check_fields(self, findings: Findings) -> None:
+        """Check what is no reference; of a list that is wrong none is left."""
+        with findings.under():
+            expected = "a name of letters, digits, _ and -"
+            checks.matching(self.name, checks.SIMPLE_NAME, expected, "name")
+        with findings.under():
+            checks.text(self.description, "description")
+        with findings.under():
+            checks.integer(self.seed, "seed", at_least=0)
+        order: tuple[tuple[str, str], ...] = ()
+        with findings.under():
+            order = _order(self.order)
+        object.__setattr__(self, "order", order)
+        start: tuple[Mapping[str, Value] | str, ...] = ()
+        with findings.under():
+            start = _start(self.start)
+        object.__setattr__(self, "start", start)
+        taken = {f"{OUTLIERS}_{objective.metric}" for objective in self.further_objectives}
+        with findings.under():
+            constraints = _one_limit_each(self.constraints, {*MODEL_NAMES, *taken})
+            object.__setattr__(self, "constraints", constraints)
+        for section in ("nodes", "parameters", "metrics"):
+            if not getattr(self, section):
+                with findings.under():
+                    raise StudyError("expected at least one", (section,))
+        for section in ("nodes", "parameters", "signals", "contexts", "metrics"):
+            for name, item in getattr(self, section).items():
+                if item.name != name:
+                    with findings.under():
+                        raise StudyError(f"is called '{item.name}' in itself", (section, name))
+
+    def _check_sizes(self, findings: Findings) -> None:
+        """Refuse what is too large to be looked at further, with what was found before."""
+        size = len(findings)
+        for section, most in MOST.items():
+            with findings.under():
+                checks.at_most(getattr(self, section), most, section)
+        with findings.under():
+            tuned = [name for name, item in self.parameters.items() if item.is_tuned]
+            if len(tuned) > maxima.TUNED:
+                raise StudyError(
+                    f"expected at most {maxima.TUNED} tuned ones, found {len(tuned)}",
+                    ("parameters",),
+                )
+        if len(findings) > size:
+            findings.check()
+
+    def _check_sets(self, findings: Findings) -> None:
+        """Check parameter sets, if the parameters are right, of which is told only once."""
+        self.search_space()
+        with findings.under():
+            self._check_park()
+        with findings.under():
+            self._check_parked_configuration()
+        with findings.under():
+            self.starting_sets()
 
     @property
     def objectives(self) -> tuple[Objective, ...]:
@@ -263,6 +302,11 @@ class Study:
     def context_space(self) -> ContextSpace:
         """Return the context variables' box and distribution."""
         return ContextSpace({name: item.distribution for name, item in self.contexts.items()})
+
+    @property
+    def starts_nodes(self) -> bool:
+        """Whether it says how to start a node; others may start along with that."""
+        return any(spec.is_started for spec in self.nodes.values())
 
     @property
     def chance_constraints(self) -> tuple[Constraint, ...]:
@@ -402,16 +446,6 @@ class Study:
             with under("parameters", name):
                 parameters[name] = dataclasses.replace(item, bounds=pair)
         return dataclasses.replace(self, parameters=parameters)
-
-    def _node_references(self) -> Iterator[tuple[KeyPath, str]]:
-        for section in ("parameters", "contexts", "metrics"):
-            for name, item in getattr(self, section).items():
-                if isinstance(item, (Parameter, ContextVariable, ReportedMetric)):
-                    yield (section, name), item.node
-        if self.trigger is not None:
-            yield ("trigger",), self.trigger.node
-        if self.seed_parameter is not None:
-            yield ("seed_parameter",), self.seed_parameter.node
 
     def _check_park(self) -> None:
         """Refuse safe parameters that the study cannot set."""

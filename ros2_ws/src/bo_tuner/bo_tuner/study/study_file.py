@@ -1,6 +1,7 @@
 """Study files: from YAML to a checked `Study`, and back."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.package_files import config_directory
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.budget import Budget, CertificateRequirement
-from bo_tuner.study.building import Findings, arguments, build, under
+from bo_tuner.study.building import Findings, arguments, build, is_required, under
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
@@ -18,6 +19,7 @@ from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.references import check_names
 from bo_tuner.study.run import Run, build_run
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
@@ -43,6 +45,7 @@ _NAMED: dict[str, type[Any]] = {
     "metrics": ReportedMetric,
     "constraints": Constraint,
 }
+_SECTIONS = [field.name for field in dataclasses.fields(Study)]
 
 
 def shipped_studies() -> list[str]:
@@ -56,7 +59,9 @@ def shipped_nodes() -> list[NodeSpec]:
     for name in shipped_studies():
         path = config_directory() / "studies" / f"{name}.yaml"
         content = arguments(Study, strict_yaml.parse(read_text(path, path.name)).value)
-        nodes += _build_named(NodeSpec, content["nodes"]).values()
+        findings = Findings()
+        nodes += _build_named("nodes", NodeSpec, content["nodes"], findings).values()
+        findings.check()
     return nodes
 
 
@@ -131,7 +136,8 @@ def parse_study(text: str, source: str = "study", describe: Describe | None = No
         return study_from_mapping(document.value)
     except StudyError as error:
         found = [located(each) for each in (error, *error.others)]
-        first, *others = sorted(found, key=lambda each: each.line or 0)
+        # What is missing altogether stands nowhere.
+        first, *others = sorted(found, key=lambda each: each.line or math.inf)
         raise first.with_others(others) from None
 
 
@@ -143,21 +149,41 @@ def study_from_mapping(mapping: object) -> Study:
     StudyError
         If they violate a rule; carries the key path to the value, and the errors of other parts.
     """
-    values = arguments(Study, mapping)
+    if not isinstance(mapping, dict):
+        raise StudyError(f"expected a mapping, found {checks.show(mapping)}")
     findings = Findings()
+    with findings.under():
+        arguments(Study, mapping)
+    values = {key: item for key, item in mapping.items() if key in _SECTIONS}
+    made = dict(values)
     for key, cls in _SINGLE.items():
         if key in values:
+            del made[key]
             with findings.under(key):
-                values[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
+                made[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
     if "further_objectives" in values:
+        del made["further_objectives"]
         with findings.under():
-            values["further_objectives"] = _build_objectives(values["further_objectives"])
+            made["further_objectives"] = _build_objectives(values["further_objectives"])
     for key, cls in _NAMED.items():
         if key in values:
-            with findings.under(key):
-                values[key] = _build_named(cls, values[key])
+            made[key] = _build_named(key, cls, values[key], findings)
+    if findings:
+        # What refers to parts is told with what is wrong in these.
+        check_names(made, _names(values), findings)
     findings.check()
-    return Study(**values)
+    return Study(**made)
+
+
+def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
+    """Return by section the names of the parts in a study file, as far as it has such a section."""
+    optional = {field.name for field in dataclasses.fields(Study) if not is_required(field)}
+    found = {}
+    for key in _NAMED:
+        section = values.get(key, {} if key in optional else None)
+        if isinstance(section, dict):
+            found[key] = [name for name in section if isinstance(name, str)]
+    return found
 
 
 def _build_objectives(value: object) -> tuple[Objective, ...]:
@@ -234,22 +260,23 @@ def read_text(path: Path, source: str) -> str:
         raise StudyError("expected UTF-8 text", source=source, line=line) from None
 
 
-def _build_named(cls: type[Any], value: object) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise StudyError(f"expected a mapping of names, {{}} for none, found {checks.show(value)}")
+def _build_named(section: str, cls: type[Any], value: object, findings: Findings) -> dict[str, Any]:
+    """Return the parts of a section by name; what is wrong with others goes to `findings`."""
     items: dict[str, Any] = {}
-    findings = Findings()
-    for name, fields in value.items():
-        if not isinstance(name, str):
-            raise StudyError(f"expected a name, found {checks.show(name)}")
-        with findings.under(name):
-            if cls is ContextVariable:
-                items[name] = _build_context(name, fields)
-            elif cls is ReportedMetric:
-                items[name] = build(metric_kind(fields), fields, name=name)
-            else:
-                items[name] = build(cls, fields, name=name)
-    findings.check()
+    with findings.under(section):
+        if not isinstance(value, dict):
+            found = checks.show(value)
+            raise StudyError(f"expected a mapping of names, {{}} for none, found {found}")
+        for name, fields in value.items():
+            if not isinstance(name, str):
+                raise StudyError(f"expected a name, found {checks.show(name)}")
+            with findings.under(section, name):
+                if cls is ContextVariable:
+                    items[name] = _build_context(name, fields)
+                elif cls is ReportedMetric:
+                    items[name] = build(metric_kind(fields), fields, name=name)
+                else:
+                    items[name] = build(cls, fields, name=name)
     return items
 
 

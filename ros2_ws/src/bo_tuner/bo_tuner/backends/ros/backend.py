@@ -78,6 +78,11 @@ class RosBackend(SequentialBackend):
         for the nodes that it starts.
     interrupted
         Asked while waiting; raises what shall end the wait.
+
+    Attributes
+    ----------
+    at_nodes : callable
+        Called with the tuner's node once the nodes are there, ahead of anything that is set.
     """
 
     name = ROS
@@ -102,6 +107,7 @@ class RosBackend(SequentialBackend):
         self._ros_arguments = ros_arguments or []
         self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
+        self.at_nodes: Callable[[TunerNode], None] = lambda tuner: None
         self._claim: DomainClaim | None = None
         self._tuner: TunerNode | None = None
         self._client: StudyClient | None = None
@@ -139,6 +145,7 @@ class RosBackend(SequentialBackend):
         )
         try:
             self._bringup.open(look_around=given is not None)
+            self.at_nodes(tuner)
             if self._attach:
                 self._previous = PreviousParameters(self._restored, tuner, client.parameters)
             safe, self._held = take_over(

@@ -28,6 +28,8 @@ from bo_tuner.text import brief
 NODE_NAME = "bo_tuner_look"
 DISCOVERY = 5.0
 """Time [s] to find a node or a topic."""
+FIRST_LOOK = 3.0
+"""Time [s] to find out whether a node runs at all, which may not."""
 ANSWER = 2.0
 """Time [s] for the answer of a node."""
 LARGEST = (1e30, 2.0**62)
@@ -75,10 +77,48 @@ def opened_node(
         tuner.close()
 
 
+def any_runs(
+    names: Sequence[str], ros_arguments: Sequence[str], interrupted: Callable[[], None]
+) -> bool:
+    """Return whether one of some nodes runs, whoever else is at work there.
+
+    Parameters
+    ----------
+    names
+        Of the nodes, as a study has them.
+    ros_arguments, interrupted
+        As of `opened_node`.
+    """
+    tuner = TunerNode(None, ros_arguments, interrupted, NODE_NAME)
+    try:
+        wanted = set(names)
+        return tuner.wait_until(lambda: not wanted.isdisjoint(others.nodes(tuner.node)), FIRST_LOOK)
+    finally:
+        tuner.close()
+
+
 def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
-    """Return all parameters of a node, by name.
+    """Return all parameters of a node, by name, for a tuner that has told it nothing yet.
 
     Those that a tuner which was killed has left on it have the values from before.
+
+    Raises
+    ------
+    BackendError
+        As by `describe_now`.
+    """
+    found = describe_now(tuner, node)
+    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
+    left = note.left_behind(node, {name: item.value for name, item in found.items()})
+    for name, value in left.items():
+        of_killed = said_of_killed(node, name, found[name].value)
+        tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
+        found[name] = replace(found[name], value=value)
+    return found
+
+
+def describe_now(tuner: TunerNode, node: str) -> dict[str, Described]:
+    """Return all parameters of a node, by name, as they are.
 
     Raises
     ------
@@ -101,17 +141,10 @@ def describe(tuner: TunerNode, node: str) -> dict[str, Described]:
         raise BackendError(str(error)) from error
     finally:
         client.destroy()
-    found = {
+    return {
         name: _described(descriptor, value)
         for name, descriptor, value in zip(names, descriptors, values, strict=False)
     }
-    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
-    left = note.left_behind(node, {name: item.value for name, item in found.items()})
-    for name, value in left.items():
-        of_killed = said_of_killed(node, name, found[name].value)
-        tuner.warn(f"{of_killed}; its own is taken to be {brief(str(value))}, as before")
-        found[name] = replace(found[name], value=value)
-    return found
 
 
 def describe_nodes(

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from bo_tuner.backends.ros.errors import RefusedError
-from bo_tuner.backends.ros.graph import describe
+from bo_tuner.backends.ros.graph import describe_now
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, KeyPath, StudyError
@@ -81,7 +81,8 @@ class InitialParameters:
     def _problems(self, key: str, *, declared: bool) -> list[StudyError]:
         """Return as `node_problems`; none of a node that does not describe its parameters."""
         try:
-            known = describe(self._tuner, self._study.nodes[key].node)
+            # The tuner has told it something by now, and has noted that down.
+            known = describe_now(self._tuner, self._study.nodes[key].node)
         except BackendError:
             return []
         return node_problems(self._study, key, known, declared=declared)

@@ -1,6 +1,6 @@
 """The steps of a run, looked for among the running nodes before anything is performed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 from rclpy.node import Node
@@ -34,8 +34,8 @@ class Preparation:
         The tuner's node.
     clock
         Stamps what is published.
-    restart
-        Starts a node of the study anew; None if the tuner has started none.
+    attached
+        Whether the nodes ran already, so that none can be restarted.
 
     Attributes
     ----------
@@ -48,12 +48,13 @@ class Preparation:
         study: Study,
         tuner: TunerNode,
         clock: RunClock,
-        restart: Callable[[str], None] | None,
+        *,
+        attached: bool,
     ) -> None:
         self._study = study
         self._tuner = tuner
         self._clock = clock
-        self._restart = restart
+        self._attached = attached
         self.publishers: dict[str, Publisher] = {}
 
     def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | None:
@@ -85,16 +86,16 @@ class Preparation:
     def _check_restart(self, key: str) -> None:
         spec = self._study.nodes[key]
         problem = ""
-        if self._restart is None:
+        if self._attached:
             problem = f"{key} is attached; only a node that the tuner has started can be restarted"
-        elif not (spec.executable or spec.command or spec.launch):
+        elif not spec.is_started:
             problem = f"the study does not say how to start {key}"
         if problem:
             raise StudyError(problem, ("restart",))
 
 
-def run_problems(study: Study, tuner: TunerNode) -> Iterator[StudyError]:
-    """Yield every mistake in the run of a study on attached nodes; nothing is performed."""
+def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[StudyError]:
+    """Yield every mistake in the run of a study, as of `Preparation`; nothing is performed."""
     if study.run is None:
         return
     wait = partial(tuner.wait_until, timeout=CONNECT_TIMEOUT)
@@ -107,12 +108,17 @@ def run_problems(study: Study, tuner: TunerNode) -> Iterator[StudyError]:
             yield error.under("run", "clock")
         finally:
             node.destroy_node()
-    preparation = Preparation(study, tuner, WallClock(), restart=None)
-    for path, step in study.run.steps:
-        try:
-            prepared = preparation.prepare(path, step)
-        except StudyError as error:
-            yield error
-            continue
-        if isinstance(prepared, Goal):
-            prepared.close()
+    preparation = Preparation(study, tuner, WallClock(), attached=attached)
+    try:
+        for path, step in study.run.steps:
+            try:
+                prepared = preparation.prepare(path, step)
+            except StudyError as error:
+                yield error
+                continue
+            if isinstance(prepared, Goal):
+                prepared.close()
+    finally:
+        # They would be taken for those of somebody else.
+        for publisher in preparation.publishers.values():
+            tuner.node.destroy_publisher(publisher)

@@ -1,6 +1,9 @@
 """What attached nodes had before a tuner came, and have again in the end."""
 
-from bo_tuner.backends.ros.errors import RefusedError
+import time
+
+from bo_tuner.backends.ros import others
+from bo_tuner.backends.ros.errors import LostError, RefusedError
 from bo_tuner.backends.ros.held_parameters import left_parked, named_safe
 from bo_tuner.backends.ros.node_parameters import NodeParameters, Values
 from bo_tuner.backends.ros.parameter_note import ParameterNote
@@ -8,6 +11,35 @@ from bo_tuner.backends.ros.tuner_node import TunerNode
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
+
+PATIENCE = 5.0
+"""Time [s] in which a node that does not take back what it had is asked again: it may be at work
+still after a run that failed, or hang."""
+PAUSE = 0.25
+"""Time [s] between two such attempts."""
+
+
+def undo_killed(study: Study, tuner: TunerNode) -> None:
+    """Set back what a killed tuner has left on the nodes of a study that are there.
+
+    One that does not take it is told, and stays for the next tuner.
+    """
+    note = ParameterNote(tuner.domain, tuner.node.get_namespace())
+    running = set(others.nodes(tuner.node))
+    nodes = {
+        key: spec.node
+        for key, spec in study.nodes.items()
+        if spec.node in note.content and spec.node in running
+    }
+    if not nodes:
+        return
+    parameters = NodeParameters(tuner, nodes)
+    previous = PreviousParameters(study, tuner, parameters)
+    for key in nodes:
+        try:
+            previous.undo_killed({key: parameters.read_anew(key)})
+        except (BackendError, LostError) as error:
+            tuner.warn(str(error))
 
 
 class PreviousParameters:
@@ -41,7 +73,7 @@ class PreviousParameters:
         Parameters
         ----------
         found
-            What the nodes have, by key; changed along with them.
+            What nodes have, by key; changed along with them.
 
         Raises
         ------
@@ -50,7 +82,8 @@ class PreviousParameters:
         LostError
             If it does not answer.
         """
-        for key, spec in self._study.nodes.items():
+        for key in found:
+            spec = self._study.nodes[key]
             left = self._note.left_behind(spec.node, found[key])
             if not left:
                 continue
@@ -64,6 +97,8 @@ class PreviousParameters:
             except RefusedError as refusal:
                 raise BackendError(f"{spec.node} could not be restored: {refusal}") from refusal
             found[key] = self._parameters.read_anew(key)
+            self._note.content.pop(spec.node)
+            self._write()
 
     def begin(self, previous: Values, safe: Values) -> None:
         """Note what nodes have, by key, and what they will have between evaluations."""
@@ -129,6 +164,7 @@ class PreviousParameters:
         }
         again = {key: previous[key] for key in refused}
         failed |= self._parameters.assign_side_by_side(again, timeout)
+        failed = self._restore_late(failed, final | again, timeout)
         for key in previous.keys() - failed.keys():
             self._note.content.pop(study.nodes[key].node, None)
             parked = self._still_parked(key)
@@ -156,6 +192,17 @@ class PreviousParameters:
     def _still_parked(self, key: str) -> dict[str, object]:
         """Return what an earlier tuner has left parked, and this one has given back like that."""
         return {name: self._previous[key][name] for name in self._original[key]}
+
+    def _restore_late(
+        self, failed: dict[str, RefusedError | LostError], final: Values, timeout: float
+    ) -> dict[str, RefusedError | LostError]:
+        """Set what nodes are to have in the end and did not take; returns those that still do not."""
+        deadline = time.monotonic() + PATIENCE
+        while failed and time.monotonic() < deadline:
+            self._tuner.spin_for(PAUSE)
+            again = {key: final[key] for key in failed}
+            failed = self._parameters.assign_side_by_side(again, timeout)
+        return failed
 
     def _write(self) -> None:
         """Write the note, without which a run goes on all the same."""

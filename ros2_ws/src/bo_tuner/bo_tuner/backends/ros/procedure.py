@@ -372,7 +372,9 @@ class Procedure:
             with under("run", "clock"):
                 clock.connect(wait)
             self._clock = clock
-        preparation = Preparation(self._study, self._tuner, self._clock, self._restart)
+        preparation = Preparation(
+            self._study, self._tuner, self._clock, attached=self._restart is None
+        )
         self._publishers = preparation.publishers
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, step)

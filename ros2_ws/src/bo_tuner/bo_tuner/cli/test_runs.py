@@ -1,0 +1,109 @@
+"""What ``tune --check`` shows of its test runs."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rich.table import Table
+
+from bo_tuner.metrics.recording import Recording
+from bo_tuner.monitoring.display import plain_console, say
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation
+
+WIDTH, LEAST_WIDTH = 60, 10
+"""Characters of a plot, where there is room, and at least."""
+BESIDE_PLOT = 44
+"""Characters of the other columns of the table of signals, and of its lines, but for the names."""
+LARGE_SPREAD = 0.2
+"""Difference of two equal runs, of the larger value, from which on it is worth a note."""
+SMALL = 0.01
+"""Share of a limit below which values may differ by as much as they do just there."""
+BARS = " ▁▂▃▄▅▆▇█"
+
+
+def show_signals(recording: Recording, number: int) -> None:
+    """Show the signals of a run, and which one it is."""
+    console = plain_console()
+    names = max((len(name) for name in recording.signals), default=0)
+    width = min(max(console.width - BESIDE_PLOT - max(names, len("signal")), LEAST_WIDTH), WIDTH)
+    table = Table(title=f"signals of run {number}, {recording.end:.3g} s", title_justify="left")
+    for column in ("signal", "messages", "least", "over the run", "largest"):
+        table.add_column(column, no_wrap=True)
+    for name, seen in recording.signals.items():
+        if not len(seen.time):
+            table.add_row(name, "0", "", "", "")
+            continue
+        low, high = float(np.min(seen.value)), float(np.max(seen.value))
+        count = f"{seen.messages}"
+        table.add_row(
+            name,
+            count,
+            f"{low:.4g}",
+            plot(seen.time, seen.value, recording.end, width),
+            f"{high:.4g}",
+        )
+    if recording.signals:
+        console.print(table)
+
+
+def plot(time: ArrayLike, value: ArrayLike, end: float, width: int = WIDTH) -> str:
+    """Draw a signal in a line of bars, between its least and its largest value.
+
+    Parameters
+    ----------
+    time, value
+        The signal (n,), n ≥ 1; it keeps a value until the next one.
+    end
+        The right end [s]; the left one is 0.
+    width
+        Number of characters.
+    """
+    at = np.linspace(0.0, end, width)
+    held = np.asarray(value)[np.clip(np.searchsorted(time, at, side="right") - 1, 0, None)]
+    low, high = float(np.min(value)), float(np.max(value))
+    if not math.isfinite(high - low):
+        return "not finite"
+    height = (held - low) / (high - low) if high > low else np.full(width, 0.5)
+    return "".join(BARS[1 + round(float(h) * (len(BARS) - 2))] for h in height)
+
+
+def show_metrics(study: Study, done: Sequence[Evaluation]) -> None:
+    """Show the metrics of complete runs, and say what asks for a look."""
+    table = Table(title="metrics of the default", title_justify="left")
+    for column in ("metric", "unit", *(f"run {e.index + 1}" for e in done), "limit", "violations"):
+        table.add_column(column)
+    notes = []
+    for name, metric in study.metrics.items():
+        values = [e.outcome.metrics[name] for e in done]
+        limits = [item for item in study.constraints.values() if item.metric == name]
+        limit = ", ".join(f"{'≤' if item.sign > 0 else '≥'} {item.limit:.4g}" for item in limits)
+        beyond = sum(any(item.violations(value) for item in limits) for value in values)
+        cells = (f"{value:.4g}" for value in values)
+        count = f"{beyond} of {len(values)}" if limits else ""
+        table.add_row(name, metric.unit, *cells, limit, count)
+        if beyond:
+            notes.append(f"{name}: the default does not keep {limit} {metric.unit}".rstrip())
+        if text := spread(name, values, [abs(item.limit) for item in limits]):
+            notes.append(text)
+    plain_console().print(table)
+    for note in notes:
+        say(f"note: {note}")
+
+
+def spread(name: str, values: Sequence[float], limits: Sequence[float]) -> str:
+    """Return what to know of a metric that differs much between equal runs; empty if it does not.
+
+    Such noise is possible, but more often one run did not begin as the other. What is small beside
+    its limits may differ.
+    """
+    largest = max([*map(abs, values), *(SMALL * limit for limit in limits)])
+    width = max(values) - min(values)
+    if width <= LARGE_SPREAD * largest:
+        return ""
+    return (
+        f"{name}: differs by {width:.3g} between runs of the same parameters: "
+        "either it is that noisy, or the runs do not start from the same state (see the steps "
+        "before and start)"
+    )

@@ -1,0 +1,143 @@
+"""What equal runs of the default tell of a study: whether anything moves, and how they start."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from bo_tuner.metrics.recording import RecordedSignal, Recording
+from bo_tuner.metrics.signal_sources import signal_sources
+from bo_tuner.metrics.source import MetricSource, MissingMetricError
+from bo_tuner.study.metrics import SignalMetric
+from bo_tuner.study.signals import TIME, expression
+from bo_tuner.study.study import Study
+
+OF_ERRORS = ("iae", "ise", "itae", "rms", "steady_state_error")
+"""Measures of a signal that stands still as well, where that differs from one that follows."""
+STILL = 0.02
+"""Share of such a measure by which it differs at least if the signal moves."""
+MESSAGES = 10
+"""How many messages of a run tell something of the range and the noise of a signal."""
+UNLIKE = 0.1
+"""Share of a signal's range by which it differs at most at the start of two equal runs."""
+NOISES = 4.0
+"""The same in standard deviations of its noise; those of a difference are 1.4."""
+
+
+def standing(recordings: Sequence[Recording], heard: Collection[str]) -> list[str]:
+    """Return the signals that keep one value in all runs.
+
+    Parameters
+    ----------
+    recordings
+        Equal runs, at least one.
+    heard
+        Names of the signals that others publish. One of which a single message comes in a run, as
+        of a result, may well be the same in each.
+    """
+    found = []
+    for name in heard:
+        seen = [recording.signals[name] for recording in recordings]
+        values = np.concatenate([each.value for each in seen])
+        if min(each.messages for each in seen) > 1 and np.ptp(values) == 0.0:
+            found.append(name)
+    return found
+
+
+def all_stand(recordings: Sequence[Recording], heard: Collection[str]) -> bool:
+    """Return whether all signals of others that come more than once in a run are `standing`."""
+    often = [n for n in heard if min(each.signals[n].messages for each in recordings) > 1]
+    return bool(often) and len(standing(recordings, often)) == len(often)
+
+
+def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Iterator[str]:
+    """Yield the metrics that are what they would be if the signals of others stood still.
+
+    Noise hides from `standing` that a machine does not move. An error then is that of its first
+    value.
+
+    Parameters
+    ----------
+    study
+        The study.
+    recording
+        A run.
+    heard
+        Names of the signals that others publish. Each other one is a reference, and so is what a
+        target is made of.
+    """
+    moving = signal_sources(study, lambda: recording)
+    for name, metric in study.metrics.items():
+        if not isinstance(metric, SignalMetric) or metric.measure not in OF_ERRORS:
+            continue
+        of = expression(metric.of, study.signals).names - {TIME}
+        target = metric.target if isinstance(metric.target, str) else ""
+        to = expression(target, study.signals).names - {TIME} if target else set()
+        response = (of - to).intersection(heard)
+        if not response or not (of | to) - response:
+            continue
+        found = _value(moving[name])
+        frozen = _value(signal_sources(study, partial(_frozen, recording, response))[name])
+        # Without a step of the reference there is nothing to follow.
+        if frozen != 0.0 and abs(found - frozen) <= STILL * abs(frozen):
+            names = ", ".join(sorted(response))
+            yield (
+                f"{name}: is what it would be if {names} stood still; see that the machine is "
+                "switched on, and takes its commands"
+            )
+
+
+def unlike_starts(recordings: Sequence[Recording], heard: Collection[str]) -> Iterator[str]:
+    """Yield the signals in which equal runs do not start alike, a line each.
+
+    Parameters
+    ----------
+    recordings
+        Equal runs, one after the other, at least one.
+    heard
+        Names of the signals that others publish.
+    """
+    first, *others = recordings
+    for name in heard:
+        for number, other in enumerate(others, start=2):
+            seen = [first.signals[name], other.signals[name]]
+            # What was said before the start does not depend on when the run answers to it.
+            if any(each.messages < MESSAGES or each.time[0] >= 0.0 for each in seen):
+                continue
+            one, two = (float(each.value[0]) for each in seen)
+            span = float(np.ptp(np.concatenate([each.value for each in seen])))
+            if abs(two - one) > max(UNLIKE * span, NOISES * max(map(_noise, seen))):
+                yield (
+                    f"{name}: is {two:.4g} at the start of run {number} and {one:.4g} at that of "
+                    "run 1: the run before has not come to rest, or the machine not back to where "
+                    "it began (run.before, such as wait_until; docs/procedure.md)"
+                )
+                break
+
+
+def _noise(seen: RecordedSignal) -> float:
+    """Return the standard deviation of a signal's noise, if it is smooth besides.
+
+    The second difference of white noise has six times its variance.
+    """
+    bends = np.diff(seen.value, 2)
+    return float(np.median(np.abs(bends)) / 0.6745 / np.sqrt(6.0)) if len(bends) else 0.0
+
+
+def _frozen(recording: Recording, names: Collection[str]) -> Recording:
+    """Return a run in which signals keep their first value."""
+    signals: Mapping[str, RecordedSignal] = {
+        name: RecordedSignal(
+            seen.time, np.full(len(seen.value), seen.value[0]) if name in names else seen.value
+        )
+        for name, seen in recording.signals.items()
+    }
+    return Recording(signals, recording.end)
+
+
+def _value(source: MetricSource) -> float:
+    """Return the value of a metric of signals; NaN, which equals none, if it is undefined."""
+    try:
+        return float(source.value({}))  # type: ignore[arg-type]
+    except MissingMetricError:
+        return float("nan")
