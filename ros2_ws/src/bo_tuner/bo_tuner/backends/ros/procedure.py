@@ -8,12 +8,12 @@ from itertools import takewhile
 
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.conditions import latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.run_watch import RunWatch
@@ -29,7 +29,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
-from bo_tuner.study.run import AFTER, SIM, Run
+from bo_tuner.study.run import AFTER, BEFORE, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
@@ -85,7 +85,7 @@ class Procedure:
         self.recording = NOTHING_RECORDED
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
-        self._publishers: dict[str, Publisher] = {}
+        self._topics: dict[str, OwnTopic] = {}
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
@@ -93,7 +93,13 @@ class Procedure:
         try:
             self._connect()
             self._watch = RunWatch(
-                run, study.signals, tuner, self._recorder, self._clock, self._started
+                run,
+                study.signals,
+                tuner,
+                self._recorder,
+                self._clock,
+                self._started,
+                list(self._topics.values()),
             )
         except BaseException:
             self.close()
@@ -122,7 +128,14 @@ class Procedure:
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
         self._is_prepared = False
-        self._perform("before")
+        self._watch.prepare()
+        try:
+            self._perform(BEFORE)
+        except FAULTS:
+            # That somebody else had a hand in it explains whatever else went wrong.
+            self._watch.expect_own_messages()
+            raise
+        self._watch.expect_own_messages()
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
         self._is_prepared = True
@@ -141,7 +154,7 @@ class Procedure:
             stands still.
         DisturbedError
             If the clock is set in the run, the stamps of a signal do not go on, or another node
-            publishes it, too.
+            publishes it, too, or what a step publishes.
         """
         self._recorder.expect_publishers()
         self.recording = self._record()
@@ -205,8 +218,8 @@ class Procedure:
 
     def close(self) -> None:
         """Hear no more, once what was published has been received."""
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
+        for topic in self._topics.values():
+            topic.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         for goal in self._goals.values():
             goal.close()
         self._recorder.close()
@@ -217,7 +230,7 @@ class Procedure:
         self._watch.begin()
         self._is_recording = True
         try:
-            self._perform("start")
+            self._perform(START)
             return self._recorder.recording(self._watch.wait_for_end())
         finally:
             self._is_recording = False
@@ -277,7 +290,7 @@ class Procedure:
         # Waits that add up to it may lack a rounding error.
         if after is not None and planned < after - 1e-9 and after < self._recorder.seconds:
             raise FailedRunError(
-                f"{where(('run', 'start', index))} comes after the end of the run at {after:g} s"
+                f"{where(('run', START, index))} comes after the end of the run at {after:g} s"
             )
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:
@@ -372,8 +385,10 @@ class Procedure:
             with under("run", "clock"):
                 clock.connect(wait)
             self._clock = clock
-        preparation = Preparation(self._study, self._tuner, self._clock, self._restart)
-        self._publishers = preparation.publishers
+        preparation = Preparation(
+            self._study, self._tuner, self._clock, self._restart, self._recorder.node
+        )
+        self._topics = preparation.topics
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, step)
             if isinstance(prepared, Goal):
