@@ -196,6 +196,9 @@ def _try(
         say_error(
             f"error: run {evaluation.index + 1} of the default failed: {evaluation.outcome.reason}"
         )
+    for evaluation in done:
+        if evaluation.outcome.note:
+            say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
     if complete := [e for e in done if e not in failed]:
         _show_metrics(study, complete)
         _estimate(study, float(np.mean([e.seconds for e in complete])))

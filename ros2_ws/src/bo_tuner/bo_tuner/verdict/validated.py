@@ -249,8 +249,8 @@ def _lost(evaluations: Sequence[Evaluation], parameters: Mapping[str, Value]) ->
     if not lost:
         return ()
     return (
-        f"{lost} of the draws that failed {'was' if lost == 1 else 'were'} lost with the nodes or "
-        "disturbed by others: tune --resume runs such draws again.",
+        f"{lost} of the draws that failed {'was' if lost == 1 else 'were'} lost with the nodes, "
+        "disturbed by others or not prepared: tune --resume runs such draws again.",
     )
 
 

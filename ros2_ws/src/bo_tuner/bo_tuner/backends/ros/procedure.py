@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import takewhile
 
@@ -38,6 +38,11 @@ DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
+NOT_SETTLED = (
+    "try a longer timeout, a wider condition, other gains in park, or to reset the controller "
+    "ahead of it"
+)
+"""What to do about a machine that does not come to where a run is to start."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -140,8 +145,13 @@ class Procedure:
         self._recorder.expect_publishers()
         self._is_prepared = True
 
-    def perform(self) -> None:
+    def perform(self, largest_gaps: Mapping[str, float]) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
+
+        Parameters
+        ----------
+        largest_gaps
+            Longest time [s] without a message, of signals for which the study has none.
 
         Raises
         ------
@@ -157,14 +167,14 @@ class Procedure:
             publishes it, too, or what a step publishes.
         """
         self._recorder.expect_publishers()
-        self.recording = self._record()
+        self.recording = self._record(largest_gaps)
         if problems := self._cancel():
             raise FailedRunError(problems[0])
         for index in self._due.copy():
             self._perform_after(index)
         if mixed := self._recorder.mixed:
             raise DisturbedError(mixed)
-        self.recording.check(self._study.signals)
+        self.recording.check(self._study.signals, largest_gaps)
 
     @property
     def unpublished(self) -> str:
@@ -224,10 +234,10 @@ class Procedure:
             goal.close()
         self._recorder.close()
 
-    def _record(self) -> Recording:
+    def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
         self._clock.begin()
         self._recorder.begin()
-        self._watch.begin()
+        self._watch.begin(largest_gaps)
         self._is_recording = True
         try:
             self._perform(START)
@@ -367,10 +377,12 @@ class Procedure:
         if not held():
             if unpublished := self._recorder.unpublished_of(used):
                 raise LostError(unpublished)
-            heard = latest(used, self._recorder.recording(self._recorder.seconds))
+            recording = self._recorder.recording(self._recorder.seconds)
+            dead = any(recording.silence(name, spec) for name, spec in used.items())
+            advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
             raise FailedRunError(
                 f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "
-                f"within {wait.timeout:g} s{heard}"
+                f"within {wait.timeout:g} s{latest(used, recording)}{advice}"
             )
 
     def _cancel(self) -> list[str]:

@@ -62,6 +62,7 @@ class RunWatch:
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
         self._end = expression(run.end.when, signals) if run.end.when else None
         self._judged = 0.0
+        self._largest_gaps: Mapping[str, float] = {}
 
     def prepare(self) -> None:
         """Listen from now on to who else publishes what the steps publish."""
@@ -75,9 +76,16 @@ class RunWatch:
             if foreign := topic.foreign:
                 raise DisturbedError(foreign)
 
-    def begin(self) -> None:
-        """Start a run, with the recorder."""
+    def begin(self, largest_gaps: Mapping[str, float]) -> None:
+        """Start a run, with the recorder.
+
+        Parameters
+        ----------
+        largest_gaps
+            Longest time [s] without a message, of signals for which the study has none.
+        """
         self._judged = 0.0
+        self._largest_gaps = largest_gaps
 
     def wait(self, period: float) -> None:
         """Look on for a time [s]; raises as `judge`."""
@@ -147,7 +155,8 @@ class RunWatch:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
         self._recorder.expect_publishers()
-        self._recorder.recording(seen, since).check_latest(self._signals, OVERLAP)
+        recording = self._recorder.recording(seen, since)
+        recording.check_latest(self._signals, OVERLAP, self._largest_gaps)
         for goal in self._goals:
             goal.check()
         self._judged = seen

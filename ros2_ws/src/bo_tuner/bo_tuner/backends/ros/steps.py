@@ -201,7 +201,8 @@ class Publication:
 
     def _obstacle(self, info: TopicEndpointInfo) -> str:
         """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
-        compatible, reason = qos_check_compatible(self.topic.publisher.qos_profile, info.qos_profile)
+        offered = self.topic.publisher.qos_profile
+        compatible, reason = qos_check_compatible(offered, info.qos_profile)
         return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""
 
     def _subscribers(self) -> tuple[int, int]:
