@@ -162,6 +162,13 @@ class Evaluation:
         sides = dict(enumerate(VALIDATED)) if self.stage is Stage.VALIDATION else {}
         return sides.get(self.trial, self.trial)
 
+    @property
+    def place(self) -> str:
+        """Which one it is, in words, such as ``trial 3, evaluation 0``; see `whose`."""
+        whose = self.whose
+        side = whose if isinstance(whose, str) else f"trial {whose}"
+        return f"{side}, evaluation {self.index}"
+
 
 @dataclass(frozen=True)
 class WorstCase:

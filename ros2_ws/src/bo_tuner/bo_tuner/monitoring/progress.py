@@ -91,7 +91,7 @@ class RunProgress(Display):
         """Update the times, and show what there is to know of a run."""
         self._show()
         if (note := evaluation.outcome.note) and not evaluation.recorded:
-            self.tell(f"warning: trial {evaluation.whose}, evaluation {evaluation.index}: {note}")
+            self.tell(f"warning: {evaluation.place}: {note}")
 
     def advance(self) -> None:
         """Count a step that is not a trial."""

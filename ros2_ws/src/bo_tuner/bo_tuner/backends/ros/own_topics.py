@@ -48,7 +48,8 @@ class OwnTopic:
         self.take()
         begun = time.time_ns()
         self.publisher.publish(message)
-        self._published.append((begun - ROUNDING, time.time_ns() + ROUNDING))
+        if self._subscription is not None:
+            self._published.append((begun - ROUNDING, time.time_ns() + ROUNDING))
 
     def begin(self) -> None:
         """Overlook what others have said up to now."""
@@ -76,7 +77,7 @@ class OwnTopic:
     @property
     def foreign(self) -> str:
         """Tell in a line that others publish the topic; empty if none has since `begin`."""
-        if self._node is None or not self._foreign:
+        if self._node is None or self._foreign == 0:
             return ""
         name = self.publisher.topic_name
         infos = self._node.get_publishers_info_by_topic(name)

@@ -35,10 +35,7 @@ def failures(analysis: Analysis) -> Section:
 def _gaps(evaluations: Sequence[Evaluation]) -> list[str]:
     """Name the evaluations whose signals have gaps, as of the first few what these are."""
     marked = [e for e in evaluations if e.outcome.complete and e.outcome.note]
-    notes = [
-        f"Evaluation {e.index} of {e.whose} ({e.stage}): {e.outcome.note}."
-        for e in marked[:MOST_NOTES]
-    ]
+    notes = [f"Gaps in signals, {e.place}: {e.outcome.note}." for e in marked[:MOST_NOTES]]
     if rest := len(marked) - len(notes):
         notes.append(f"{rest} more have gaps: column details.note of evaluations.csv.")
     return notes
