@@ -127,7 +127,7 @@ def test_pause_and_what_is_published(run, watch, shared_pair):
     # It says so where it waits; the service has answered before that.
     going_on = (
         "paused; continue it by the service /tuner/pause (std_srvs/srv/SetBool, data: false), or "
-        f"end the run with Ctrl-C and resume it with: tune --resume runs/{command.folder.name}"
+        "end the run with Ctrl-C and resume it with: tune --resume runs/"
     )
     command.wait_for(lambda: going_on in command.err, "the pause")
     cuts = count_in(command.folder / "cuts")
