@@ -1,5 +1,8 @@
 """Signals of a run: held between their messages, whole or failed, and measured."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from signal_runs import outcome_of, signal_study
@@ -166,3 +169,25 @@ def test_a_whole_signal_passes():
 def test_what_is_counted():
     seen = RecordedSignal(np.array([-1.0, 1.0]), np.array([0.0, 0.0]), lost=3, late=2)
     assert Recording({"x": seen}, 5.0).counts() == {"signals.x": "1 messages, 3 lost, 2 late"}
+
+
+@pytest.mark.parametrize(
+    ("offset", "side"),
+    [(-1.79e9, "1.79e+09 s behind"), (1.79e9, "1.79e+09 s ahead of")],
+    ids=["simulated", "of the machine"],
+)
+def test_a_signal_with_stamps_of_another_clock(offset, side):
+    """Its messages come, but none of them lies in the run: that is not silence."""
+    # Those that are yet to come are no part of the run.
+    times = np.array([offset] if offset < 0.0 else [])
+    recording = Recording({"x": RecordedSignal(times, np.ones_like(times), offset=offset)}, 2.0)
+    few = {"x": Signal(name="x", topic="/a", field="data")}
+    silent = {"x": replace(few["x"], largest_gap=1.0, minimum_messages=0)}
+    expected = f"its stamps are {side} the clock of the run: set run.clock to that of the stamps"
+    for check in (
+        lambda: recording.check(few),
+        lambda: recording.check(silent),
+        lambda: recording.check_latest(silent, 0.5),
+    ):
+        with pytest.raises(FailedRunError, match=re.escape(expected)):
+            check()

@@ -21,7 +21,7 @@ from bo_tuner.optimizers.stopping import StopAdvice
 from bo_tuner.report.analysis import TrialOutcome
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import JOIN
-from bo_tuner.trials import DISTURBED, EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, NOTE, EvaluationState, Outcome
 from bo_tuner.tuning.limits import outcome_in_words
 from bo_tuner.tuning.observer import Phase
 
@@ -62,6 +62,17 @@ class TestLines:
             "  [2 evaluations]"
         )
         assert not ESCAPE.search(text(out))
+
+    def test_a_run_whose_signals_have_gaps_is_told(self, make_study, make_trial):
+        out = console()
+        trial = make_trial(3, {"gain": 0.5}, [1.0, 2.0])
+        whole, gap = trial.evaluations
+        noted = dataclasses.replace(gap.outcome, details={NOTE: "signal x was silent"})
+        gap = dataclasses.replace(gap, outcome=noted)
+        marked = dataclasses.replace(trial, evaluations=(whole, gap))
+        follow(out, make_study(), [marked], candidate(marked))
+        first, _ = text(out).splitlines()
+        assert first.strip() == "warning: trial 3, evaluation 1: signal x was silent"
 
     def test_the_units_of_the_lines_come_first(self, make_study, tmp_path):
         study = load_study("benchmark")

@@ -11,8 +11,9 @@ from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.recording.signal_bag import RecordedRun
 from bo_tuner.report import recorded_signals
 from bo_tuner.report.analysis import Analysis
+from bo_tuner.report.sections.failures import failures
 from bo_tuner.report.trial_page import trial_sections
-from bo_tuner.trials import TrialState
+from bo_tuner.trials import NOTE, TUNING, TrialState
 
 
 @pytest.fixture
@@ -50,6 +51,35 @@ def test_the_signals_are_those_of_the_trial_beside_the_default(traced):
     own = lines[f"trial {trial.number}"]
     np.testing.assert_allclose(own.y, trial.parameters["gain"] * np.arange(5))
     np.testing.assert_allclose(lines["default"].y, 0.5 * np.arange(5))
+
+
+def test_gaps_in_the_signals_are_told_beside_the_metrics_and_with_the_failures(traced):
+    said = "signal x has no message for 0.5 s"
+    number = page_of(traced, TrialState.COMPLETE)[0].number
+
+    def marked(evaluation):
+        if (evaluation.trial, evaluation.index) != (number, 0) or evaluation.stage not in TUNING:
+            return evaluation
+        outcome = evaluation.outcome
+        outcome = dataclasses.replace(outcome, details={**outcome.details, NOTE: said})
+        return dataclasses.replace(evaluation, outcome=outcome)
+
+    record = traced.record
+    record = dataclasses.replace(
+        record,
+        evaluations=tuple(map(marked, record.evaluations)),
+        trials=tuple(
+            dataclasses.replace(t, evaluations=tuple(map(marked, t.evaluations)))
+            for t in record.trials
+        ),
+    )
+    analysis = Analysis(record)
+    trial = next(t for t in analysis.trials if t.number == number)
+    (table,) = next(s for s in trial_sections(analysis, trial) if s.name == "evaluations").tables
+    states = [row[table.header.index("state")] for row in table.rows]
+    assert states == [f"complete: {said}", *["complete"] * (len(states) - 1)]
+    expected = f"Gaps in signals, trial {number}, evaluation 0: {said}."
+    assert failures(analysis).notes == [expected]
 
 
 def test_a_bag_without_signals_is_named(traced, monkeypatch):

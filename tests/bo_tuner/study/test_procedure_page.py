@@ -14,7 +14,14 @@ BLOCKS = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.D
 PID = {"node": "pid"}
 STUDY = signal_study(
     nodes={"pid": PID},
-    parameters={"kp": PID | {"type": "double", "bounds": [0, 9], "default": 0.5}},
+    parameters={
+        "kp": PID | {"type": "double", "bounds": [0, 9], "default": 0.5},
+        "ki": PID | {"type": "double", "bounds": [0, 9], "default": 0.5},
+    },
+    signals={
+        **signal_study()["signals"],
+        "speed": {"topic": "/joint_states", "field": "velocity[motor]"},
+    },
     budget={"trials": 4, "initial_trials": 2},
 )
 

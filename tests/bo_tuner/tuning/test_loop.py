@@ -14,6 +14,7 @@ from bo_tuner.storage.journal_reader import read_journal
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import (
     DISTURBED,
+    UNPREPARED,
     EvaluationState,
     Outcome,
     Stage,
@@ -219,6 +220,17 @@ class TestFailures:
         again = Tuning(study, function_backend(study, lambda **_: disturbed), IV, trials=seen)
         with pytest.raises(RunError, match=r"^4 trials in a row were disturbed"):
             iter_into(again, [])
+
+    def test_so_do_three_that_could_not_be_prepared(self, make_study, function_backend):
+        study = make_study()
+        reason = "the preparation with the safe parameters failed: run.before[1]: 'v < 1' does not"
+        unprepared = Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
+        assert unprepared.spoilt
+        seen = []
+        with pytest.raises(RunError, match=r"^3 trials in a row could not be prepared: the prepar"):
+            iter_into(Tuning(study, function_backend(study, lambda **_: unprepared), IV), seen)
+        assert [trial.ending for trial in seen] == ["unprepared"] * 3
+        assert all(trial.disturbed for trial in seen)
 
     def test_others_in_between_do_not(self, make_study, function_backend, failed):
         study = make_study().replace(trials=3, initial_trials=3)

@@ -170,8 +170,8 @@ class TestIncomplete:
         found = verdict_of(study, runs(study, 9, 0, LOST))
         assert found.state is State.INCOMPLETE
         assert found.headline == (
-            "Incomplete: 1 of 10 test runs was lost with the nodes or disturbed by others "
-            "(axis: the node stopped)"
+            "Incomplete: 1 of 10 test runs was lost with the nodes, disturbed by others or not "
+            "prepared (axis: the node stopped)"
         )
         assert found.status is Status.WARNING
         assert not found.feasible

@@ -125,10 +125,11 @@ def test_pause_and_what_is_published(run, watch, shared_pair):
     assert answer.success
     watcher.wait_for_progress("the pause", paused="True")
     # It says so where it waits; the service has answered before that.
-    command.wait_for(
-        lambda: "paused; continue on the live page, or on ROS by ~/pause" in command.err,
-        "the pause",
+    going_on = (
+        "paused; continue it by the service /tuner/pause (std_srvs/srv/SetBool, data: false), or "
+        "end the run with Ctrl-C and resume it with: tune --resume runs/"
     )
+    command.wait_for(lambda: going_on in command.err, "the pause")
     cuts = count_in(command.folder / "cuts")
     watcher.diagnostics.clear()
     watcher.peer.spin_until(lambda: len(watcher.diagnostics) >= 2, "signs of life in the pause")

@@ -115,7 +115,7 @@ def test_an_interruption_while_a_machine_is_stopped_keeps_it_from_driving_home(
             "recover": [{"publish": {"topic": "setpoint", "message": {"data": 0.25}}}],
         },
     )
-    published, publisher = [], made._procedure._publishers["/setpoint"]
+    published, publisher = [], made._procedure._topics["/setpoint"].publisher
     publish = publisher.publish
 
     def noting(message):

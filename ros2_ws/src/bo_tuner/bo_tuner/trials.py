@@ -56,8 +56,14 @@ class TrialState(StrEnum):
     FAILED = "failed"
 
 
-DISTURBED = "disturbed"
-"""Key of an outcome's details: somebody else acted on the nodes during the evaluation."""
+DISTURBED, UNPREPARED = "disturbed", "unprepared"
+"""Keys of an outcome's details: somebody else acted on the nodes during the evaluation, or it did
+not begin, as the steps before it failed with the safe parameters."""
+SPOILING = (DISTURBED, UNPREPARED)
+"""Why a failed evaluation tells nothing of its parameters."""
+
+NOTE = "note"
+"""Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
 
 
 def parameter_set(parameters: Mapping[str, Value]) -> ParameterSet:
@@ -96,14 +102,19 @@ class Outcome:
         return self.state is EvaluationState.COMPLETE
 
     @property
+    def note(self) -> str:
+        """What to know of its metrics, in a line; empty if there is nothing."""
+        return self.details.get(NOTE, "")
+
+    @property
     def spoilt(self) -> bool:
-        """Whether it tells nothing of its parameters: its nodes were lost, or others disturbed."""
-        return self.state is EvaluationState.LOST or DISTURBED in self.details
+        """Whether it tells nothing of its parameters: it was lost, or is one of `SPOILING`."""
+        return self.ending in (EvaluationState.LOST, *SPOILING)
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or that others disturbed it."""
-        return DISTURBED if DISTURBED in self.details else str(self.state)
+        """How it ended, in a word: its state, or one of `SPOILING`."""
+        return next((key for key in SPOILING if key in self.details), str(self.state))
 
 
 @dataclass(frozen=True)
@@ -150,6 +161,13 @@ class Evaluation:
         """Number of the trial; in the validation the one of `VALIDATED` that it stands for."""
         sides = dict(enumerate(VALIDATED)) if self.stage is Stage.VALIDATION else {}
         return sides.get(self.trial, self.trial)
+
+    @property
+    def place(self) -> str:
+        """Which one it is, in words, such as ``trial 3, evaluation 0``; see `whose`."""
+        whose = self.whose
+        side = whose if isinstance(whose, str) else f"trial {whose}"
+        return f"{side}, evaluation {self.index}"
 
 
 @dataclass(frozen=True)
@@ -249,10 +267,12 @@ class Trial:
 
     @property
     def ending(self) -> str:
-        """How it ended, in a word: its state, or, if that spoilt it, lost or disturbed."""
+        """How it ended, in a word: its state, or, if that spoilt it, lost or one of `SPOILING`."""
         if not self.spoilt:
             return str(self.state)
-        return DISTURBED if self.disturbed else str(EvaluationState.LOST)
+        endings = [e.outcome.ending for e in self.evaluations if e.outcome.spoilt]
+        lost = str(EvaluationState.LOST)
+        return lost if lost in endings or not endings else endings[-1]
 
     @property
     def parameter_set(self) -> ParameterSet:

@@ -1,6 +1,6 @@
 """Makes the backend that a command line or a record names."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from bo_tuner.backends.inprocess import InProcessBackend
@@ -8,6 +8,7 @@ from bo_tuner.backends.protocol import Backend
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.study.parts import IN_PROCESS
 from bo_tuner.study.study import Study
+from bo_tuner.trials import Evaluation
 
 
 def make_backend(
@@ -19,6 +20,7 @@ def make_backend(
     run_log: Path | None = None,
     ros_arguments: Sequence[str],
     interrupted: Callable[[], None],
+    earlier: Iterable[Evaluation] = (),
 ) -> Backend:
     """Make a backend, not open yet.
 
@@ -30,10 +32,12 @@ def make_backend(
         The study.
     log_directory, attach, run_log, ros_arguments, interrupted
         As in `RosBackend`; of no meaning in process.
+    earlier
+        Evaluations on record, in their order; see `RosBackend.recall`.
     """
     if name == IN_PROCESS:
         return InProcessBackend(study)
-    return RosBackend(
+    backend = RosBackend(
         study,
         log_directory,
         attach=attach,
@@ -41,3 +45,5 @@ def make_backend(
         ros_arguments=list(ros_arguments),
         interrupted=interrupted,
     )
+    backend.recall(earlier)
+    return backend

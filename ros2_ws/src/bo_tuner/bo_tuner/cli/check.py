@@ -219,6 +219,9 @@ def _try(
                 f"error: run {evaluation.index + 1} of the default failed: "
                 f"{evaluation.outcome.reason}"
             )
+        for evaluation in done:
+            if evaluation.outcome.note:
+                say(f"note: run {evaluation.index + 1}: {evaluation.outcome.note}")
         if complete := [e for e in done if e not in failed]:
             show_metrics(study, complete)
         # Of a run that failed, nothing may be known.

@@ -131,6 +131,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         run_log=record.path / LOGS,
         ros_arguments=in_namespace_of(record, ros_arguments),
         interrupted=interruption.check,
+        earlier=record.evaluations,
     )
     if isinstance(backend, RosBackend):
         with writing(log):

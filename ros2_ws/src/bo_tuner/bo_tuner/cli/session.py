@@ -9,6 +9,7 @@ from bo_tuner.backends.factory import make_backend
 from bo_tuner.backends.recorded import RecordedEvaluations
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.isolation import namespace_of
+from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name
 from bo_tuner.certificate.run_verdict import run_verdict
 from bo_tuner.cli.common import ended, opened
 from bo_tuner.cli.deliverables import withdraw_result, write_deliverables
@@ -124,13 +125,14 @@ class Session:
         self._algorithm = ALGORITHMS[options.algorithm]
         self._interruption = interruption
         self._status = RunStatus(study, self._algorithm)
-        self._display = make_display(study, options.output, self._status)
         self._observers = Observers()
         self._incumbents: dict[int, Candidate | None] = {}
         self._live_page: RunObserver | None = None
         self._advisor = Advisor(study, self._algorithm, self._observers)
         self._gate = Gate(interruption, self._observers)
         self._control = RunControl(self._gate.requests, interruption, folder.path)
+        going_on = self._control.going_on(self._ways_to_continue)
+        self._display = make_display(study, options.output, self._status, going_on)
         self._backend = make_backend(
             options.backend,
             study,
@@ -181,6 +183,8 @@ class Session:
                 earlier = JournalContent((), carried.trials, every, "")
             provenance = self._provenance(earlier, damage)
             backend = self._recorded(earlier)
+            if isinstance(self._backend, RosBackend):
+                self._backend.recall(earlier.evaluations)
             begun = folder.journal.exists()
             try:
                 try:
@@ -360,6 +364,16 @@ class Session:
             trials=trials,
             evaluations=journal.count_evaluations(),
         )
+
+    @property
+    def _ways_to_continue(self) -> Iterator[str]:
+        """In which a run that is paused can be told to go on."""
+        options = self._options
+        if options.web is not None and options.web_control:
+            yield "on the live page"
+        if options.backend == ROS:
+            service = f"{full_name(self._namespace, LIVE_NODE)}/pause"
+            yield f"by the service {service} (std_srvs/srv/SetBool, data: false)"
 
     @property
     def _namespace(self) -> str:

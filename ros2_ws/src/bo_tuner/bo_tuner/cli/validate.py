@@ -189,6 +189,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 attach=attach,
                 ros_arguments=in_namespace_of(record, ros_arguments),
                 interrupted=interruption.check,
+                earlier=record.evaluations,
             ),
             confidence,
             interruption,

@@ -10,6 +10,11 @@ from bo_tuner.numerics.arrays import Array
 from bo_tuner.numerics.expressions import Expression
 from bo_tuner.study.signals import TIME, Signal
 
+OTHER_CLOCK = 5.0
+"""Time [s] by which stamps differ from the clock of a run that are not of the same clock."""
+
+NO_LIMITS: Mapping[str, float] = {}
+
 
 class FailedRunError(Exception):
     """A run does not count, for the reason in one line."""
@@ -30,12 +35,27 @@ class RecordedSignal:
         Messages that the middleware lost.
     late
         Messages that were left out, as their time was not after that of the one before.
+    offset
+        Time [s] by which the stamp of the latest message is ahead of the clock of the run at its
+        reception; negative if it is behind, 0 without a stamp.
     """
 
     time: Array
     value: Array
     lost: int = 0
     late: int = 0
+    offset: float = 0.0
+
+    @property
+    def other_clock(self) -> str:
+        """Tell in a few words that the stamps are of another clock; empty if they are not."""
+        if abs(self.offset) <= OTHER_CLOCK:
+            return ""
+        side = "ahead of" if self.offset > 0.0 else "behind"
+        return (
+            f"its stamps are {abs(self.offset):.3g} s {side} the clock of the run: set run.clock "
+            "to that of the stamps (wall or sim), or time: reception of the signal"
+        )
 
     @property
     def messages(self) -> int:
@@ -68,8 +88,17 @@ class Recording:
     signals: Mapping[str, RecordedSignal]
     end: float
 
-    def check(self, specs: Mapping[str, Signal]) -> None:
+    def check(
+        self, specs: Mapping[str, Signal], largest_gaps: Mapping[str, float] = NO_LIMITS
+    ) -> None:
         """Fail a run whose signals are not whole.
+
+        Parameters
+        ----------
+        specs
+            The signals.
+        largest_gaps
+            Longest time [s] without a message, of signals whose specification has none.
 
         Raises
         ------
@@ -80,10 +109,11 @@ class Recording:
         """
         for name, spec in specs.items():
             seen = self.signals[name]
-            where = _named(name, spec)
+            where = named(name, spec)
             seen.check_finite(where)
             if seen.messages < spec.minimum_messages:
                 before = "; the latest has a stamp before the start" if len(seen.time) else ""
+                before = f"; {seen.other_clock}" if seen.other_clock else before
                 raise FailedRunError(
                     f"{where} has {seen.messages} messages in a run of {self.end:.3g} s, "
                     f"expected at least {spec.minimum_messages}{before}"
@@ -93,14 +123,20 @@ class Recording:
                     f"{where} has {seen.lost} lost and {seen.late} late messages, "
                     f"expected at most {spec.most_lost}"
                 )
-            if spec.largest_gap is not None:
+            largest = spec.largest_gap or largest_gaps.get(name)
+            if largest is not None:
                 times = np.concatenate(([0.0], seen.time[seen.time >= 0.0], [self.end]))
                 gaps = np.diff(times)
                 k = int(gaps.argmax())
-                if gaps[k] > spec.largest_gap:
-                    raise _gap(where, gaps[k], times[k], spec.largest_gap)
+                if gaps[k] > largest:
+                    raise _gap(name, spec, seen, gaps[k], times[k], largest)
 
-    def check_latest(self, specs: Mapping[str, Signal], late: float) -> None:
+    def check_latest(
+        self,
+        specs: Mapping[str, Signal],
+        late: float,
+        largest_gaps: Mapping[str, float] = NO_LIMITS,
+    ) -> None:
         """Fail a run that goes on, but of which it is certain that `check` will fail it.
 
         Parameters
@@ -109,6 +145,8 @@ class Recording:
             The signals.
         late
             Time [s] that a message may take.
+        largest_gaps
+            As of `check`.
 
         Raises
         ------
@@ -117,10 +155,11 @@ class Recording:
         """
         for name, spec in specs.items():
             seen = self.signals[name]
-            seen.check_finite(_named(name, spec))
+            seen.check_finite(named(name, spec))
             since = max(0.0, seen.time[-1]) if len(seen.time) else 0.0
-            if spec.largest_gap is not None and self.end - since > spec.largest_gap + late:
-                raise _gap(_named(name, spec), self.end - since, since, spec.largest_gap)
+            largest = spec.largest_gap or largest_gaps.get(name)
+            if largest is not None and self.end - since > largest + late:
+                raise _gap(name, spec, seen, self.end - since, since, largest)
 
     def silence(self, name: str, spec: Signal) -> float:
         """Return how long [s] no message of a signal has come if that is too long, and else 0."""
@@ -187,12 +226,17 @@ class Recording:
 NOTHING_RECORDED = Recording({}, 0.0)
 
 
-def _named(name: str, spec: Signal) -> str:
+def named(name: str, spec: Signal) -> str:
+    """Name a signal with its topic."""
     return f"signal {name} ({spec.topic})"
 
 
-def _gap(where: str, length: float, since: float, largest: float) -> FailedRunError:
+def _gap(
+    name: str, spec: Signal, seen: RecordedSignal, length: float, since: float, largest: float
+) -> FailedRunError:
+    why = "" if spec.largest_gap else ", as in the first runs; largest_gap of the signal limits it"
+    why += f"; {seen.other_clock}" if seen.other_clock else ""
     return FailedRunError(
-        f"{where} has no message for {length:.3g} s from {since:.3f} s on, "
-        f"expected one at least every {largest:g} s"
+        f"{named(name, spec)} has no message for {length:.3g} s from {since:.3f} s on, "
+        f"expected one at least every {largest:.3g} s{why}"
     )

@@ -1,5 +1,6 @@
 """Requests to pause, continue and end a run, from a service or the live page."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from bo_tuner.interruption import Interruption, Pause
@@ -23,6 +24,11 @@ class RunControl:
         self._pause = pause
         self._interruption = interruption
         self._folder = folder
+
+    def going_on(self, ways: Iterable[str]) -> str:
+        """Say how a run that is paused goes on: in `ways`, if there are any, or by a restart."""
+        restart = f"end the run with Ctrl-C and {how_to_resume(self._folder)}"
+        return ", or ".join([*(f"continue it {way}" for way in ways), restart])
 
     @property
     def pause_requested(self) -> bool:

@@ -80,6 +80,7 @@ class JsonLines(Display):
             seed=evaluation.seed,
             state=str(outcome.state),
             reason=outcome.reason,
+            note=outcome.note,
             metrics=outcome.metrics,
             seconds=evaluation.seconds,
         )

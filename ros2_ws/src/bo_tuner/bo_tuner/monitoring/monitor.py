@@ -95,7 +95,7 @@ class Gate(RunObserver):
         self._observers.waiting()
 
 
-def make_display(study: Study, output: Output, status: RunStatus) -> Display:
+def make_display(study: Study, output: Output, status: RunStatus, going_on: str) -> Display:
     """Make the display of a run.
 
     Parameters
@@ -106,9 +106,11 @@ def make_display(study: Study, output: Output, status: RunStatus) -> Display:
         The kind of output.
     status
         Status of the run; must receive each step before the display.
+    going_on
+        How a run that is paused goes on.
     """
     if output is Output.QUIET:
         return Display()
     if output is Output.JSON_LINES:
         return JsonLines(study, status)
-    return RunProgress(plain_console(stderr=True), study, status)
+    return RunProgress(plain_console(stderr=True), study, status, going_on)

@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from bo_tuner.backends.ros.tuner_node import LIVE_NODE
 from bo_tuner.monitoring import diagnostics
 from bo_tuner.monitoring.control import RunControl
 from bo_tuner.monitoring.status import RunStatus
@@ -26,7 +27,6 @@ from bo_tuner.trials import Trial, TrialState
 from bo_tuner.tuning.limits import tightest
 from bo_tuner.tuning.observer import RunObserver
 
-NODE_NAME = "tuner"
 PERIOD = 1.0
 SPIN_PERIOD = 1.0
 DIAGNOSTICS = "/diagnostics"
@@ -65,7 +65,7 @@ class LiveNode(RunObserver):
         self._status = status
         self._control = control
         self._node = Node(
-            NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
+            LIVE_NODE, context=context, enable_rosout=False, start_parameter_services=False
         )
         self._diagnostics = self._node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         # A late subscriber gets the results of all trials, but only the latest numbers, since these

@@ -40,12 +40,21 @@ class RunProgress(Display):
     status
         Status of the run; must receive each step before this display. Without it no times are
         shown.
+    going_on
+        How a run that is paused goes on.
     """
 
-    def __init__(self, console: Console, study: Study, status: RunStatus | None = None) -> None:
+    def __init__(
+        self,
+        console: Console,
+        study: Study,
+        status: RunStatus | None = None,
+        going_on: str = "",
+    ) -> None:
         super().__init__()
         self._study = study
         self._status = status
+        self._going_on = going_on
         self._console = console
         self._progress = _TwoLines(console)
 
@@ -79,8 +88,10 @@ class RunProgress(Display):
         self._show(steps=len(trials))
 
     def evaluation(self, evaluation: Evaluation) -> None:
-        """Update the times."""
+        """Update the times, and show what there is to know of a run."""
         self._show()
+        if (note := evaluation.outcome.note) and not evaluation.recorded:
+            self.tell(f"warning: {evaluation.place}: {note}")
 
     def advance(self) -> None:
         """Count a step that is not a trial."""
@@ -105,8 +116,7 @@ class RunProgress(Display):
     def pause(self, paused: bool) -> None:
         """Show the start or the end of a pause."""
         self._show()
-        how = "on the live page, or on ROS by ~/pause with data: false"
-        self.tell(f"paused; continue {how}" if paused else "continuing")
+        self.tell(f"paused; {self._going_on}" if paused else "continuing")
 
     def tell(self, text: str) -> None:
         """Show a line of information above the bar."""

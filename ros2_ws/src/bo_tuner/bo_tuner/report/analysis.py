@@ -35,6 +35,7 @@ class TrialOutcome(StrEnum):
     FAILED = "failed"
     LOST = "lost"
     DISTURBED = "disturbed"
+    UNPREPARED = "unprepared"
 
 
 OF_VALUE = (TrialOutcome.WITHIN, TrialOutcome.UNCERTAIN, TrialOutcome.VIOLATES)

@@ -119,7 +119,8 @@ def _evaluations(analysis: Analysis, trial: Trial) -> Section:
 
 def _state(item: Evaluation) -> str:
     state = item.outcome.ending
-    return f"{state}: {item.outcome.reason}" if item.outcome.reason else state
+    said = item.outcome.reason or item.outcome.note
+    return f"{state}: {said}" if said else state
 
 
 def _worst(analysis: Analysis, trial: Trial) -> Evaluation | None:

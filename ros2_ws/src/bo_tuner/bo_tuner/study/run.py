@@ -9,9 +9,11 @@ from bo_tuner.study.building import Findings, arguments, build
 from bo_tuner.study.signals import expression
 from bo_tuner.study.steps import Step, build_steps
 
+BEFORE, START = "before", "start"
+"""Phases of the steps that a run begins with."""
 AFTER = "after"
 """Phase of the steps that bring the machine to rest."""
-PHASES = ("before", "start", AFTER, "recover")
+PHASES = (BEFORE, START, AFTER, "recover")
 WALL, SIM = "wall", "sim"
 RESULT = "result"
 

@@ -81,7 +81,7 @@ class Signal:
         A run with fewer messages fails.
     largest_gap : float, optional
         A run fails if no message comes for longer than this [s], also after its start or before
-        its end.
+        its end; unless given, if none comes for much longer than in the first runs.
     most_lost : int, optional
         A run fails if more messages than this are lost or late.
     """

@@ -2,7 +2,7 @@
 
 from bo_tuner.backends.protocol import Backend
 from bo_tuner.errors import RunError
-from bo_tuner.trials import Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, UNPREPARED, Evaluation, EvaluationState, Outcome
 from bo_tuner.tuning.observer import RunObserver
 
 LOST_IN_A_ROW = 3
@@ -29,6 +29,13 @@ def evaluate(backend: Backend, planned: Evaluation, observer: RunObserver) -> Ev
     (evaluation,) = backend.run([planned])
     observer.evaluation(evaluation)
     return evaluation
+
+
+HOW = {
+    EvaluationState.LOST: "were lost with their nodes",
+    DISTURBED: "were disturbed by others",
+    UNPREPARED: "could not be prepared",
+}
 
 
 class Losses:
@@ -65,6 +72,6 @@ class Losses:
         if len(self._in_a_row) < LOST_IN_A_ROW:
             return
         last = self._in_a_row[-1]
-        lost = last.state is EvaluationState.LOST
-        how = "lost with their nodes" if lost else "disturbed by others"
-        raise RunError(f"{len(self._in_a_row)} {self._what} in a row were {how}: {last.reason}")
+        raise RunError(
+            f"{len(self._in_a_row)} {self._what} in a row {HOW[last.ending]}: {last.reason}"
+        )

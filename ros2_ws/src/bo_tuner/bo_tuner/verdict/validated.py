@@ -262,7 +262,8 @@ def _lost(tuned: Validation, evaluations: Sequence[Evaluation]) -> str:
     cause = f" ({why.pop()})" if len(why) == 1 else ""
     runs = counted(tuned.draws, "test run")
     were = "was" if tuned.lost == 1 else "were"
-    return f"{tuned.lost} of {runs} {were} lost with the nodes or disturbed by others{cause}"
+    how = "lost with the nodes, disturbed by others or not prepared"
+    return f"{tuned.lost} of {runs} {were} {how}{cause}"
 
 
 def _how_to_complete(lost: int) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +15,12 @@ from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.backends.ros.bringup import Bringup
 from bo_tuner.backends.ros.clock import TOPIC as CLOCK
 from bo_tuner.backends.ros.clock import check_wall_clock
-from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError
+from bo_tuner.backends.ros.errors import (
+    DisturbedError,
+    LostError,
+    RefusedError,
+    UnpreparedError,
+)
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
@@ -35,13 +40,14 @@ from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
+from bo_tuner.metrics.message_rates import MessageRates
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
 from bo_tuner.text import brief
-from bo_tuner.trials import DISTURBED, Evaluation, EvaluationState, Outcome
+from bo_tuner.trials import DISTURBED, NOTE, UNPREPARED, Evaluation, EvaluationState, Outcome
 
 ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
@@ -100,6 +106,7 @@ class RosBackend(SequentialBackend):
     ) -> None:
         self._study = study
         self._collector = Collector(study)
+        self._rates = MessageRates(study)
         self._log_directory = log_directory
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
@@ -213,6 +220,11 @@ class RosBackend(SequentialBackend):
         """
         return self._opened.safe_state.park()
 
+    def recall(self, evaluations: Iterable[Evaluation]) -> None:
+        """Take note of how often messages came in the first evaluations on record."""
+        for evaluation in evaluations:
+            self._rates.note(evaluation.outcome)
+
     def outcome(self, planned: Evaluation) -> Outcome:
         """Set parameters, run one evaluation, and collect its metrics.
 
@@ -231,6 +243,7 @@ class RosBackend(SequentialBackend):
             self._suspension.look()
             seconds = self._suspension.seconds
             if not seconds:
+                self._rates.note(outcome)
                 return outcome
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
 
@@ -287,20 +300,30 @@ class RosBackend(SequentialBackend):
         except DisturbedError as error:
             reason = brief(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        except UnpreparedError as error:
+            reason = brief(str(error))
+            return Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
         except LostError as loss:
             return Outcome(EvaluationState.LOST, {}, brief(str(loss)))
-        ignored = {"ignored_results": str(client.results.take_ignored())}
-        return dataclasses.replace(
-            result, details={**result.details, **ignored, **self.recording.counts()}
-        )
+        details = {
+            **result.details,
+            "ignored_results": str(client.results.take_ignored()),
+            **self.recording.counts(),
+            **self._rates.details(self.recording),
+        }
+        if remarks := self._rates.remarks(self.recording):
+            details[NOTE] = brief("; ".join(remarks))
+        return dataclasses.replace(result, details=details)
 
     def _prepare(self, procedure: Procedure) -> None:
         """Prepare a run with the safe parameters.
 
         Raises
         ------
-        DisturbedError
+        UnpreparedError
             If that fails: no node has the parameters of the trial yet, which it tells nothing of.
+        DisturbedError
+            If that is because somebody else was at work.
         LostError
             If a node does not have the safe ones, or does not answer.
         """
@@ -313,13 +336,13 @@ class RosBackend(SequentialBackend):
         except (RefusedError, FailedRunError, DisturbedError) as error:
             self._stop_failed(procedure, error)
             reason = f"the preparation with the safe parameters failed: {error}"
-            raise DisturbedError(reason) from error
+            raise UnpreparedError(reason) from error
 
     def _run(self, procedure: Procedure) -> None:
         try:
             if not self._study.park.between_runs:
                 procedure.prepare()
-            procedure.perform()
+            procedure.perform(self._rates.largest_gaps)
         except (FailedRunError, DisturbedError) as error:
             self._stop_failed(procedure, error)
             raise

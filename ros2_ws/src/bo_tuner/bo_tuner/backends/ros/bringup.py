@@ -119,8 +119,11 @@ class Bringup:
         tuner, client = self._tuner, self._client
         client.parameters.forget_all()
         if self._attach:
-            names = " and ".join(spec.node for spec in self._study.nodes.values())
-            tuner.warn(f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}")
+            if missing := client.presence.missing():
+                names = " and ".join(self._study.nodes[key].node for key in missing)
+                tuner.warn(
+                    f"an evaluation was lost: waiting up to {DISCOVERY_TIMEOUT:g} s for {names}"
+                )
         else:
             self._suspension.look()
             self._started.stop()

@@ -28,12 +28,20 @@ def known(values: Array) -> NDArray[np.bool_]:
 
 
 def latest(specs: Mapping[str, Signal], recording: Recording) -> str:
-    """Tell the latest values of signals, in brackets; empty if there are none."""
+    """Tell in brackets the latest values of signals, and between which they were since time 0.
+
+    Empty if there are none.
+    """
     shown = []
     for name, spec in sorted(specs.items()):
         values = recording.signals[name].value
         text = f"{name} {values[-1]:.4g}" if len(values) else f"no message of {name}"
+        meanwhile = values[recording.signals[name].time >= 0.0]
+        if len(meanwhile) and np.ptp(meanwhile) > 0.0:
+            text += f", {np.min(meanwhile):.4g} to {np.max(meanwhile):.4g} meanwhile"
         if silence := recording.silence(name, spec):
             text += f", silent for {silence:.3g} s"
+        if other_clock := recording.signals[name].other_clock:
+            text += f"; {other_clock}"
         shown.append(text)
     return f" ({'; '.join(shown)})" if shown else ""

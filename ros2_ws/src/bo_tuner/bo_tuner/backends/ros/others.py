@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 from rclpy.node import Node
 
-from bo_tuner.backends.ros.tuner_node import full_name, is_own
+from bo_tuner.backends.ros.tuner_node import LIVE_NODE, full_name, is_own
 from bo_tuner.study import checks
 
 OF_ROS = ("/rosout", "/parameter_events", "/clock")
@@ -109,6 +109,7 @@ def _others(names: Iterable[str]) -> list[str]:
         {
             name
             for name in names
-            if not is_hidden(name) and not any(is_own(part) for part in name.split("/"))
+            if not is_hidden(name)
+            and not any(is_own(part) or part == LIVE_NODE for part in name.split("/"))
         }
     )

@@ -6,7 +6,7 @@ from rclpy.node import Node
 
 from bo_tuner.backends.ros.others import OF_ROS, is_hidden
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
-from bo_tuner.study.offers import TUNABLE
+from bo_tuner.study.parameter_kinds import Kind, kinds
 from bo_tuner.study.study import Study
 
 Ends = dict[str, set[str]]
@@ -29,10 +29,16 @@ def plant_notes(study: Study, tuner: TunerNode) -> Iterator[str]:
     controllers = {node for node, topics in heard.items() if topics & references}
     for key, spec in study.nodes.items():
         node = full_name(tuner.node.get_namespace(), spec.node)
+        tuned = {
+            name: item.parameter
+            for name, item in study.parameters.items()
+            if item.node == key and item.is_tuned
+        }
+        found = kinds(spec.node, dict.fromkeys(tuned.values(), ""))
         names = [
             f"parameters.{name}"
-            for name, item in study.parameters.items()
-            if item.node == key and item.is_tuned and not TUNABLE.search(item.parameter)
+            for name, parameter in tuned.items()
+            if found[parameter] is not Kind.TUNING
         ]
         if not names or node in controllers:
             continue

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from functools import partial
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, WallClock
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.steps import (
     CONNECT_TIMEOUT,
     LifecycleChange,
@@ -18,7 +18,7 @@ from bo_tuner.backends.ros.steps import (
 from bo_tuner.backends.ros.tuner_node import NODE_NAME, TunerNode
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.study.building import under
-from bo_tuner.study.run import AFTER, SIM
+from bo_tuner.study.run import AFTER, BEFORE, SIM, START
 from bo_tuner.study.steps import Step
 from bo_tuner.study.study import Study
 
@@ -36,11 +36,14 @@ class Preparation:
         Stamps what is published.
     attached
         Whether the nodes ran already, so that none can be restarted.
+    listener
+        Hears whether others publish what the steps ahead of the end of a run do; None not to
+        listen.
 
     Attributes
     ----------
-    publishers
-        By their topics.
+    topics
+        What the steps publish, by topic.
     """
 
     def __init__(
@@ -50,12 +53,14 @@ class Preparation:
         clock: RunClock,
         *,
         attached: bool,
+        listener: Node | None = None,
     ) -> None:
         self._study = study
         self._tuner = tuner
         self._clock = clock
         self._attached = attached
-        self.publishers: dict[str, Publisher] = {}
+        self._listener = listener
+        self.topics: dict[str, OwnTopic] = {}
 
     def prepare(self, path: KeyPath, step: Step) -> PreparedStep | Goal | None:
         """Return what a step needs: a goal, something else to perform, or None if it needs nothing.
@@ -70,9 +75,11 @@ class Preparation:
             if step.call is not None:
                 return ServiceCall.prepare(self._tuner, step.call, path)
             if step.publish is not None:
-                is_stop = path[1] == AFTER
+                phase = path[1]
+                # What only stops the machine after a run may be the controller's own in it.
+                listener = self._listener if phase in (BEFORE, START) else None
                 return Publication.prepare(
-                    self._tuner, step.publish, self._clock, self.publishers, is_stop
+                    self._tuner, step.publish, self._clock, self.topics, listener, phase == AFTER
                 )
             if step.lifecycle is not None:
                 return LifecycleChange.prepare(self._tuner, step.lifecycle)
@@ -120,5 +127,5 @@ def run_problems(study: Study, tuner: TunerNode, *, attached: bool) -> Iterator[
                 prepared.close()
     finally:
         # They would be taken for those of somebody else.
-        for publisher in preparation.publishers.values():
-            tuner.node.destroy_publisher(publisher)
+        for topic in preparation.topics.values():
+            tuner.node.destroy_publisher(topic.publisher)

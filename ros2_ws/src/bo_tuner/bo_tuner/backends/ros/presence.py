@@ -56,6 +56,17 @@ class Presence:
             or (key == triggered and self._trigger and not self._trigger.service_is_ready())
         ]
 
+    def missing(self) -> list[str]:
+        """Return the keys of nodes that are `absent`, or do not answer: one may just have died."""
+        found = self.absent()
+        for key, client in self._parameters.clients.items():
+            if key not in found:
+                try:
+                    client.expect_answers(time.monotonic())
+                except LostError:
+                    found.append(key)
+        return found
+
     def wait_for_nodes(self, timeout: float) -> list[str]:
         """Wait until every node is discovered and answers.
 

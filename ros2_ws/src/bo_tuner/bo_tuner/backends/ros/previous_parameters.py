@@ -196,7 +196,7 @@ class PreviousParameters:
     def _restore_late(
         self, failed: dict[str, RefusedError | LostError], final: Values, timeout: float
     ) -> dict[str, RefusedError | LostError]:
-        """Set what nodes are to have in the end and did not take; returns those that still do not."""
+        """Set what nodes are to have in the end and did not take; returns those that fail again."""
         deadline = time.monotonic() + PATIENCE
         while failed and time.monotonic() < deadline:
             self._tuner.spin_for(PAUSE)

@@ -2,18 +2,18 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import takewhile
 
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 
 from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.conditions import latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
 from bo_tuner.backends.ros.run_watch import RunWatch
@@ -29,7 +29,7 @@ from bo_tuner.metrics.recording import (
 )
 from bo_tuner.study import checks
 from bo_tuner.study.building import under
-from bo_tuner.study.run import AFTER, SIM, Run
+from bo_tuner.study.run import AFTER, BEFORE, SIM, START, Run
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.steps import Step, WaitUntil
 from bo_tuner.study.study import Study
@@ -38,6 +38,11 @@ DISCOVERED = 2.0
 """Time [s] in which the publisher of a node that was just started is known."""
 ACKNOWLEDGED = 1
 """Time [s] in which the last messages reach those who are still there."""
+NOT_SETTLED = (
+    "try a longer timeout, a wider condition, other gains in park, or to reset the controller "
+    "ahead of it"
+)
+"""What to do about a machine that does not come to where a run is to start."""
 OWN_FAULTS = (FailedRunError, RefusedError, DisturbedError, BackendError, StudyError)
 """What a step may raise for itself: to repeat it would not help."""
 FAULTS = (*OWN_FAULTS, LostError)
@@ -85,7 +90,7 @@ class Procedure:
         self.recording = NOTHING_RECORDED
         self._steps: dict[KeyPath, PreparedStep] = {}
         self._goals: dict[KeyPath, Goal] = {}
-        self._publishers: dict[str, Publisher] = {}
+        self._topics: dict[str, OwnTopic] = {}
         self._started: list[Goal] = []
         self._is_recording = False
         self._is_prepared = False
@@ -93,7 +98,13 @@ class Procedure:
         try:
             self._connect()
             self._watch = RunWatch(
-                run, study.signals, tuner, self._recorder, self._clock, self._started
+                run,
+                study.signals,
+                tuner,
+                self._recorder,
+                self._clock,
+                self._started,
+                list(self._topics.values()),
             )
         except BaseException:
             self.close()
@@ -122,13 +133,25 @@ class Procedure:
             raise DisturbedError(self._recorder.mixed)
         self._due = self._all_after
         self._is_prepared = False
-        self._perform("before")
+        self._watch.prepare()
+        try:
+            self._perform(BEFORE)
+        except FAULTS:
+            # That somebody else had a hand in it explains whatever else went wrong.
+            self._watch.expect_own_messages()
+            raise
+        self._watch.expect_own_messages()
         self._tuner.wait_until(lambda: not self._recorder.unpublished, DISCOVERED)
         self._recorder.expect_publishers()
         self._is_prepared = True
 
-    def perform(self) -> None:
+    def perform(self, largest_gaps: Mapping[str, float]) -> None:
         """Perform a run and the steps after it; `recording` has the signals then.
+
+        Parameters
+        ----------
+        largest_gaps
+            Longest time [s] without a message, of signals for which the study has none.
 
         Raises
         ------
@@ -141,17 +164,17 @@ class Procedure:
             stands still.
         DisturbedError
             If the clock is set in the run, the stamps of a signal do not go on, or another node
-            publishes it, too.
+            publishes it, too, or what a step publishes.
         """
         self._recorder.expect_publishers()
-        self.recording = self._record()
+        self.recording = self._record(largest_gaps)
         if problems := self._cancel():
             raise FailedRunError(problems[0])
         for index in self._due.copy():
             self._perform_after(index)
         if mixed := self._recorder.mixed:
             raise DisturbedError(mixed)
-        self.recording.check(self._study.signals)
+        self.recording.check(self._study.signals, largest_gaps)
 
     @property
     def unpublished(self) -> str:
@@ -205,19 +228,19 @@ class Procedure:
 
     def close(self) -> None:
         """Hear no more, once what was published has been received."""
-        for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
+        for topic in self._topics.values():
+            topic.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         for goal in self._goals.values():
             goal.close()
         self._recorder.close()
 
-    def _record(self) -> Recording:
+    def _record(self, largest_gaps: Mapping[str, float]) -> Recording:
         self._clock.begin()
         self._recorder.begin()
-        self._watch.begin()
+        self._watch.begin(largest_gaps)
         self._is_recording = True
         try:
-            self._perform("start")
+            self._perform(START)
             return self._recorder.recording(self._watch.wait_for_end())
         finally:
             self._is_recording = False
@@ -277,7 +300,7 @@ class Procedure:
         # Waits that add up to it may lack a rounding error.
         if after is not None and planned < after - 1e-9 and after < self._recorder.seconds:
             raise FailedRunError(
-                f"{where(('run', 'start', index))} comes after the end of the run at {after:g} s"
+                f"{where(('run', START, index))} comes after the end of the run at {after:g} s"
             )
 
     def _perform_step(self, path: KeyPath, step: Step) -> None:
@@ -354,10 +377,12 @@ class Procedure:
         if not held():
             if unpublished := self._recorder.unpublished_of(used):
                 raise LostError(unpublished)
-            heard = latest(used, self._recorder.recording(self._recorder.seconds))
+            recording = self._recorder.recording(self._recorder.seconds)
+            dead = any(recording.silence(name, spec) for name, spec in used.items())
+            advice = f"; {NOT_SETTLED}" if path[1] == BEFORE and not dead else ""
             raise FailedRunError(
                 f"{where(path)}: {checks.quoted(wait.condition)} does not hold for {wait.hold:g} s "
-                f"within {wait.timeout:g} s{heard}"
+                f"within {wait.timeout:g} s{latest(used, recording)}{advice}"
             )
 
     def _cancel(self) -> list[str]:
@@ -373,9 +398,13 @@ class Procedure:
                 clock.connect(wait)
             self._clock = clock
         preparation = Preparation(
-            self._study, self._tuner, self._clock, attached=self._restart is None
+            self._study,
+            self._tuner,
+            self._clock,
+            attached=self._restart is None,
+            listener=self._recorder.node,
         )
-        self._publishers = preparation.publishers
+        self._topics = preparation.topics
         for path, step in self._run.steps:
             prepared = preparation.prepare(path, step)
             if isinstance(prepared, Goal):

@@ -8,6 +8,7 @@ from bo_tuner.backends.ros.clock import RunClock
 from bo_tuner.backends.ros.conditions import known, sampled
 from bo_tuner.backends.ros.errors import DisturbedError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
 from bo_tuner.metrics.recording import FailedRunError
@@ -37,6 +38,8 @@ class RunWatch:
         The clock of the run.
     goals
         Goals sent in runs; others may be sent while this looks on.
+    topics
+        What the steps publish.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class RunWatch:
         recorder: SignalRecorder,
         clock: RunClock,
         goals: Sequence[Goal],
+        topics: Sequence[OwnTopic],
     ) -> None:
         self._run = run
         self._signals = signals
@@ -54,13 +58,34 @@ class RunWatch:
         self._recorder = recorder
         self._clock = clock
         self._goals = goals
+        self._topics = topics
         self._abort = expression(run.abort_when, signals) if run.abort_when else None
         self._end = expression(run.end.when, signals) if run.end.when else None
         self._judged = 0.0
+        self._largest_gaps: Mapping[str, float] = {}
 
-    def begin(self) -> None:
-        """Start a run, with the recorder."""
+    def prepare(self) -> None:
+        """Listen from now on to who else publishes what the steps publish."""
+        for topic in self._topics:
+            topic.begin()
+
+    def expect_own_messages(self) -> None:
+        """Raise `DisturbedError` if others publish what the steps publish."""
+        for topic in self._topics:
+            topic.take()
+            if foreign := topic.foreign:
+                raise DisturbedError(foreign)
+
+    def begin(self, largest_gaps: Mapping[str, float]) -> None:
+        """Start a run, with the recorder.
+
+        Parameters
+        ----------
+        largest_gaps
+            Longest time [s] without a message, of signals for which the study has none.
+        """
         self._judged = 0.0
+        self._largest_gaps = largest_gaps
 
     def wait(self, period: float) -> None:
         """Look on for a time [s]; raises as `judge`."""
@@ -110,9 +135,11 @@ class RunWatch:
             If the server of a goal, or the publisher of a signal, is gone, or the clock stands
             still.
         DisturbedError
-            If the clock was set, or the stamps of a signal do not go on.
+            If the clock was set, the stamps of a signal do not go on, or others publish what a
+            step publishes.
         """
         now = self._now
+        self.expect_own_messages()
         self._recorder.poll()
         seen = min(now, end)
         since = self._since
@@ -128,7 +155,8 @@ class RunWatch:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
         self._recorder.expect_publishers()
-        self._recorder.recording(seen, since).check_latest(self._signals, OVERLAP)
+        recording = self._recorder.recording(seen, since)
+        recording.check_latest(self._signals, OVERLAP, self._largest_gaps)
         for goal in self._goals:
             goal.check()
         self._judged = seen

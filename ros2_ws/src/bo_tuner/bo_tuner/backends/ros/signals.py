@@ -240,6 +240,7 @@ class SignalRecorder:
                 np.array(track.values[first:last]),
                 heard.lost.count,
                 track.late,
+                track.offset * 1e-9,
             )
         return Recording(signals, end)
 
@@ -333,6 +334,8 @@ class _Track:
         What came last, late or not.
     late
         Messages in the run whose stamp is not after that of one before.
+    offset
+        Time [ns] by which the stamp of the newest is ahead of the clock at its reception.
     stale
         Longest time [ns] for which several of them in a row lie behind, or have come.
     """
@@ -346,6 +349,7 @@ class _Track:
     late: int = 0
     stale: int = 0
     in_run: bool = False
+    offset: int = 0
     late_values: list[float] = field(default_factory=list)
     in_a_row: int = 0
     row_began: int = 0
@@ -354,6 +358,7 @@ class _Track:
         value = self.newest = self.read(message)
         if self.by_header:
             stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            self.offset = stamp - self.clock.at(received)
         else:
             stamp = self.clock.at(received)
             if self.clock.coarse and self.stamps and stamp == self.stamps[-1]:

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
 from rclpy.duration import Infinite
-from rclpy.publisher import Publisher
+from rclpy.node import Node
 from rclpy.qos import (
     QoSCompatibility,
     QoSDurabilityPolicy,
@@ -19,6 +19,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import RunClock, to_stamp
 from bo_tuner.backends.ros.messages import interface_class, make_message, type_name
+from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.tuner_node import TunerNode, full_name, is_own
 from bo_tuner.errors import KeyPath, StudyError
 from bo_tuner.metrics.recording import FailedRunError
@@ -103,7 +104,7 @@ class Publication:
     """
 
     tuner: TunerNode
-    publisher: Publisher
+    topic: OwnTopic
     publish: Publish
     kind: Any
     clock: RunClock
@@ -115,10 +116,11 @@ class Publication:
         tuner: TunerNode,
         publish: Publish,
         clock: RunClock,
-        publishers: dict[str, Publisher],
+        topics: dict[str, OwnTopic],
+        listener: Node | None,
         is_stop: bool,
     ) -> "Publication":
-        """Find the subscribers and make the publisher, unless it is in `publishers`.
+        """Find the subscribers and make the publisher, unless it is in `topics`.
 
         Raises
         ------
@@ -150,7 +152,7 @@ class Publication:
             kind = interface_class(types[0])
         with under("publish", "message"):
             make_message(kind, publish.message)
-        if topic not in publishers:
+        if topic not in topics:
             durability, depth = QoSDurabilityPolicy.VOLATILE, 10
             if any(i.qos_profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for i in found):
                 # Who joins later is to hear the last message only, not what came before.
@@ -163,8 +165,8 @@ class Publication:
                 liveliness=QoSLivelinessPolicy.AUTOMATIC,
                 liveliness_lease_duration=Infinite,
             )
-            publishers[topic] = node.create_publisher(kind, topic, qos)
-        made = cls(tuner, publishers[topic], publish, kind, clock, is_stop)
+            topics[topic] = OwnTopic(node.create_publisher(kind, topic, qos), kind, listener)
+        made = cls(tuner, topics[topic], publish, kind, clock, is_stop)
         if not tuner.wait_until(made._reaches_all, CONNECT_TIMEOUT) and not made._reaches_any():
             raise StudyError(made._unheard, ("publish", "topic"))
         return made
@@ -175,7 +177,7 @@ class Publication:
         is_heard = self.tuner.wait_until(connected, CONNECT_TIMEOUT) or self._reaches_any()
         if is_heard or self.is_stop:
             stamp = to_stamp(self.clock.now)
-            self.publisher.publish(make_message(self.kind, self.publish.message, stamp))
+            self.topic.publish(make_message(self.kind, self.publish.message, stamp))
         if not is_heard:
             raise UnheardError(self._unheard)
 
@@ -190,7 +192,7 @@ class Publication:
 
     @property
     def _topic(self) -> str:
-        return str(self.publisher.topic_name)
+        return str(self.topic.publisher.topic_name)
 
     def _endpoints(self) -> list[TopicEndpointInfo]:
         """Return the subscribers of the topic whose messages have this type."""
@@ -199,7 +201,8 @@ class Publication:
 
     def _obstacle(self, info: TopicEndpointInfo) -> str:
         """Tell why a subscriber cannot hear the publisher by its QoS; empty if it can."""
-        compatible, reason = qos_check_compatible(self.publisher.qos_profile, info.qos_profile)
+        offered = self.topic.publisher.qos_profile
+        compatible, reason = qos_check_compatible(offered, info.qos_profile)
         return brief(str(reason)) if compatible == QoSCompatibility.ERROR else ""
 
     def _subscribers(self) -> tuple[int, int]:
@@ -210,12 +213,12 @@ class Publication:
     def _reaches_any(self) -> bool:
         """Whether a subscriber of others is connected."""
         own, _ = self._subscribers()
-        return bool(self.publisher.get_subscription_count() > own)
+        return bool(self.topic.publisher.get_subscription_count() > own)
 
     def _reaches_all(self) -> bool:
         """Whether all subscribers of others are connected, and there are some."""
         own, others = self._subscribers()
-        return others > 0 and bool(self.publisher.get_subscription_count() >= own + others)
+        return others > 0 and bool(self.topic.publisher.get_subscription_count() >= own + others)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ from bo_tuner.backends.ros.isolation import namespace_of
 from bo_tuner.errors import BackendError
 
 NODE_NAME = "bo_tuner"
+LIVE_NODE = "tuner"
+"""Name of the node that tells of a run in progress, and takes requests to pause and end it."""
 NAMESPACE = re.compile(r"/|(/[A-Za-z_]\w*)+/?", re.ASCII)
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What the graph calls the node of a publisher that it has only just discovered."""

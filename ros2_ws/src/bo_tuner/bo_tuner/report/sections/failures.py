@@ -1,4 +1,4 @@
-"""Failed evaluations, and outliers of the objective."""
+"""Failed evaluations, outliers of the objective, and evaluations with gaps in their signals."""
 
 from collections.abc import Sequence
 
@@ -7,6 +7,9 @@ from bo_tuner.report.content import Section, Table, number
 from bo_tuner.storage.run_files import BAGS, bag_name
 from bo_tuner.text import values, with_unit
 from bo_tuner.trials import Evaluation, Trial
+
+MOST_NOTES = 10
+"""Evaluations whose gaps in signals are told one by one."""
 
 
 def failures(analysis: Analysis) -> Section:
@@ -25,8 +28,17 @@ def failures(analysis: Analysis) -> Section:
         title="Failures and outliers",
         lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
         tables=tables,
-        notes=warnings,
+        notes=[*warnings, *_gaps(analysis.record.evaluations)],
     )
+
+
+def _gaps(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Name the evaluations whose signals have gaps, as of the first few what these are."""
+    marked = [e for e in evaluations if e.outcome.complete and e.outcome.note]
+    notes = [f"Gaps in signals, {e.place}: {e.outcome.note}." for e in marked[:MOST_NOTES]]
+    if rest := len(marked) - len(notes):
+        notes.append(f"{rest} more have gaps: column details.note of evaluations.csv.")
+    return notes
 
 
 def _failed_table(analysis: Analysis, failed: Sequence[Evaluation]) -> Table:

@@ -1,0 +1,220 @@
+"""How often the messages of a signal come, and what to make of it when none comes for long.
+
+Where a study does not limit the gaps of a signal, the first complete runs show what is usual. A
+signal whose messages come in even distances there is *regular*; one of events or of what is only
+told once is not, and may be silent.
+"""
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import astuple, dataclass, replace
+from statistics import median
+
+import numpy as np
+
+from bo_tuner.metrics.recording import RecordedSignal, Recording, named
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study.metrics import PythonMetric, SignalMetric
+from bo_tuner.study.signals import Signal, expression
+from bo_tuner.study.study import Study
+from bo_tuner.trials import Outcome
+
+FIRST_RUNS = 3
+"""Complete runs that show what is usual."""
+FEWEST = 10
+"""Messages in a run from which on their distance tells something."""
+REGULAR, NOTED = 3.0, 5.0
+"""Largest gap of a regular signal, and of one that is worth a note, in usual distances."""
+JITTER = 0.1
+"""Length [s] of a gap that is usual on a busy machine, however often messages come."""
+TOLD = 0.95
+"""Share of the usual messages below which those of an even signal are too few."""
+EVEN = 2.0
+"""Distance of the messages of an even signal, in nine of ten cases, in usual distances at most."""
+LONG = 50.0
+"""A gap of so many usual distances fails a run, if it is long beside the run as well."""
+SHARE, SHORTEST, LONGEST = 0.25, 0.5, 2.0
+"""Share of the run that such a gap takes at least, between these lengths [s]."""
+
+RATE = "rate."
+"""Begin of the keys of an outcome's details that have the rates of the signals."""
+TEXT = re.compile(r"(\d+) messages, every (\S+) s, 90 % (\S+) s, largest gap (\S+) s, run (\S+) s")
+FEW = "too few messages"
+"""What is said instead of a signal without a rate."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often the messages of a signal came in a run.
+
+    Attributes
+    ----------
+    messages
+        Number of them.
+    distance
+        Median of the time between two messages [s].
+    most
+        What it does not exceed in nine of ten cases [s].
+    gap
+        Longest time without a message [s], start and end included.
+    duration
+        Of the run [s].
+    """
+
+    messages: float
+    distance: float
+    most: float
+    gap: float
+    duration: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.messages:.0f} messages, every {self.distance!r} s, 90 % {self.most!r} s, "
+            f"largest gap {self.gap!r} s, run {self.duration!r} s"
+        )
+
+
+def rate_of(seen: RecordedSignal, end: float) -> Rate | None:
+    """Return the rate of a signal in a run until `end` [s]; None of too few messages."""
+    times = seen.time[seen.time >= 0.0]
+    if len(times) < FEWEST:
+        return None
+    gap = float(np.max(gaps(times, end)))
+    distance, most = map(float, np.quantile(np.diff(times), [0.5, 0.9]))
+    return Rate(len(times), distance, most, gap, end)
+
+
+def gaps(times: Array, end: float) -> Array:
+    """Return the times [s] without a message, (n + 1,), by those of the messages (n,)."""
+    return np.diff(np.concatenate(([0.0], times, [end])))
+
+
+class MessageRates:
+    """What is usual of the signals of a study, by its first complete runs.
+
+    It depends on their outcomes alone, in their order, so that a run that is resumed has the same
+    as one that is not.
+
+    Parameters
+    ----------
+    study
+        The study.
+    """
+
+    def __init__(self, study: Study) -> None:
+        # One with a limit of its own is judged by that; one that need not come may be silent.
+        self._signals = {
+            name: spec
+            for name, spec in study.signals.items()
+            if spec.largest_gap is None and spec.minimum_messages > 0
+        }
+        self._used = used_signals(study)
+        self._runs: list[dict[str, Rate]] = []
+
+    def note(self, outcome: Outcome) -> None:
+        """Take note of what an evaluation came to, as recorded by `details`."""
+        said = {
+            key.removeprefix(RATE): text
+            for key, text in outcome.details.items()
+            if key.startswith(RATE)
+        }
+        if outcome.complete and said and len(self._runs) < FIRST_RUNS:
+            self._runs.append(
+                {
+                    name: Rate(*map(float, match.groups()))
+                    for name, text in said.items()
+                    if (match := TEXT.fullmatch(text))
+                }
+            )
+
+    def details(self, recording: Recording) -> dict[str, str]:
+        """Return the rates of a run, for the details of its outcome."""
+        found = {
+            name: rate_of(recording.signals[name], recording.end)
+            for name in self._signals
+            if name in recording.signals
+        }
+        return {f"{RATE}{name}": str(rate or FEW) for name, rate in found.items()}
+
+    @property
+    def largest_gaps(self) -> dict[str, float]:
+        """Time [s] without a message that fails a run, of each regular signal that is used.
+
+        Empty until the first runs have shown what is usual.
+        """
+        return {
+            name: max(
+                LONG * rate.distance,
+                4.0 * rate.gap,
+                min(max(SHARE * rate.duration, SHORTEST), LONGEST),
+            )
+            for name, rate in self._usual.items()
+            if name in self._used
+        }
+
+    def remarks(self, recording: Recording) -> list[str]:
+        """Tell, a line each, of signals that were silent for longer than usual, or too rare.
+
+        In the first runs a signal is compared with itself.
+        """
+        found = []
+        for name, spec in self._signals.items():
+            seen = recording.signals.get(name)
+            rate = self._usual.get(name)
+            if seen is not None and len(self._runs) < FIRST_RUNS:
+                rate = rate_of(seen, recording.end)
+                rate = rate and replace(rate, messages=0.0, gap=0.0)
+            if seen is not None and rate is not None:
+                found += _remarks(named(name, spec), seen, recording.end, rate)
+        return found
+
+    @property
+    def _usual(self) -> dict[str, Rate]:
+        """What is usual of each regular signal: the medians of the first runs."""
+        if len(self._runs) < FIRST_RUNS:
+            return {}
+        usual = {}
+        for name in self._signals:
+            rates = [run[name] for run in self._runs if name in run]
+            if len(rates) <= FIRST_RUNS // 2:
+                continue
+            medians = zip(*(astuple(rate) for rate in rates), strict=True)
+            rate = Rate(*map(median, medians))
+            if rate.gap <= max(REGULAR * rate.distance, JITTER):
+                usual[name] = rate
+        return usual
+
+
+def _remarks(where: str, seen: RecordedSignal, end: float, usual: Rate) -> list[str]:
+    times = seen.time[seen.time >= 0.0]
+    silent = gaps(times, end)
+    k = int(silent.argmax())
+    if silent[k] > max(NOTED * usual.distance, 2.0 * usual.gap, JITTER):
+        since = [0.0, *times][k]
+        return [
+            f"{where} has no message for {silent[k]:.3g} s from {since:.3f} s on, usually one "
+            f"every {usual.distance:.3g} s"
+        ]
+    expected = usual.messages * end / usual.duration
+    if usual.most <= EVEN * usual.distance and len(times) < TOLD * expected - 1.0:
+        return [f"{where} has {len(times)} messages, usually about {expected:.0f}"]
+    return []
+
+
+def used_signals(study: Study) -> Collection[str]:
+    """Return the signals that a metric, or a condition on the end or abortion of a run, needs."""
+    signals: Mapping[str, Signal] = study.signals
+    texts: list[object] = []
+    for metric in study.metrics.values():
+        if isinstance(metric, PythonMetric):
+            return signals.keys()
+        if isinstance(metric, SignalMetric):
+            texts += [metric.of, metric.target]
+    if study.run is not None:
+        texts += [study.run.abort_when, study.run.end.when]
+    return {
+        name
+        for text in texts
+        if isinstance(text, str) and text
+        for name in expression(text, signals).names
+    }
