@@ -28,11 +28,13 @@ def make_backend(
         One of `bo_tuner.study.parts.BACKENDS`.
     study
         The study.
-    log_directory, attach, run_log, ros_arguments, interrupted
+    log_directory, attach, run_log, ros_arguments
         As in `RosBackend`; of no meaning in process.
+    interrupted
+        As in `RosBackend` and `InProcessBackend`.
     """
     if name == IN_PROCESS:
-        return InProcessBackend(study)
+        return InProcessBackend(study, interrupted)
     return RosBackend(
         study,
         log_directory,

@@ -7,7 +7,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
-OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate")
+OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder")
 """Sections that may differ between runs whose trials can be compared."""
 
 
