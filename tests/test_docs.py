@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from commands import Fork, finish, python_path
+from commands import Fork, finish
 from example_nodes import UNCHANGED, start_script
 from ros_processes import claim_domain
 from waiting import DEADLINE, wait_until
@@ -284,9 +284,7 @@ def test_a_wrong_command_is_noticed(line, complaint):
 
 def tune(folder, *arguments, **environment):
     """Run tune to its end in a folder; returns the run folder's path."""
-    path = python_path(EXAMPLE)
-    changes = {"PYTHONPATH": path} | environment
-    code, _, err = finish(Fork("tune", *arguments, folder=folder, env=changes))
+    code, _, err = finish(Fork("tune", *arguments, folder=folder, env=environment))
     return code, err, folder / "runs" / "latest"
 
 

@@ -1,6 +1,7 @@
 """Fixtures of the tuner's tests: studies of plain functions, a backend for them, and a run."""
 
 import shutil
+import signal
 
 import pytest
 from functions import (  # noqa: F401  (fixtures)
@@ -39,3 +40,16 @@ def run(tuned, tmp_path):
 
     shutil.copytree(tuned.path, tmp_path / "run")
     return read_run(tmp_path / "run")
+
+
+@pytest.fixture
+def handlers():
+    """Signals as in the foreground: a shell lets what runs in the background ignore some."""
+    from bo_tuner.interruption import SIGNALS
+
+    before = {signum: signal.getsignal(signum) for signum in (*SIGNALS, signal.SIGTSTP)}
+    for signum in before:
+        signal.signal(signum, signal.SIG_DFL)
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)

@@ -4,18 +4,9 @@ import signal
 
 import pytest
 
-from bo_tuner.interruption import SIGNALS, Interrupted, Interruption
+from bo_tuner.interruption import Interrupted, Interruption
 
-
-@pytest.fixture(autouse=True)
-def handlers():
-    """Signals as in the foreground: a shell lets what runs in the background ignore some."""
-    before = {signum: signal.getsignal(signum) for signum in (*SIGNALS, signal.SIGTSTP)}
-    for signum in before:
-        signal.signal(signum, signal.SIG_DFL)
-    yield
-    for signum, handler in before.items():
-        signal.signal(signum, handler)
+pytestmark = pytest.mark.usefixtures("handlers")
 
 
 @pytest.mark.parametrize("name", ["INT", "TERM", "HUP", "QUIT", "USR1", "USR2", "ALRM", "XCPU"])

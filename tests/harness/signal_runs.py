@@ -30,7 +30,8 @@ def signal_study(**sections):
 
 def outcome_of(study, recording):
     """The metrics of a recording."""
-    return Collector(study, signal_sources(study, lambda: recording)).outcome({})
+    with signal_sources(study, lambda: recording) as sources:
+        return Collector(study, sources).outcome({})
 
 
 def record_run(path, study, recordings):

@@ -1,5 +1,6 @@
 """Evaluations on objects of this process: foreign code may do what it likes, the run goes on."""
 
+import signal
 import sys
 
 import pytest
@@ -7,10 +8,24 @@ from functions import planned
 
 from bo_tuner.backends.inprocess import InProcessBackend
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.interruption import Interrupted, Interruption
 from bo_tuner.study.study_file import load_study
 from bo_tuner.trials import EvaluationState
 
 OBJECTS = '''\
+import os
+import signal
+import sys
+
+
+class Wild:
+    def __float__(self):
+        raise ZeroDivisionError("of its own")
+
+    def __str__(self):
+        raise ZeroDivisionError("of its own")
+
+
 class Axis:
     def __init__(self):
         self.values = {}
@@ -31,7 +46,22 @@ class Axis:
             raise RuntimeError("motor on fire")
         if behaviour == "nothing":
             return None
-        if behaviour:
+        if behaviour == "leave":
+            sys.exit(0)
+        if behaviour == "stop":
+            raise KeyboardInterrupt
+        if behaviour == "move":
+            os.chdir("/")
+        elif behaviour == "wild":
+            said["error"] = Wild()
+        elif behaviour == "signal":
+            os.kill(os.getpid(), signal.SIGUSR1)
+            while True:
+                try:
+                    pass
+                except Exception:
+                    pass
+        elif behaviour:
             said |= eval(behaviour)
         return said
 
@@ -73,16 +103,16 @@ def opened(tmp_path, monkeypatch, make_study):
     # Other tests have a module of this name, too.
     monkeypatch.delitem(sys.modules, "axis_objects", raising=False)
 
-    def make(**sections):
-        backend = InProcessBackend(make_study(**sections))
+    def make(interrupted=lambda: None, **sections):
+        backend = InProcessBackend(make_study(**sections), interrupted)
         backend.open()
         return backend
 
     return make
 
 
-def behaving(opened, behaviour):
-    return opened(nodes={"axis": NODE | {"parameters": {"behaviour": behaviour}}})
+def behaving(opened, behaviour, interrupted=lambda: None):
+    return opened(interrupted, nodes={"axis": NODE | {"parameters": {"behaviour": behaviour}}})
 
 
 class TestOpen:
@@ -143,7 +173,7 @@ class TestEvaluation:
         ("gain", "reason"),
         [
             (0.95, "axis refused its parameters: gain: 0.95 is above 0.9"),
-            (-1.0, "axis refused its parameters: TypeError('no sign')"),
+            (-1.0, "axis refused its parameters: TypeError: no sign"),
         ],
     )
     def test_refused_parameters(self, opened, gain, reason):
@@ -162,13 +192,31 @@ class TestEvaluation:
             ("{'error': float('nan')}", "axis: metric error is nan"),
             ("{'error': None}", "axis: metric error is"),
             ("{'peak': 'inf'}", "axis: metric peak is inf"),
+            ("leave", "SystemExit: 0"),
+            ("stop", "KeyboardInterrupt"),
+            ("move", "MovedError: changed the working directory to /"),
+            ("wild", "axis: metric error is a Wild that is no number: ZeroDivisionError: of its"),
         ],
     )
-    def test_a_failed_evaluation_has_its_reason(self, opened, behaviour, reason):
+    def test_a_failed_evaluation_has_its_reason(self, opened, handlers, behaviour, reason):
+        Interruption()
         found = behaving(opened, behaviour).outcome(PLANNED)
         assert found.state is EvaluationState.FAILED
         assert reason in found.reason
         assert found.metrics == {}
+
+    def test_a_signal_ends_an_object_at_work(self, opened, handlers):
+        """Which does not look for one; afterwards signals are for the run to notice again."""
+        interruption = Interruption()
+        backend = behaving(opened, "signal", interruption.check)
+        with pytest.raises(Interrupted):
+            backend.outcome(PLANNED)
+        signal.raise_signal(signal.SIGTERM)
+        assert interruption.signum == signal.SIGTERM
+
+    def test_ctrl_c_without_a_command_is_no_fault_of_the_object(self, opened):
+        with pytest.raises(KeyboardInterrupt):
+            behaving(opened, "stop").outcome(PLANNED)
 
     def sensing(self, opened, behaviour):
         sensor = NODE | {

@@ -1,16 +1,25 @@
 """Metrics by a function of the user."""
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from signal_runs import outcome_of, signal_study
+from waiting import wait_until
 
 from bo_tuner.errors import StudyError
+from bo_tuner.interruption import Interrupted
+from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.recording import RecordedSignal, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
-from bo_tuner.study.study_file import parse_study, study_from_mapping, study_to_yaml
+from bo_tuner.study.study_file import load_study, parse_study, study_from_mapping, study_to_yaml
 from bo_tuner.trials import EvaluationState
 
 FUNCTIONS = """
+import collections, itertools, os, signal, sys
 import numpy as np
 
 def energy(signals):
@@ -18,8 +27,7 @@ def energy(signals):
     return np.sum(value[:-1] ** 2 * np.diff(time))
 
 def seen(signals):
-    seen.signals = signals
-    return 1
+    raise ValueError({name: np.asarray(seen).tolist() for name, seen in signals.items()})
 
 def absent(signals):
     return signals["z"][1].max()
@@ -37,6 +45,34 @@ def late(signals):
     return 0.0
 
 number = 3.0
+
+class Wild(float):
+    def __float__(self): raise ZeroDivisionError("of its own")
+
+def leaves(signals): sys.exit(0)
+def stops(signals): raise KeyboardInterrupt
+def exits(signals): os._exit(3)
+def crashes(signals): os.kill(os.getpid(), signal.SIGSEGV)
+def moves(signals):
+    os.chdir("/")
+    return 1.0
+def wild(signals): return Wild(1.0)
+def where(signals):
+    print("to be read by nobody")
+    return float(os.path.exists("limits.csv"))
+def mark(text):
+    with open("mark", "w") as file:
+        file.write(text)
+def loops(signals):
+    mark(str(os.getpid()))
+    while True:
+        try:
+            pass
+        except BaseException:
+            pass
+def loops_in_c(signals):
+    mark(str(os.getpid()))
+    collections.deque(itertools.repeat(1), maxlen=0)
 """
 # x is 0 before the start, 2 from 1 s and 4 from 3 s on.
 X = RecordedSignal(np.array([-0.7, 1.0, 3.0]), np.array([0.0, 2.0, 4.0]))
@@ -53,10 +89,11 @@ def functions(tmp_path, monkeypatch):
         monkeypatch.delitem(__import__("sys").modules, name, raising=False)
 
 
-def study(path):
+def study(path, folder="", **keys):
     signals = {name: {"topic": name, "field": "data", "minimum_messages": 0} for name in "xy"}
-    metrics, objective = {"own": {"python": path, "unit": "J"}}, {"metric": "own"}
-    return study_from_mapping(signal_study(signals=signals, metrics=metrics, objective=objective))
+    metrics, objective = {"own": {"python": path, "unit": "J"} | keys}, {"metric": "own"}
+    sections = {"signals": signals, "metrics": metrics, "objective": objective}
+    return study_from_mapping(signal_study(folder=str(folder), **sections))
 
 
 def outcome(function):
@@ -71,10 +108,7 @@ def test_a_function_of_the_signals():
 
 def test_what_the_function_is_given():
     """The value that holds at the start stands at 0, and the last one at the end."""
-    outcome("seen")
-    ((name, (time, value)),) = __import__("users_metrics").seen.signals.items()
-    assert name == "x"
-    np.testing.assert_array_equal([time, value], [[0, 1, 3, 5], [0, 2, 4, 4]])
+    assert "{'x': [[0.0, 1.0, 3.0, 5.0], [0.0, 2.0, 4.0, 4.0]]}" in outcome("seen").reason
 
 
 def test_a_function_cannot_change_the_recording():
@@ -91,7 +125,13 @@ def test_a_function_cannot_change_the_recording():
         ("array", "metric own: users_metrics:array returned a ndarray, expected a number"),
         ("truth", "metric own: users_metrics:truth returned true, expected a number"),
         ("nan", "metric own is nan"),
-        ("huge", "metric own is 1"),
+        ("huge", "metric own: users_metrics:huge returned a int that is no number: OverflowError"),
+        ("wild", "metric own: users_metrics:wild returned a Wild that is no number: ZeroDivisionE"),
+        ("leaves", "metric own: users_metrics:leaves raised SystemExit: 0"),
+        ("stops", "metric own: users_metrics:stops raised KeyboardInterrupt"),
+        ("exits", "metric own: users_metrics:exits ended its process: exit code 3"),
+        ("crashes", "metric own: users_metrics:crashes ended its process: killed by SIGSEGV"),
+        ("moves", "metric own: users_metrics:moves changed the working directory to /"),
     ],
 )
 def test_no_number(function, reason):
@@ -110,10 +150,118 @@ def test_no_number(function, reason):
 )
 def test_no_function(path, problem):
     with pytest.raises(StudyError) as caught:
-        signal_sources(study(path), lambda: RECORDING)
+        outcome_of(study(path), RECORDING)
     assert str(caught.value).startswith(f"metrics.own.python: {problem}")
 
 
 def test_what_is_written_reads_back_equal():
     made = study("users_metrics:energy")
     assert parse_study(study_to_yaml(made)) == made
+
+
+def is_there(pid):
+    """Whether a process runs: what it was may not have been collected yet."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"
+
+
+LOOPS = pytest.mark.parametrize("function", ["loops", "loops_in_c"])
+
+
+@LOOPS
+def test_an_interruption_ends_a_function(tmp_path, function):
+    """Also one that catches everything, or that never comes back to Python."""
+
+    def interrupted():
+        # Once the function is at work.
+        if (tmp_path / "mark").exists() and (tmp_path / "mark").read_text():
+            raise Interrupted(signal.SIGINT)
+
+    made = study(f"users_metrics:{function}", tmp_path)
+    with (
+        pytest.raises(Interrupted),
+        signal_sources(made, lambda: RECORDING, interrupted) as sources,
+    ):
+        Collector(made, sources).outcome({})
+    assert not is_there(int((tmp_path / "mark").read_text()))
+
+
+@LOOPS
+def test_a_function_that_takes_too_long(tmp_path, function):
+    """The run fails by name, and the next one is computed."""
+    made = study(f"users_metrics:{function}", tmp_path, timeout=0.5)
+    with signal_sources(made, lambda: RECORDING) as sources:
+        found = Collector(made, sources).outcome({})
+    assert found.state is EvaluationState.FAILED
+    reason = f"metric own: users_metrics:{function} took longer than its timeout of 0.5 s"
+    assert found.reason == reason
+    assert not is_there(int((tmp_path / "mark").read_text()))
+
+
+def test_after_a_crash_the_next_run_is_computed():
+    made = study("users_metrics:crashes")
+    own = study("users_metrics:energy").metrics["own"]
+    with signal_sources(made, lambda: RECORDING) as sources:
+        assert not Collector(made, sources).outcome({}).complete
+        process = sources["own"]._process
+        assert process.compute(own.python, {"x": (X.time, X.value)}, None) >= 0.0
+
+
+def test_the_process_ends_with_a_tuner_that_is_killed(tmp_path):
+    program = (
+        "import sys\n"
+        "from bo_tuner.metrics.python_process import PythonProcess\n"
+        "process = PythonProcess(sys.argv[1], lambda: None)\n"
+        "process.compute('users_metrics:loops', {}, None)\n"
+    )
+    mark = tmp_path / "mark"
+    with subprocess.Popen([sys.executable, "-c", program, tmp_path]) as tuner:
+        wait_until(lambda: mark.exists() and mark.read_text(), "the function", tuner)
+        tuner.kill()
+    wait_until(lambda: not is_there(int(mark.read_text())), "its end")
+
+
+def test_what_a_function_prints_is_no_output_of_the_command(capfd):
+    assert outcome("where").complete
+    assert capfd.readouterr().out == ""
+
+
+class TestFolder:
+    @pytest.fixture
+    def beside(self, tmp_path):
+        """Path of a study with a module and a file beside it, which nothing else leads to."""
+        folder = tmp_path / "machine"
+        folder.mkdir()
+        (folder / "metrics_beside.py").write_text(FUNCTIONS)
+        (folder / "limits.csv").touch()
+        (folder / "study.yaml").write_text(study_to_yaml(study("metrics_beside:where")))
+        return folder / "study.yaml"
+
+    def test_a_module_beside_the_study_file(self, beside):
+        assert outcome_of(load_study(beside), RECORDING).metrics == {"own": 1.0}
+
+    def test_the_record_says_where_that_was(self, beside, tmp_path, monkeypatch):
+        """A run is continued from another folder, and its own folder is no folder of code."""
+        written = study_to_yaml(load_study(beside))
+        monkeypatch.chdir(tmp_path)
+        assert outcome_of(parse_study(written), RECORDING).metrics == {"own": 1.0}
+
+    def test_a_folder_of_code_elsewhere(self, beside, tmp_path):
+        other = tmp_path / "other" / "study.yaml"
+        other.parent.mkdir()
+        other.write_text(beside.read_text() + "folder: ../machine\n")
+        assert outcome_of(load_study(other), RECORDING).metrics == {"own": 1.0}
+
+    def test_an_installed_module_comes_first(self, beside):
+        """A file of that name must not take its place in the process of the tuner's own code."""
+        (beside.parent / "numpy.py").write_text("raise RuntimeError('taken for numpy')")
+        assert outcome_of(load_study(beside), RECORDING).complete
+
+    def test_a_folder_that_is_gone(self, beside):
+        made = load_study(beside)
+        beside.parent.rename(beside.parent.with_name("moved"))
+        with pytest.raises(StudyError, match=f"^folder: there is no folder {beside.parent}$"):
+            outcome_of(made, RECORDING)

@@ -98,6 +98,11 @@ def test_a_run_begins_before_the_first_message_of_a_signal():
             {"of": "x", "measure": "settling_time", "target": 9},
             "metric error: x does not settle within 0.02 of the step to 9",
         ),
+        (
+            # x is 0 at the start.
+            {"of": "x", "measure": "overshoot", "target": 0.001},
+            "metric error: x begins at 0 with the target 0.001, beside a range of ",
+        ),
         ({"of": "exp(900 * x)", "measure": "mean"}, "metric error: exp(900 * x) is undefined at 1"),
         ({"of": "x * 1e200", "measure": "ise"}, "metric error is inf"),
         *(

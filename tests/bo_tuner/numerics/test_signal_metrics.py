@@ -39,9 +39,12 @@ def test_percentiles_do_not_depend_on_the_order(samples, period, percent):
         ("itae", 2 * 0.5 + (9 - 1) / 2 + 3 * (3.5**2 - 9) / 2),
         ("rms", math.sqrt(10.5 / 3.5)),
         ("mean", (2 - 2 + 1.5) / 3.5),
+        # The mean of the squares less the square of the mean.
+        ("std", math.sqrt(10.5 / 3.5 - (1.5 / 3.5) ** 2)),
         ("minimum", -1.0),
         ("maximum", 3.0),
         ("total_variation", 3 + 4),
+        ("total_variation_rate", (3 + 4) / 3.5),
         ("largest_rate", 3 / 1),
         ("largest_gap", 2.0),
         ("duration", 3.5),
@@ -123,7 +126,12 @@ def test_the_steady_state_is_the_last_tenth_of_the_time():
     [
         ("settling_time", {"target": 1.0}, [0.0, 0.5, 0.9], "does not settle within 0.02"),
         ("rise_time", {"target": 1.0}, [0.0, 0.5, 0.8], "does not rise to 90 %"),
-        ("overshoot", {"target": 1.0}, [1.0, 2.0, 1.0], "is 1, the target, from the start"),
+        (
+            "overshoot",
+            {"target": 1.0},
+            [1.0, 2.0, 1.0],
+            "begins at 1 with the target 1: that is no step",
+        ),
     ],
 )
 def test_what_is_not_defined_says_so(measure, options, value, problem):
@@ -131,11 +139,55 @@ def test_what_is_not_defined_says_so(measure, options, value, problem):
         MEASURES[measure](np.arange(3.0), np.array(value), **options)
 
 
+STEPS = pytest.mark.parametrize("measure", ["overshoot", "rise_time", "settling_time"])
+
+
+@STEPS
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_about_the_target_is_no_step(measure, seed):
+    """Its first value is as far from the target as any other: what comes out would be chance."""
+    value = 1.0 + 0.01 * np.random.default_rng(seed).standard_normal(200)
+    value[0] = 1.01
+    with pytest.raises(UndefinedMetricError, match=r"begins at 1\.01 with the target 1, beside a "):
+        MEASURES[measure](0.01 * np.arange(200.0), value, target=1.0)
+
+
+@STEPS
+def test_a_motion_away_from_the_target_and_back_is_no_step(measure):
+    """A run that began at its target up to 1e-4 would overshoot by 100 000 %."""
+    time = np.linspace(0.0, 2.0, 20_001)
+    value = 0.9999 + 0.1 * np.sin(np.pi * time / 2.0)
+    with pytest.raises(UndefinedMetricError, match="that is no step"):
+        MEASURES[measure](time, value, target=1.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("period", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("damping", [0.05, 0.3, 1.5])
+def test_a_step_in_noise_is_one(noise, period, damping):
+    """Also of an oscillation that hardly decays, at some samples a period and at thousands."""
+    time = np.arange(0.0, 20.0, period)
+    system = control.tf([9.0], [1.0, 6.0 * damping, 9.0])
+    _, value = control.step_response(system, time)
+    value = value + noise * np.random.default_rng(1).standard_normal(len(time))
+    expected = max(0.0, 100.0 * ((value.max() - value[0]) / (1.0 - value[0]) - 1.0))
+    assert metrics.overshoot(time, value, target=1.0) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_response_that_grows_overshoots():
+    """Ten times the step: the parameters are bad, and that is a number."""
+    time = np.linspace(0.0, 5.0, 51)
+    value = 1.0 - np.exp(0.5 * time) * np.cos(4.0 * time)
+    assert metrics.overshoot(time, value, target=1.0) > 500.0
+
+
 @pytest.mark.parametrize(
     ("measure", "options"),
     [
         ("rms", {}),
         ("mean", {}),
+        ("std", {}),
+        ("total_variation_rate", {}),
         ("percentile", {"percent": 50}),
         ("steady_state_error", {"target": 1}),
     ],
@@ -167,8 +219,13 @@ def test_a_held_value_may_be_split(widths, data, percent):
     index = data.draw(st.integers(1, len(time) - 1))
     between = 0.5 * (time[index - 1] + time[index])
     split = np.insert(time, index, between), np.insert(value, index, value[index - 1])
-    for name in ("iae", "ise", "itae", "rms", "mean", "minimum", "maximum", "total_variation"):
+    for name in (
+        "iae", "ise", "itae", "rms", "mean", "minimum", "maximum", "total_variation",
+        "total_variation_rate",
+    ):  # fmt: skip
         assert MEASURES[name](*split) == pytest.approx(MEASURES[name](time, value), abs=1e-9)
+    # Of a root the rounding error is that of the square, not of itself.
+    assert metrics.std(*split) ** 2 == pytest.approx(metrics.std(time, value) ** 2, abs=1e-9)
     low, high = (metrics.percentile(*split, percent=p) for p in (0.0, 100.0))
     assert low <= metrics.percentile(time, value, percent=percent) <= high
 

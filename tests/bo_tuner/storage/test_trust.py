@@ -7,6 +7,7 @@ import stat
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from axis import write_axis
@@ -121,6 +122,11 @@ class TestPrograms:
     @pytest.mark.parametrize("name", shipped_studies())
     def test_shipped_studies_are_trusted(self, name):
         assert foreign_programs(load_study(name)) == []
+
+    def test_a_folder_of_code_is_not_trusted_for_the_names_of_a_shipped_study(self):
+        """What lies there may stand in for a module that is not installed."""
+        shipped = load_study(shipped_studies()[0])
+        assert foreign_programs(replace(shipped, folder="/strange")) == ["code in /strange"]
 
 
 @pytest.mark.parametrize(

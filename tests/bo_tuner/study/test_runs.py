@@ -5,6 +5,7 @@ from drive_text import refusal
 
 from bo_tuner.errors import StudyError
 from bo_tuner.study import strict_yaml
+from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.run import End
 from bo_tuner.study.signals import FieldPart, field_path
 from bo_tuner.study.steps import Call, Publish, Step
@@ -57,6 +58,12 @@ def put(value, *path):
     else:
         inner[path[-1]] = value
     return changed
+
+
+@pytest.mark.parametrize(("short", "name"), [("min", "minimum"), ("max", "maximum")])
+def test_a_measure_by_another_name_is_the_same(short, name):
+    metrics = [SignalMetric(name="m", of="x", measure=word) for word in (short, name)]
+    assert metrics[0] == metrics[1]
 
 
 def test_what_is_read():

@@ -130,3 +130,25 @@ def test_an_interruption_while_a_machine_is_stopped_keeps_it_from_driving_home(
     monkeypatch.setattr(made._procedure._clock, "look", disturbed)
     assert failure(run(made)).startswith("the clock was set")
     assert set(published) == {1.0, -0.5}
+
+
+def test_a_function_of_a_metric_is_ended_and_the_machine_is_safe_before_it_begins(
+    interruptible, system, tmp_path
+):
+    """It may take any time, in which even a tuner that is killed leaves no trial's gains."""
+    (tmp_path / "looping_metric.py").write_text(
+        "def loop(signals):\n    open('begun', 'w').close()\n    while True: pass\n"
+    )
+    gains = []
+
+    def computing():
+        if (tmp_path / "begun").exists():
+            gains.append(gain(system))
+        return gains
+
+    made = interruptible(
+        computing, metrics={"own": {"python": "looping_metric:loop"}}, folder=str(tmp_path)
+    )
+    with pytest.raises(Interrupted):
+        run(made, 0.75)
+    assert gains[0] == 0.5

@@ -16,7 +16,13 @@ from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.signals import SignalRecorder
 from bo_tuner.errors import StudyError
-from bo_tuner.study.study_file import load_study, study_from_mapping, study_to_mapping
+from bo_tuner.study.study_file import (
+    load_study,
+    parse_study,
+    study_from_mapping,
+    study_to_mapping,
+    study_to_yaml,
+)
 from bo_tuner.trials import Evaluation, EvaluationState, Stage
 
 pytestmark = pytest.mark.ros
@@ -82,6 +88,23 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
     environment = Path(f"/proc/{pids[1]}/environ").read_bytes().split(b"\0")
     assert b"GREETING=good day" in environment
     assert "ready" in (tmp_path / "motor.log").read_text()
+
+
+def test_commands_are_relative_to_the_study_file(backend, tmp_path, monkeypatch):
+    """Wherever the tuner is called, and so does a run that is continued from elsewhere."""
+    folder = tmp_path / "machine"
+    shutil.copytree(UNCHANGED, folder)
+    script = folder / "start_pid"
+    script.write_text(f"#!/bin/sh\nexec '{sys.executable}' pid_node.py\n")
+    script.chmod(0o755)
+    nodes = {
+        "pid": {"node": "pid", "command": "./start_pid"},
+        "motor": {"node": "motor", "command": f"'{sys.executable}' motor_node.py"},
+    }
+    (folder / "study.yaml").write_text(study_to_yaml(position(nodes=nodes)))
+    on_record = study_to_yaml(load_study(folder / "study.yaml"))
+    monkeypatch.chdir("/")
+    assert run(backend(parse_study(on_record))).state is EvaluationState.COMPLETE
 
 
 def test_a_domain_that_was_found_is_not_taken_for_the_users(backend, monkeypatch):

@@ -1,8 +1,10 @@
 """Requests from outside that a run notices between two steps: to end, or to wait."""
 
+import contextlib
+import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 SIGNALS = (
@@ -16,12 +18,17 @@ SIGNALS = (
     signal.SIGXCPU,
 )
 """All that somebody sends to end a process, and that would leave a machine running."""
+PATIENCE = 1.0
+"""Time [s] that an object at work has to come to its end after a request: else all is lost."""
 LOOK_AROUND = 0.1
 """Time [s] after which a run that waits looks for other requests."""
 
 
-class Interrupted(Exception):  # noqa: N818 (a request, no error)
-    """Somebody asks for the end of the run, by a signal or as if by one."""
+class Interrupted(BaseException):
+    """Somebody asks for the end of the run, by a signal or as if by one.
+
+    It is a request and no error, and passes by those who handle what foreign code raises.
+    """
 
     def __init__(self, signum: int, source: str = "") -> None:
         super().__init__(source or signal.Signals(signum).name)
@@ -73,6 +80,46 @@ class Interruption:
 
     def _take(self, signum: int, _frame: FrameType | None) -> None:
         self._request = (signum, "")
+
+
+@contextlib.contextmanager
+def breaking_off(check: Callable[[], None]) -> Iterator[None]:
+    """Let signals end what is done inside: foreign code, which looks for no request.
+
+    It has `PATIENCE` to come to its end by itself; a second signal ends it at once. Code that does
+    not come back to Python is not reached.
+
+    Parameters
+    ----------
+    check
+        Called then; raises what shall end it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        # Python hands signals to the main thread alone.
+        yield
+        return
+    found = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    handlers = {signum: handler for signum, handler in found.items() if callable(handler)}
+    again: list[threading.Timer] = []
+
+    def take(signum: int, frame: FrameType | None) -> None:
+        handlers[signal.Signals(signum)](signum, frame)
+        if again:
+            check()
+            return
+        again.append(threading.Timer(PATIENCE, os.kill, (os.getpid(), signum)))
+        again[0].daemon = True
+        again[0].start()
+
+    for signum in handlers:
+        signal.signal(signum, take)
+    try:
+        yield
+    finally:
+        for timer in again:
+            timer.cancel()
+        for signum, handler in handlers.items():
+            signal.signal(signum, handler)
 
 
 class Pause:

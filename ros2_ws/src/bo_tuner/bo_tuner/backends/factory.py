@@ -30,13 +30,15 @@ def make_backend(
         One of `bo_tuner.study.parts.BACKENDS`.
     study
         The study.
-    log_directory, attach, run_log, ros_arguments, interrupted
+    log_directory, attach, run_log, ros_arguments
         As in `RosBackend`; of no meaning in process.
+    interrupted
+        As in `RosBackend` and `InProcessBackend`.
     earlier
         Evaluations on record, in their order; see `RosBackend.recall`.
     """
     if name == IN_PROCESS:
-        return InProcessBackend(study)
+        return InProcessBackend(study, interrupted)
     backend = RosBackend(
         study,
         log_directory,

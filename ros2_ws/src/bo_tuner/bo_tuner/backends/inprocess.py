@@ -6,11 +6,13 @@ objects of the remaining nodes in the study's order, and returns what its node w
 others give theirs by ``cut_result()``.
 """
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from bo_tuner.backends.protocol import SequentialBackend
 from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.interruption import breaking_off
 from bo_tuner.metrics.collect import STATUS_OK, Collector
 from bo_tuner.study import named_code
 from bo_tuner.study.parts import IN_PROCESS
@@ -25,12 +27,15 @@ class InProcessBackend(SequentialBackend):
     ----------
     study
         The study.
+    interrupted
+        Asked when a signal has come while an object is at work; raises what shall end that.
     """
 
     name = IN_PROCESS
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, interrupted: Callable[[], None] = lambda: None) -> None:
         self._study = study
+        self._interrupted = interrupted
         self._collector = Collector(study)
         self._objects: dict[str, Any] = {}
         self._triggered = ""
@@ -51,26 +56,28 @@ class InProcessBackend(SequentialBackend):
                     "no object; expected module:Class for the in-process backend",
                     ("nodes", key, "object"),
                 )
-            # Foreign code, which may raise anything.
             try:
-                self._objects[key] = named_code.load(node.object)()
-            except Exception as error:
+                with self._foreign():
+                    self._objects[key] = named_code.load(node.object, self._study.folder)()
+            except named_code.faults() as error:
                 raise StudyError(
-                    f"cannot load {node.object}: {type(error).__name__}: {error}",
+                    f"cannot load {node.object}: {named_code.told(error)}",
                     ("nodes", key, "object"),
                 ) from error
             try:
-                self._objects[key].set_parameters(
-                    dict(node.parameters) | dict(node.inprocess_parameters)
-                )
-            except Exception as error:
+                with self._foreign():
+                    self._objects[key].set_parameters(
+                        dict(node.parameters) | dict(node.inprocess_parameters)
+                    )
+            except named_code.faults() as error:
                 raise StudyError(_reason(error), ("nodes", key, "parameters")) from error
         # What an object never takes would cost all trials.
         defaults = self._study.search_space().defaults
         for key, values in self._study.nominal_assignments(defaults).items():
             try:
-                self._objects[key].set_parameters(values)
-            except Exception as error:
+                with self._foreign():
+                    self._objects[key].set_parameters(values)
+            except named_code.faults() as error:
                 problem = f"refuses the defaults of the study: {_reason(error)}"
                 raise StudyError(problem, ("nodes", key)) from error
 
@@ -79,32 +86,40 @@ class InProcessBackend(SequentialBackend):
         assignments = self._study.assignments(planned.parameters, planned.context, planned.seed)
         if not self._objects:
             raise BackendError("the backend is not open")
-        # Foreign code: whatever it raises is a failed evaluation with its reason, never a lost run.
+        # Whatever foreign code raises is a failed evaluation with its reason, never a lost run.
         for key, values in assignments.items():
             try:
-                self._objects[key].set_parameters(values)
-            except Exception as error:
+                with self._foreign():
+                    self._objects[key].set_parameters(values)
+            except named_code.faults() as error:
                 return Outcome(
                     EvaluationState.FAILED, {}, f"{key} refused its parameters: {_reason(error)}"
                 )
         trigger = self._triggered
         others = {k: o for k, o in self._objects.items() if k != trigger}
         try:
-            answer = self._objects[trigger].run_cut(*others.values())
-            said = {trigger: answer}
-            if isinstance(answer, Mapping) and answer.get("status") == STATUS_OK:
-                said |= {key: other.cut_result() for key, other in others.items()}
-            return self._collector.outcome(said, assignments)
-        except Exception as error:
-            return Outcome(EvaluationState.FAILED, {}, f"{type(error).__name__}: {error}")
+            with self._foreign():
+                answer = self._objects[trigger].run_cut(*others.values())
+                said = {trigger: answer}
+                if isinstance(answer, Mapping) and answer.get("status") == STATUS_OK:
+                    said |= {key: other.cut_result() for key, other in others.items()}
+                return self._collector.outcome(said, assignments)
+        except named_code.faults() as error:
+            return Outcome(EvaluationState.FAILED, {}, named_code.told(error))
+
+    @contextlib.contextmanager
+    def _foreign(self) -> Iterator[None]:
+        """Run code of an object, which may do anything: a signal ends it, and it stays in place."""
+        with breaking_off(self._interrupted), named_code.kept_in_place():
+            yield
 
     def close(self) -> None:
         """Forget the objects."""
         self._objects.clear()
 
 
-def _reason(refusal: Exception) -> str:
-    return str(refusal) if isinstance(refusal, ValueError) else repr(refusal)
+def _reason(refusal: BaseException) -> str:
+    return str(refusal) if isinstance(refusal, ValueError) else named_code.told(refusal)
 
 
 def triggered(study: Study) -> str:

@@ -76,7 +76,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         table.add_column(column, overflow="fold")
     rows: list[tuple[object, ...]] = []
     wrong = 0
-    for found in recompute(record, study):
+    for found in recompute(record, study, interruption.check):
         interruption.check()
         differs = differing(record, study, found)
         wrong += bool(differs)

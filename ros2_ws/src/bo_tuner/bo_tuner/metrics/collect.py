@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from math import isfinite
 
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
-from bo_tuner.study import maxima
+from bo_tuner.study import maxima, named_code
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.metrics import ReportedMetric
+from bo_tuner.study.metrics import CombinedMetric, ReportedMetric
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
@@ -62,7 +62,7 @@ class Collector:
                 )
                 return Outcome(EvaluationState.FAILED, {}, reason)
         details = {
-            f"{node}.{str(key)[:MOST_SAID]}": str(value)[:MOST_SAID]
+            f"{node}.{_text(key)[:MOST_SAID]}": _text(value)[:MOST_SAID]
             for node, pairs in results.items()
             for key, value in pairs.items()
         }
@@ -73,10 +73,18 @@ class Collector:
                 reason = f"{node}: {brief(str(pairs.get('reason') or 'no reason given'))}"
                 disturbed = {DISTURBED: reason} if pairs.get("status") == DISTURBED else {}
                 return Outcome(EvaluationState.FAILED, {}, reason, details | disturbed)
-        metrics = {}
-        for name, metric in self._study.metrics.items():
+        metrics: dict[str, float] = {}
+        # Those that are computed from others come after these.
+        ordered = sorted(
+            self._study.metrics.items(), key=lambda item: isinstance(item[1], CombinedMetric)
+        )
+        for name, metric in ordered:
             try:
-                found = self._sources[name].value(results)
+                found: object
+                if isinstance(metric, CombinedMetric):
+                    found = metric.value(metrics)
+                else:
+                    found = self._sources[name].value(results)
             except MissingMetricError as error:
                 return Outcome(EvaluationState.FAILED, {}, brief(str(error)), details)
             if problem := metric_problem(found):
@@ -85,6 +93,7 @@ class Collector:
                     reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
             metrics[name] = float(found)  # type: ignore[arg-type]
+        metrics = {name: metrics[name] for name in self._study.metrics}
         return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
     def _mismatch(self, results: Results, assigned: Results) -> str:
@@ -112,18 +121,29 @@ def judged(study: Study, outcome: Outcome) -> Outcome:
 
 def metric_problem(found: object) -> str:
     """Tell in a few words why this cannot be the value of a metric; empty if it can."""
-    shown = brief(str(found)[:40]) or "empty"
+    shown = brief(_text(found)[:40]) or "empty"
     if isinstance(found, bool):
         return shown
     try:
         value = float(found)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         return shown
+    except named_code.faults() as error:
+        # An object's own conversion, which may raise anything.
+        return f"a {type(found).__name__} that is no number: {named_code.told(error)}"
     if not isfinite(value):
         return shown
     if abs(value) > LARGEST_METRIC:
         return f"{shown}, beyond {LARGEST_METRIC:g}"
     return ""
+
+
+def _text(value: object) -> str:
+    """Return a value as text, or its type if it has none."""
+    try:
+        return str(value)
+    except named_code.faults():
+        return f"a {type(value).__name__}"
 
 
 def _agrees(value: object, reported: object) -> bool:

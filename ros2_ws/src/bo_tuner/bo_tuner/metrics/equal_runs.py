@@ -1,13 +1,12 @@
 """What equal runs of the default tell of a study: whether anything moves, and how they start."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
 from bo_tuner.metrics.recording import RecordedSignal, Recording
-from bo_tuner.metrics.signal_sources import signal_sources
-from bo_tuner.metrics.source import MetricSource, MissingMetricError
+from bo_tuner.metrics.signal_sources import SignalSource
+from bo_tuner.metrics.source import MissingMetricError
 from bo_tuner.study.metrics import SignalMetric
 from bo_tuner.study.signals import TIME, expression
 from bo_tuner.study.study import Study
@@ -66,7 +65,6 @@ def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Itera
         Names of the signals that others publish. Each other one is a reference, and so is what a
         target is made of.
     """
-    moving = signal_sources(study, lambda: recording)
     for name, metric in study.metrics.items():
         if not isinstance(metric, SignalMetric) or metric.measure not in OF_ERRORS:
             continue
@@ -76,8 +74,8 @@ def unmoved(study: Study, recording: Recording, heard: Collection[str]) -> Itera
         response = (of - to).intersection(heard)
         if not response or not (of | to) - response:
             continue
-        found = _value(moving[name])
-        frozen = _value(signal_sources(study, partial(_frozen, recording, response))[name])
+        still = _frozen(recording, response)
+        found, frozen = (_value(metric, study, each) for each in (recording, still))
         # Without a step of the reference there is nothing to follow.
         if frozen != 0.0 and abs(found - frozen) <= STILL * abs(frozen):
             names = ", ".join(sorted(response))
@@ -135,9 +133,9 @@ def _frozen(recording: Recording, names: Collection[str]) -> Recording:
     return Recording(signals, recording.end)
 
 
-def _value(source: MetricSource) -> float:
-    """Return the value of a metric of signals; NaN, which equals none, if it is undefined."""
+def _value(metric: SignalMetric, study: Study, recording: Recording) -> float:
+    """Return the value of a metric in a run; NaN, which equals none, if it is undefined."""
     try:
-        return float(source.value({}))  # type: ignore[arg-type]
+        return SignalSource(metric, study, lambda: recording).value({})
     except MissingMetricError:
         return float("nan")

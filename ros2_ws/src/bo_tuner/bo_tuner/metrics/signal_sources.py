@@ -1,10 +1,12 @@
 """Metrics that are computed from the signals of a run."""
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from bo_tuner.errors import StudyError
+from bo_tuner.metrics.python_process import PythonProcess
 from bo_tuner.metrics.recording import Recording
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results
 from bo_tuner.numerics.expressions import Expression
@@ -14,11 +16,9 @@ from bo_tuner.numerics.signal_metrics import (
     UndefinedMetricError,
     options_of,
 )
-from bo_tuner.study import checks, named_code
 from bo_tuner.study.metrics import PythonMetric, SignalMetric
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
-from bo_tuner.text import one_line
 
 
 class SignalSource:
@@ -76,9 +76,10 @@ class SignalSource:
 class PythonSource:
     """Computes a metric of the signals of the last run by a function of the user.
 
-    The function is passed, by their names, the times (n,) [s] and values (n,) of all signals that
-    have messages, and returns the value. As for the other measures the first time is 0, or that of
-    the first message, the last one is the end of the run, and a value holds until the next one.
+    It runs in a process of its own. It is passed, by their names, the times (n,) [s] and values
+    (n,) of all signals that have messages, and returns the value. As for the other measures the
+    first time is 0, or that of the first message, the last one is the end of the run, and a value
+    holds until the next one.
 
     Parameters
     ----------
@@ -86,6 +87,8 @@ class PythonSource:
         The metric.
     recording
         Returns what was recorded in the last run.
+    process
+        Where the function runs.
 
     Raises
     ------
@@ -93,24 +96,16 @@ class PythonSource:
         If the function cannot be imported.
     """
 
-    def __init__(self, metric: PythonMetric, recording: Callable[[], Recording]) -> None:
+    def __init__(
+        self, metric: PythonMetric, recording: Callable[[], Recording], process: PythonProcess
+    ) -> None:
         self._metric = metric
         self._recording = recording
-        # Foreign code, which may raise anything; here and below.
-        try:
-            self._function = named_code.load(metric.python)
-        except Exception as error:
-            raise StudyError(
-                f"cannot import {metric.python}: {one_line(f'{type(error).__name__}: {error}')}",
-                ("metrics", metric.name, "python"),
-            ) from error
-        if not callable(self._function):
-            raise StudyError(
-                f"expected a function, found {checks.show(self._function)}",
-                ("metrics", metric.name, "python"),
-            )
+        self._process = process
+        if problem := process.load(metric.python):
+            raise StudyError(problem, ("metrics", metric.name, "python"))
 
-    def value(self, results: Results) -> object:
+    def value(self, results: Results) -> float:
         """Return the value; of `results` nothing is needed."""
         recording = self._recording()
         signals = {
@@ -118,18 +113,34 @@ class PythonSource:
             for name, seen in recording.signals.items()
             if len(seen.time)
         }
-        where = f"metric {self._metric.name}: {self._metric.python}"
+        metric = self._metric
         try:
-            found = self._function(signals)
-        except Exception as error:
-            raise MissingMetricError(f"{where} raised {type(error).__name__}: {error}") from None
-        if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
-            raise MissingMetricError(f"{where} returned {checks.show(found)}, expected a number")
-        return found
+            return self._process.compute(metric.python, signals, metric.timeout)
+        except MissingMetricError as error:
+            raise MissingMetricError(f"metric {metric.name}: {error}") from None
 
 
-def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str, MetricSource]:
-    """Make the source of each metric of a study that is computed from signals, by its name.
+@contextlib.contextmanager
+def signal_sources(
+    study: Study,
+    recording: Callable[[], Recording],
+    interrupted: Callable[[], None] = lambda: None,
+) -> Iterator[dict[str, MetricSource]]:
+    """Make the source of each metric of a study that is computed from signals.
+
+    Parameters
+    ----------
+    study
+        The study.
+    recording
+        Returns what was recorded in the last run.
+    interrupted
+        Asked while a function of the study computes; raises what shall end it.
+
+    Yields
+    ------
+    dict
+        The sources, by the name of the metric.
 
     Raises
     ------
@@ -137,9 +148,10 @@ def signal_sources(study: Study, recording: Callable[[], Recording]) -> dict[str
         If a function that the study names cannot be imported.
     """
     sources: dict[str, MetricSource] = {}
-    for name, metric in study.metrics.items():
-        if isinstance(metric, SignalMetric):
-            sources[name] = SignalSource(metric, study, recording)
-        elif isinstance(metric, PythonMetric):
-            sources[name] = PythonSource(metric, recording)
-    return sources
+    with contextlib.closing(PythonProcess(study.folder, interrupted)) as process:
+        for name, metric in study.metrics.items():
+            if isinstance(metric, SignalMetric):
+                sources[name] = SignalSource(metric, study, recording)
+            elif isinstance(metric, PythonMetric):
+                sources[name] = PythonSource(metric, recording, process)
+        yield sources

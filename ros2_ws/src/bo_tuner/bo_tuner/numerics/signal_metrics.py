@@ -27,6 +27,12 @@ STEADY_SHARE = 0.1
 """Share of the run, at its end, whose mean is the steady state."""
 ROUNDING = 1e-9
 """Relative error that sums of very many times may have."""
+LEAST_STEP = 0.01
+"""Least size of a step, as a share of the range of the signal, of which progress is judged."""
+LEAST_STEP_IN_NOISE = 3.0
+"""Least size of a step, in changes from sample to sample of a signal that is mostly noise."""
+ENOUGH_CHANGES = 10
+"""Changes of a signal from which on the size of a typical one is known."""
 
 
 class UndefinedMetricError(ValueError):
@@ -60,13 +66,18 @@ def mean(time: Array, value: Array) -> float:
 
 
 def minimum(time: Array, value: Array) -> float:
-    """Smallest value [unit]."""
+    """Smallest value [unit], with its sign."""
     return float(value.min())
 
 
 def maximum(time: Array, value: Array) -> float:
-    """Largest value [unit]."""
+    """Largest value [unit], with its sign: -1 is larger than -3."""
     return float(value.max())
+
+
+def std(time: Array, value: Array) -> float:
+    """Root of the mean square distance over time from `mean` [unit]; undefined without duration."""
+    return rms(time, value - mean(time, value))
 
 
 def percentile(time: Array, value: Array, *, percent: float) -> float:
@@ -86,7 +97,7 @@ def percentile(time: Array, value: Array, *, percent: float) -> float:
 def overshoot(time: Array, value: Array, *, target: float) -> float:
     """How far a step goes beyond its target [% of the step]; 0 if it does not [2]_.
 
-    The step is from the first value to `target`; undefined if they are equal.
+    The step is from the first value to `target`; undefined without a step, see `_progress`.
     """
     return max(0.0, 100.0 * (float(_progress(value, target).max()) - 1.0))
 
@@ -94,7 +105,8 @@ def overshoot(time: Array, value: Array, *, target: float) -> float:
 def rise_time(time: Array, value: Array, *, target: float) -> float:
     """Time [s] between the first samples at 10 % and at 90 % of a step or beyond [2]_.
 
-    The step is from the first value to `target`; undefined if it does not get to 90 %.
+    The step is from the first value to `target`; undefined without a step, or if it does not get
+    to 90 %.
     """
     progress = _progress(value, target)
     if progress.max() < 0.9:
@@ -106,7 +118,7 @@ def settling_time(time: Array, value: Array, *, target: float, band: float = 0.0
     """Time [s] from the first sample on until a step stays within a band around its target [2]_.
 
     The step is from the first value to `target`; the band is `band` times the step to both sides.
-    Undefined if the last value is outside.
+    Undefined without a step, or if the last value is outside.
     """
     outside = np.flatnonzero(np.abs(_progress(value, target) - 1.0) >= band)
     settled = outside[-1] + 1 if len(outside) else 0
@@ -132,6 +144,14 @@ def total_variation(time: Array, value: Array) -> float:
     return float(np.abs(np.diff(value)).sum())
 
 
+def total_variation_rate(time: Array, value: Array) -> float:
+    """`total_variation` over the duration [unit/s], the same for a run of any length.
+
+    Undefined without duration.
+    """
+    return total_variation(time, value) / _positive_duration(time)
+
+
 def largest_rate(time: Array, value: Array) -> float:
     """Largest absolute change from sample to sample over its time [unit/s]; undefined of one."""
     if len(time) < 2:
@@ -155,13 +175,16 @@ MEASURES: Mapping[str, SignalMetricFunction] = MappingProxyType(
     {
         function.__name__: function
         for function in (
-            iae, ise, itae, rms, mean, minimum, maximum, percentile,
+            iae, ise, itae, rms, mean, std, minimum, maximum, percentile,
             overshoot, rise_time, settling_time, steady_state_error,
-            total_variation, largest_rate, largest_gap, duration,
+            total_variation, total_variation_rate, largest_rate, largest_gap, duration,
         )
     }
 )  # fmt: skip
 """The functions by the name that a study file gives them."""
+
+SYNONYMS: Mapping[str, str] = MappingProxyType({"min": "minimum", "max": "maximum"})
+"""Other names that a study file may give them."""
 
 FROM_START = frozenset({"itae", "largest_gap", "duration"})
 """Names of those that count from the start of a run, also of a signal that begins later."""
@@ -184,8 +207,29 @@ def _positive_duration(time: Array) -> float:
 
 
 def _progress(value: Array, target: float) -> Array:
-    """Return 0 at the beginning of a step and 1 at its target, shape (n,)."""
-    step = target - value[0]
-    if step == 0.0:
-        raise UndefinedMetricError(f"is {target:g}, the target, from the start")
-    return np.asarray((value - value[0]) / step)
+    """Return 0 at the beginning of a step and 1 at its target, shape (n,).
+
+    There is no step if the signal begins at its target, or so near that the distance is lost in
+    the noise, or far less than all that the signal moves. What the progress would be is chance.
+    """
+    begin = float(value[0])
+    step, extent = abs(target - begin), float(np.ptp(value))
+    noise = _noise(value)
+    if step == 0.0 or step < LEAST_STEP_IN_NOISE * noise or step < LEAST_STEP * extent:
+        beside = f", beside a range of {extent:.3g} and noise of {noise:.3g}" if step else ""
+        raise UndefinedMetricError(
+            f"begins at {begin:g} with the target {target:g}{beside}: that is no step"
+        )
+    return np.asarray((value - begin) / (target - begin))
+
+
+def _noise(value: Array) -> float:
+    """Return a typical change from sample to sample if the signal (n,) is mostly noise, and else 0.
+
+    White noise turns back after two changes in three, a motion that was sampled well after few.
+    """
+    changes = np.diff(value)
+    changes = changes[changes != 0.0]
+    if len(changes) < ENOUGH_CHANGES or np.mean(changes[1:] * changes[:-1] < 0.0) < 0.5:
+        return 0.0
+    return float(np.median(np.abs(changes)))

@@ -1,19 +1,19 @@
 """Metrics of recorded runs, computed again from their bags, or from what nodes reported."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from bo_tuner.errors import RunRecordError
 from bo_tuner.metrics.collect import Collector
-from bo_tuner.metrics.recording import FailedRunError
+from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError
 from bo_tuner.metrics.signal_sources import signal_sources
 from bo_tuner.recording.retention import is_bag
 from bo_tuner.recording.signal_bag import RecordedRun, recorded_runs
 from bo_tuner.storage.carrying import Measure, remeasured
 from bo_tuner.storage.record import RunRecord
 from bo_tuner.storage.run_files import BAGS
-from bo_tuner.study.metrics import ReportedMetric
+from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, StudyMetric
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 from bo_tuner.trials import TUNING, Evaluation, EvaluationState, Outcome
@@ -58,7 +58,9 @@ def check_recorded(record: RunRecord, study: Study) -> None:
             )
 
 
-def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
+def recompute(
+    record: RunRecord, study: Study, interrupted: Callable[[], None] = lambda: None
+) -> Iterator[Recomputed]:
     """Compute the metrics of a study for every run in the bags of a record, in their order.
 
     Parameters
@@ -67,6 +69,8 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
         The run.
     study
         Defines metrics and signals; the record's own, or another one.
+    interrupted
+        Asked while a function of the study computes; raises what shall end it.
 
     Raises
     ------
@@ -74,11 +78,14 @@ def recompute(record: RunRecord, study: Study) -> Iterator[Recomputed]:
         As `check_recorded`, or if there is no bag with signals.
     """
     check_recorded(record, study)
+    recording = NOTHING_RECORDED
     found = False
-    for bag in sorted(filter(is_bag, (record.path / BAGS).glob("*"))):
-        for run in recorded_runs(bag):
-            found = True
-            yield Recomputed(run, _outcome(study, run))
+    with signal_sources(study, lambda: recording, interrupted) as sources:
+        collector = Collector(study, sources)
+        for bag in sorted(filter(is_bag, (record.path / BAGS).glob("*"))):
+            for run in recorded_runs(bag):
+                found, recording = True, run.recording
+                yield Recomputed(run, _outcome(study, run, collector))
     if not found:
         raise RunRecordError(
             f"{record.path}: has no bag with signals; tune with --record notable or all"
@@ -101,7 +108,12 @@ def measure_again(record: RunRecord, study: Study) -> Measure:
         As `recompute`.
     """
     anew = [study.metrics[name] for name in remeasured(record.study, study)]
-    reported = [metric for metric in anew if isinstance(metric, ReportedMetric)]
+    parts = [
+        part
+        for metric in anew
+        for part in (metric.parts if isinstance(metric, CombinedMetric) else (metric,))
+    ]
+    reported = [metric for metric in parts if isinstance(metric, ReportedMetric)]
     if reported:
         return partial(_from_reports, study, reported)
     runs = {
@@ -156,14 +168,19 @@ def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:
         name
         for name, value in found.run.evaluation.get("metrics", {}).items()
         if name in study.metrics
-        and study.metrics[name] == record.study.metrics.get(name)
+        and _defined_alike(study.metrics[name], record.study.metrics.get(name))
         and found.outcome.metrics.get(name) != value
     ]
 
 
-def _outcome(study: Study, run: RecordedRun) -> Outcome:
+def _defined_alike(one: StudyMetric, other: StudyMetric | None) -> bool:
+    """Return whether two metrics are equal, and, if they are computed from others, those too."""
+    return one == other and getattr(one, "parts", ()) == getattr(other, "parts", ())
+
+
+def _outcome(study: Study, run: RecordedRun, collector: Collector) -> Outcome:
     try:
         run.recording.check(study.signals)
     except FailedRunError as error:
         return Outcome(EvaluationState.FAILED, {}, str(error))
-    return Collector(study, signal_sources(study, lambda: run.recording)).outcome({})
+    return collector.outcome({})

@@ -35,7 +35,7 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
-from bo_tuner.study.metrics import PythonMetric, SignalMetric, StudyMetric
+from bo_tuner.study.metrics import CombinedMetric, PythonMetric, SignalMetric, StudyMetric
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
@@ -384,6 +384,9 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
         return False
     if dataclasses.replace(metric, unit="") != dataclasses.replace(other, unit=""):
         return False
+    if isinstance(metric, CombinedMetric) and isinstance(other, CombinedMetric):
+        pairs = zip(metric.parts, other.parts, strict=True)
+        return all(_same_metric(one, earlier, then, now) for one, earlier in pairs)
     if isinstance(metric, PythonMetric):
         return then.signals == now.signals
     if isinstance(metric, SignalMetric):

@@ -20,10 +20,10 @@ from bo_tuner.storage.provenance import (
 from bo_tuner.storage.rows import check_study
 from bo_tuner.storage.run_files import check_files, read_text
 from bo_tuner.storage.run_folder import JOURNAL, STUDY, SUMMARY
-from bo_tuner.study import checks
+from bo_tuner.study import checks, study_file
 from bo_tuner.study.changes import changes, summarized
 from bo_tuner.study.study import Study
-from bo_tuner.study.study_file import load_study, parse_study
+from bo_tuner.study.study_file import parse_study
 from bo_tuner.trials import Evaluation, Trial
 
 
@@ -101,12 +101,14 @@ def read_run(path: Path) -> RunRecord:
         raise RunRecordError(f"{path}: no such run folder")
     if os.path.lexists(path / STUDY):
         check_files(path)
-    if not (path / STUDY).is_file():
+    file = path / STUDY
+    if not file.is_file():
         raise RunRecordError(f"{path}: no run folder: it has no {STUDY}")
     try:
         # First: of a journal of another version, the study may not be readable either.
         content = read_journal(path / JOURNAL)
-        found = load_study(path / STUDY)
+        # Its programs and code lie where the study file did that the run was begun with.
+        found = parse_study(study_file.read_text(file, str(file)), str(file))
     except (StudyError, JournalError) as error:
         raise RunRecordError(str(error)) from error
     study = _study(path, found, content.sessions)

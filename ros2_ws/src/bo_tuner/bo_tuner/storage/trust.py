@@ -64,7 +64,9 @@ def foreign_programs(study: Study) -> list[str]:
     """List the programs, objects and functions that a study names and no shipped study does."""
     named = [program for node in study.nodes.values() for program in _programs(node)]
     named += python_functions(study)
-    return [program for program in dict.fromkeys(named) if program not in _shipped()]
+    found = [program for program in dict.fromkeys(named) if program not in _shipped()]
+    # What lies there may stand in for a module of a shipped study that is not installed.
+    return [*found, f"code in {study.folder}"] if study.folder else found
 
 
 def python_functions(study: Study) -> list[str]:

@@ -7,8 +7,9 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
-OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate")
-"""Sections that say how much is run: all data of a run are those of a study that differs there."""
+OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder")
+"""Sections that say how much is run, and from where: all data of a run are those of a study that
+differs there."""
 JUDGED = ("objective", "further_objectives", "constraints", "metrics", "signals", "order")
 """Sections that say what is made of an evaluation, not how it is run."""
 SAME_PARAMETER = ("node", "parameter", "type")

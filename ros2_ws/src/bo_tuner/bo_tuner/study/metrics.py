@@ -1,17 +1,21 @@
-"""The metrics of a study, by kind: reported by a node, or computed from signals.
+"""The metrics of a study, by kind: reported by a node, computed from signals, or from others.
 
 Each class checks its own fields, and raises a `StudyError` with the key path from the object to the
 value.
 """
 
-from collections.abc import Iterable
+import dataclasses
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
+
+import numpy as np
 
 from bo_tuner.errors import StudyError
-from bo_tuner.numerics.signal_metrics import MEASURES, options_of
+from bo_tuner.numerics.expressions import Expression
+from bo_tuner.numerics.signal_metrics import MEASURES, SYNONYMS, options_of
 from bo_tuner.study import checks
-from bo_tuner.study.signals import TIME, expression
+from bo_tuner.study.signals import TIME, expression, named_expression
 
 
 class Metric(Protocol):
@@ -84,7 +88,8 @@ class SignalMetric:
     of : str
         A signal, or an expression of several.
     measure : str
-        What is computed from it, such as `iae` or `overshoot`; docs/interfaces.md lists all.
+        What is computed from it, such as `iae`, `max` or `overshoot`; docs/interfaces.md lists
+        all.
     unit : str
         Unit, for display only.
     target : float or str, optional
@@ -113,7 +118,8 @@ class SignalMetric:
         checks.parameter_name(self.name)
         checks.text(self.of, "of")
         checks.text(self.unit, "unit")
-        checks.choice(self.measure, tuple(MEASURES), "measure")
+        checks.choice(self.measure, (*MEASURES, *SYNONYMS), "measure")
+        object.__setattr__(self, "measure", SYNONYMS.get(self.measure, self.measure))
         options = options_of(self.measure)
         for key in ("target", "percent", "band"):
             value = getattr(self, key)
@@ -147,19 +153,24 @@ class SignalMetric:
 class PythonMetric:
     """A number that a function of the user computes from the signals of a run.
 
+    It runs in a process of its own, which an interruption ends at once.
+
     Attributes
     ----------
     name : str
         Name in the study.
     python : str
-        `module:function`, in a module that can be imported.
+        `module:function`, in a module beside the study file, or one that Python finds anyway.
     unit : str
         Unit, for display only.
+    timeout : float, optional
+        Longest time [s] that the function may take; an evaluation in which it takes longer fails.
     """
 
     name: str
     python: str
     unit: str = ""
+    timeout: float | None = None
 
     reproducible = False
     """Of measured signals no two runs give the same."""
@@ -172,9 +183,101 @@ class PythonMetric:
             self.python, checks.OBJECT_PATH, "module:function such as my_metrics:jerk", "python"
         )
         checks.text(self.unit, "unit")
+        if self.timeout is not None:
+            object.__setattr__(self, "timeout", checks.timeout(self.timeout, "timeout"))
 
 
-StudyMetric = ReportedMetric | SignalMetric | PythonMetric
+@dataclass(frozen=True, kw_only=True)
+class CombinedMetric:
+    """A number that is computed from other metrics of the same evaluation.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    expression : str
+        Of the names of other metrics, as `error + 0.01 * effort`. Each counts as the number that
+        it is in its own unit; a weight is one unit for another.
+    unit : str
+        Unit, for display only. Unless given, that of the metrics, if all have the same and the
+        expression keeps it, as a sum does.
+    """
+
+    name: str
+    expression: str
+    unit: str = ""
+
+    _of: ClassVar[Expression]
+    parts: ClassVar[tuple[ReportedMetric | SignalMetric | PythonMetric, ...]] = ()
+    """The metrics that it is computed from; there as soon as it is `joined` to a study."""
+
+    def __post_init__(self) -> None:
+        checks.parameter_name(self.name)
+        checks.text(self.expression, "expression")
+        checks.text(self.unit, "unit")
+
+    def joined(self, metrics: "Mapping[str, StudyMetric]") -> "CombinedMetric":
+        """Return it with its parts among the metrics of a study.
+
+        Raises
+        ------
+        StudyError
+            If it is no expression of metrics that are not combined themselves.
+        """
+        measured = {k: m for k, m in metrics.items() if not isinstance(m, CombinedMetric)}
+        of = metric_expression(self.expression, measured, "expression")
+        parts = {name: measured[name] for name in sorted(of.names)}
+        found = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
+        # These are no keys of a study file.
+        object.__setattr__(found, "_of", of)
+        object.__setattr__(found, "parts", tuple(parts.values()))
+        return found
+
+    def value(self, metrics: Mapping[str, float]) -> float:
+        """Return its value where its parts have these; NaN or infinite where it is undefined."""
+        return float(self._of({name: metrics[name] for name in self._of.names}))
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether the same evaluation gives the same number again, as of all its parts."""
+        return all(part.reproducible for part in self.parts)
+
+    @property
+    def measures_time(self) -> bool:
+        """Whether it depends on a measured time."""
+        return any(part.measures_time for part in self.parts)
+
+
+def metric_expression(text: object, metrics: Iterable[str], *path: str | int) -> Expression:
+    """Return the expression of metrics that a text is.
+
+    Raises
+    ------
+    StudyError
+        If it is none, has other names than those of `metrics`, or no name.
+    """
+    found = named_expression(text, tuple(metrics), "metric", *path)
+    if not found.names:
+        raise StudyError("expected an expression with a metric", path)
+    return found
+
+
+def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:
+    """Return the unit of an expression of metrics if that is theirs; empty if not.
+
+    It is if the value scales as the metrics do, f(s x) = s f(x), whatever their values.
+    """
+    units = {part.unit for part in parts.values()}
+    values = {name: np.array([3.0, -2.0, 0.7]) * (k + 1.1) for k, name in enumerate(parts)}
+    scales = (1e-3, 1e3)
+    keeps = all(
+        np.allclose(of({k: s * v for k, v in values.items()}), s * of(values), 1e-9, 0.0, True)
+        for s in scales
+    )
+    return units.pop() if len(units) == 1 and keeps else ""
+
+
+StudyMetric = ReportedMetric | SignalMetric | PythonMetric | CombinedMetric
 
 
 def metric_kind(fields: object) -> type[StudyMetric]:
@@ -182,4 +285,6 @@ def metric_kind(fields: object) -> type[StudyMetric]:
     keys = fields.keys() if isinstance(fields, dict) else ()
     if "of" in keys or "measure" in keys:
         return SignalMetric
+    if "expression" in keys:
+        return CombinedMetric
     return PythonMetric if "python" in keys else ReportedMetric

@@ -1,13 +1,78 @@
-"""Python code that a study names as ``module:name``."""
+"""Python code that a study names as ``module:name``: foreign code, which may do anything."""
 
+import contextlib
 import importlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+from bo_tuner.text import one_line
 
-def load(path: str) -> Any:
-    """Return what ``module:name`` names; raises whatever the import raises."""
+
+class MovedError(RuntimeError):
+    """Foreign code has changed the working directory, that of the whole process."""
+
+
+def load(path: str, folder: str = "") -> Any:
+    """Return what ``module:name`` names; raises whatever the import raises.
+
+    Parameters
+    ----------
+    path
+        What is named.
+    folder
+        Where modules are looked for last, beside those that Python finds anyway; empty for nowhere.
+    """
+    if folder and folder not in sys.path:
+        # Last: what lies there must not take the place of an installed module.
+        sys.path.append(folder)
+        importlib.invalidate_caches()
     module, _, name = path.partition(":")
     target: Any = importlib.import_module(module)
     for part in name.split("."):
         target = getattr(target, part)
     return target
+
+
+def faults() -> tuple[type[BaseException], ...]:
+    """Return what foreign code may raise for itself, for the ``except`` around it.
+
+    `KeyboardInterrupt` is not among these where a Ctrl-C of the user's raises it.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        return (Exception, SystemExit)
+    return (Exception, SystemExit, KeyboardInterrupt)
+
+
+def told(error: BaseException) -> str:
+    """Tell in a line what foreign code has raised: its type, and what it says of itself."""
+    try:
+        said = str(error)
+    except faults():
+        said = ""
+    return one_line(f"{type(error).__name__}: {said}" if said else type(error).__name__)
+
+
+@contextlib.contextmanager
+def kept_in_place() -> Iterator[None]:
+    """Raise `MovedError` if foreign code inside leaves another working directory, and go back."""
+    before = _working_directory()
+    try:
+        yield
+    finally:
+        now = _working_directory()
+        if now != before:
+            os.chdir(before)
+    # What foreign code has raised says more.
+    if now != before:
+        raise MovedError(f"changed the working directory to {now}")
+
+
+def _working_directory() -> str:
+    try:
+        return str(Path.cwd())
+    except OSError:
+        return "one that is gone"

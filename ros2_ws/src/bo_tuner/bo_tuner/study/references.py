@@ -11,7 +11,7 @@ from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.metrics import ReportedMetric, SignalMetric, StudyMetric
+from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, SignalMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
@@ -108,6 +108,8 @@ def check_run(
     reporting = {}
     for name, metric in metrics.items():
         here = ("metrics", name)
+        if isinstance(metric, CombinedMetric):
+            continue
         if not isinstance(metric, ReportedMetric):
             if run is None:
                 raise StudyError("signals are recorded in a run; add run", here)

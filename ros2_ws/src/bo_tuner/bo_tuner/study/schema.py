@@ -167,6 +167,9 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
     if cls is ContextVariable and field.name == "distribution":
         return {"enum": list(DISTRIBUTIONS)}
     found = _type(typing.get_type_hints(cls)[field.name], definitions)
+    if (cls, field.name) == (Study, "objective"):
+        # Text alone is minimized.
+        return {"anyOf": [found, {"type": "string"}]}
     if found.get("$ref") == f"#/$defs/{End.__name__}":
         # The word alone is an end, too.
         return {"anyOf": [found, {"const": "result"}]}

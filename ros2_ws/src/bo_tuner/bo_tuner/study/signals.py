@@ -123,12 +123,24 @@ def expression(text: object, signals: Iterable[str], *path: str | int) -> Expres
     StudyError
         If it is none, or has other names than signals and `TIME`.
     """
-    names = (*signals, TIME)
+    return named_expression(text, (*signals, TIME), "signal", *path)
+
+
+def named_expression(
+    text: object, names: tuple[str, ...], kind: str, *path: str | int
+) -> Expression:
+    """Return the expression of names that a text is; `kind` says in errors what these are of.
+
+    Raises
+    ------
+    StudyError
+        If it is none, or has other names.
+    """
     try:
         return Expression(checks.text(text, *path), names)
     except UnknownNameError as error:
         hint = checks.suggestion(error.name, error.known)
-        raise StudyError(f"there is no signal or function '{error.name}'; {hint}", path) from None
+        raise StudyError(f"there is no {kind} or function '{error.name}'; {hint}", path) from None
     except ExpressionError as error:
         problem = f"{error}, in {checks.quoted(str(text))}"
         raise StudyError(problem, path) from None

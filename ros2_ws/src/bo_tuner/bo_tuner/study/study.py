@@ -21,7 +21,7 @@ from bo_tuner.study.constraint import (
     Constraint,
 )
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.metrics import StudyMetric
+from bo_tuner.study.metrics import CombinedMetric, PythonMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
@@ -66,10 +66,11 @@ class Study:
         Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
         Tuned, tied and fixed parameters.
-    metrics : mapping from str to ReportedMetric, SignalMetric or PythonMetric
+    metrics : mapping from str to ReportedMetric, SignalMetric, PythonMetric or CombinedMetric
         Results of an evaluation.
     objective : Objective
-        What is optimized.
+        What is optimized. Text is minimized: the name of a metric, or an expression of metrics as
+        `error + 0.01 * effort`, which is then the metric `cost`.
     budget : Budget
         Number of trials and evaluations.
     trigger : Trigger, optional
@@ -101,6 +102,10 @@ class Study:
         Seed of everything random in a run.
     description : str
         Free text.
+    folder : str
+        Where `command` and `launch` of a node are carried out, and where the modules of Python
+        functions and objects are looked for, beside those that Python finds anyway. Relative to
+        the study file; the folder that this lies in unless given.
 
     Raises
     ------
@@ -127,12 +132,14 @@ class Study:
     seed_parameter: SeedParameter | None = None
     seed: int = 1
     description: str = ""
+    folder: str = ""
 
     def __post_init__(self) -> None:
         """Check the references between the parts."""
         findings = Findings()
         self._check_fields(findings)
         self._check_sizes(findings)
+        object.__setattr__(self, "metrics", _joined(self.metrics, findings))
         parts = ((key, getattr(self, key)) for key in ("parameters", "contexts", "metrics"))
         has_nodes = True
         for path, node in node_references(parts, self.trigger, self.seed_parameter):
@@ -165,6 +172,10 @@ class Study:
             checks.matching(self.name, checks.SIMPLE_NAME, expected, "name")
         with findings.under():
             checks.text(self.description, "description")
+        with findings.under():
+            checks.text(self.folder, "folder")
+            if "\0" in self.folder:
+                raise StudyError("expected text without null characters", ("folder",))
         with findings.under():
             checks.integer(self.seed, "seed", at_least=0)
         order: tuple[tuple[str, str], ...] = ()
@@ -232,6 +243,13 @@ class Study:
         if len(self.objectives) > 1:
             return np.asarray(cost, dtype=np.float64)
         return self.objective.from_cost(cost)
+
+    @property
+    def needs_folder(self) -> bool:
+        """Whether it names programs or code that may lie in its folder."""
+        return any(
+            node.command or node.launch or node.object for node in self.nodes.values()
+        ) or any(isinstance(metric, PythonMetric) for metric in self.metrics.values())
 
     def search_space(self) -> SearchSpace:
         """Return the unit cube over the tuned parameters."""
@@ -479,6 +497,16 @@ class Study:
                     "then and may keep them in the run; expected false",
                     ("park", "between_runs"),
                 )
+
+
+def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:
+    """Return the metrics, those that are computed from others with these."""
+    found = dict(metrics)
+    for name, item in metrics.items():
+        if isinstance(item, CombinedMetric):
+            with findings.under("metrics", name):
+                found[name] = item.joined(metrics)
+    return found
 
 
 def _one_limit_each(

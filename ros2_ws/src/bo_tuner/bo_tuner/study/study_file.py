@@ -14,7 +14,7 @@ from bo_tuner.study.building import Findings, arguments, build, is_required, und
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
-from bo_tuner.study.metrics import ReportedMetric, metric_kind
+from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
@@ -24,6 +24,8 @@ from bo_tuner.study.run import Run, build_run
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
 
+COST = "cost"
+"""Name of the metric that an objective is which is written as an expression."""
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
 
@@ -102,7 +104,15 @@ def load_study(name_or_path: str | Path, describe: Describe | None = None) -> St
         path = config_directory() / "studies" / f"{name_or_path}.yaml"
         return parse_study(read_text(path, path.name), path.name)
     source = str(name_or_path)
-    return parse_study(read_text(Path(name_or_path), source), source, describe)
+    study = parse_study(read_text(Path(name_or_path), source), source, describe)
+    return _in_folder(study, Path(name_or_path).resolve().parent)
+
+
+def _in_folder(study: Study, folder: Path) -> Study:
+    """Return a study with its own folder, from wherever it is run; `folder` has its file."""
+    if not study.needs_folder:
+        return study
+    return dataclasses.replace(study, folder=str((folder / study.folder).resolve()))
 
 
 def parse_study(text: str, source: str = "study", describe: Describe | None = None) -> Study:
@@ -155,6 +165,12 @@ def study_from_mapping(mapping: object) -> Study:
     with findings.under():
         arguments(Study, mapping)
     values = {key: item for key, item in mapping.items() if key in _SECTIONS}
+    size = len(findings)
+    with findings.under("objective"):
+        values |= _objective_of_text(values)
+    if len(findings) > size:
+        # What is wrong with it is told.
+        del values["objective"]
     made = dict(values)
     for key, cls in _SINGLE.items():
         if key in values:
@@ -184,6 +200,23 @@ def _names(values: Mapping[str, object]) -> dict[str, list[str]]:
         if isinstance(section, dict):
             found[key] = [name for name in section if isinstance(name, str)]
     return found
+
+
+def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sections that an objective stands for that is text; none if it is none."""
+    given, metrics = values.get("objective"), values.get("metrics")
+    if not isinstance(given, str) or not isinstance(metrics, dict):
+        return {}
+    if given in metrics or given.isidentifier():
+        return {"objective": {"metric": given}}
+    measured = (name for name, item in metrics.items() if metric_kind(item) is not CombinedMetric)
+    metric_expression(given, [name for name in measured if isinstance(name, str)])
+    if COST in metrics:
+        raise StudyError(
+            f"an expression is the metric '{COST}', which there is already; write it as that "
+            "metric's expression"
+        )
+    return {"objective": {"metric": COST}, "metrics": metrics | {COST: {"expression": given}}}
 
 
 def _build_objectives(value: object) -> tuple[Objective, ...]:

@@ -1,5 +1,6 @@
 """Experiment files: from YAML to a checked `Experiment`."""
 
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -138,7 +139,9 @@ def _study(value: object, folder: Path) -> Study:
         with _under("study"):
             return build(ClosedForm, value).study()
     name = checks.text(value, "study")
-    return load_study(name if name in shipped_studies() else folder / name)
+    study = load_study(name if name in shipped_studies() else folder / name)
+    # The records of a campaign are the same on all machines.
+    return dataclasses.replace(study, folder="")
 
 
 def _changed(study: Study, changes: Mapping[str, Any]) -> Study:

@@ -43,6 +43,7 @@ from bo_tuner.metrics.collect import Collector
 from bo_tuner.metrics.message_rates import MessageRates
 from bo_tuner.metrics.recording import NOTHING_RECORDED, FailedRunError, Recording
 from bo_tuner.metrics.signal_sources import signal_sources
+from bo_tuner.storage.trust import python_functions
 from bo_tuner.study.parts import ROS
 from bo_tuner.study.run import SIM
 from bo_tuner.study.study import Study
@@ -107,6 +108,9 @@ class RosBackend(SequentialBackend):
         self._study = study
         self._collector = Collector(study)
         self._rates = MessageRates(study)
+        self._functions = contextlib.ExitStack()
+        # What computes a metric may take any time, in which nobody looks after the machine.
+        self._parks_after_run = study.park.between_runs or bool(python_functions(study))
         self._log_directory = log_directory
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
@@ -143,8 +147,8 @@ class RosBackend(SequentialBackend):
             of its run is not there, or a function of its metrics cannot be imported.
         """
         check_wall_clock()
-        sources = signal_sources(self._study, lambda: self.recording)
-        self._collector = Collector(self._study, sources)
+        sources = signal_sources(self._study, lambda: self.recording, lambda: self._interrupted())
+        self._collector = Collector(self._study, self._functions.enter_context(sources))
         given = domain_of_environment()
         tuner, client = self._enter(given)
         self._bringup = Bringup(
@@ -289,7 +293,7 @@ class RosBackend(SequentialBackend):
                 if self._study.park.between_runs:
                     self._prepare(self._procedure)
                 run = partial(self._run, self._procedure)
-            said = client.evaluate(wanted, kept, run, self._park_between)
+            said = client.evaluate(wanted, kept, run, self._park_after_run)
             self._suspension.look()
             result = self._collector.outcome(said, wanted)
             # A metric may be a function of the user's that takes its time.
@@ -373,8 +377,8 @@ class RosBackend(SequentialBackend):
         if gone := unpublished or procedure.unpublished:
             raise LostError(gone)
 
-    def _park_between(self) -> None:
-        if self._study.park.between_runs:
+    def _park_after_run(self) -> None:
+        if self._parks_after_run:
             self._opened.safe_state.park_after_run()
 
     def _leave_safe(self, state: EvaluationState) -> list[str]:
@@ -437,6 +441,7 @@ class RosBackend(SequentialBackend):
         with contextlib.ExitStack() as stack:
             # What is done first stands last, and all of it is tried whatever the rest comes to.
             stack.callback(self._let_go)
+            stack.callback(self._functions.close)
             stack.callback(self._reset_environment)
             if self._claim is not None:
                 stack.callback(self._claim.release)

@@ -1,23 +1,21 @@
 """Node processes that the tuner starts, and ends whatever happens."""
 
-import ctypes
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from bo_tuner.errors import BackendError
+from bo_tuner.lifetime import end_with_parent
 
 STOP_TIMEOUT = 3.0
 """Time [s] that a node has to end after SIGTERM before it is killed."""
 
 POLL = 0.02
-
-PR_SET_PDEATHSIG = 1
 
 # Waits for the end of its standard input, which is the end of the tuner, and then ends the group.
 GUARD = """\
@@ -77,6 +75,8 @@ class NodeProcess:
         Changes to this process's environment.
     log
         File that takes what the node prints.
+    folder
+        Where it runs; that of this process unless given.
 
     Raises
     ------
@@ -90,6 +90,7 @@ class NodeProcess:
         command: list[str],
         environment: Mapping[str, str],
         log: Path,
+        folder: str | None = None,
     ) -> None:
         self.name = name
         self.log = log
@@ -98,12 +99,13 @@ class NodeProcess:
             with log.open("ab") as output:
                 self._process = subprocess.Popen(
                     command,
+                    cwd=folder,
                     env=os.environ | dict(environment),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    preexec_fn=_end_with_parent(os.getpid()),
+                    preexec_fn=end_with_parent(signal.SIGTERM),
                 )
         except OSError as error:
             self._guard.end()
@@ -185,16 +187,3 @@ def stop_all(processes: Iterable[NodeProcess]) -> None:
         process.ask_to_end()
     for process in together:
         process.stop()
-
-
-def _end_with_parent(parent: int) -> Callable[[], None] | None:
-    if not sys.platform.startswith("linux"):
-        return None
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
-
-    def ask_for_signal() -> None:
-        prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:
-            os._exit(1)
-
-    return ask_for_signal

@@ -1,5 +1,6 @@
 """The nodes of a study that the tuner starts."""
 
+import os
 import shlex
 import shutil
 from pathlib import Path
@@ -45,6 +46,8 @@ class StartedNodes:
         BackendError
             If one cannot be started.
         """
+        if self._study.folder and not Path(self._study.folder).is_dir():
+            raise StudyError(f"there is no folder {self._study.folder}", ("folder",))
         commands = {key: self._command(spec) for key, spec in self._study.nodes.items()}
         # A launch file, or a program of the user's, may start several nodes.
         may_start_others = any(spec.launch or spec.command for spec in self._study.nodes.values())
@@ -96,7 +99,9 @@ class StartedNodes:
         environment = {"ROS_LOG_DIR": str(self._log_directory), **spec.env}
         name = spec.executable or spec.node
         log = self._log_directory / f"{key}.log"
-        self.processes[key] = NodeProcess(name, command, environment, log)
+        # What a package has installed finds its files anywhere.
+        folder = None if spec.executable else self._study.folder or None
+        self.processes[key] = NodeProcess(name, command, environment, log, folder)
 
     def _command(self, spec: NodeSpec) -> list[str]:
         """Return the program of a node and its arguments; empty if it has none."""
@@ -108,9 +113,11 @@ class StartedNodes:
         if not spec.command:
             return []
         program, *arguments = shlex.split(spec.command)
-        found = shutil.which(program, path=search_path())
+        # One with a folder is no name to be searched for, and relative to the study's.
+        place = str(Path(self._study.folder, program)) if os.sep in program else program
+        found = shutil.which(place, path=search_path())
         if found is None:
-            raise StudyError(f"there is no program {program}", ("nodes", spec.name, "command"))
+            raise StudyError(f"there is no program {place}", ("nodes", spec.name, "command"))
         return [found, *arguments]
 
 

@@ -23,6 +23,7 @@ from bo_tuner.report.content import Section
 from bo_tuner.report.recorded_signals import signal_panels, worst_recorded
 from bo_tuner.storage.run_files import BAGS
 from bo_tuner.storage.trust import foreign_programs, is_trusted
+from bo_tuner.study import named_code
 from bo_tuner.study.study import Study
 from bo_tuner.text import values
 from bo_tuner.trials import DEFAULT, TUNED, Evaluation, Stage, Value
@@ -77,15 +78,14 @@ class TracingBackend(InProcessBackend):
         """
         key = triggered(self._study)
         try:
-            signals = {
-                str(name): Signal(str(unit), np.asarray(seen, dtype=np.float64).ravel())
-                for name, (unit, seen) in self._objects[key].trace().items()
-            }
+            with self._foreign():
+                signals = {
+                    str(name): Signal(str(unit), np.asarray(seen, dtype=np.float64).ravel())
+                    for name, (unit, seen) in self._objects[key].trace().items()
+                }
             lengths = {len(signal.values) for signal in signals.values()}
-        except Exception as error:  # user code, which may raise anything
-            raise NoTraceError(
-                f"trace() of node '{key}': {type(error).__name__}: {error}"
-            ) from None
+        except named_code.faults() as error:
+            raise NoTraceError(f"trace() of node '{key}': {named_code.told(error)}") from None
         if TIME not in signals or len(signals) < 2 or len(lengths) != 1 or 0 in lengths:
             raise NoTraceError(
                 f"trace() of node '{key}': expected '{TIME}' and other signals of the same length, "

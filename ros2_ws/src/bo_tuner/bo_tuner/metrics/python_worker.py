@@ -1,0 +1,63 @@
+"""The process in which the functions of a study compute metrics; `PythonProcess` is its other end.
+
+It is asked over a socket for ``(path, signals)``, and answers ``(value, problem)``: a number and
+nothing, or nothing and what was wrong, in words. Without signals it only loads the function.
+"""
+
+import os
+import signal
+import sys
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from bo_tuner.numerics.arrays import Array
+from bo_tuner.study import checks, named_code
+
+Signals = Mapping[str, tuple[Array, Array]]
+"""Times (n,) [s] and values (n,) of each signal, by its name."""
+
+
+def serve(connection: Connection) -> None:
+    """Answer until the other end is closed."""
+    while True:
+        try:
+            path, signals = connection.recv()
+        except EOFError:
+            return
+        connection.send(_loaded(path) if signals is None else _computed(path, signals))
+
+
+def _loaded(path: str) -> tuple[None, str]:
+    try:
+        with named_code.kept_in_place():
+            found = named_code.load(path)
+    except named_code.faults() as error:
+        return None, f"cannot import {path}: {named_code.told(error)}"
+    return None, "" if callable(found) else f"expected a function, found {checks.show(found)}"
+
+
+def _computed(path: str, signals: Signals) -> tuple[float | None, str]:
+    try:
+        with named_code.kept_in_place():
+            found = named_code.load(path)(signals)
+    except named_code.MovedError as error:
+        return None, str(error)
+    except named_code.faults() as error:
+        return None, f"raised {named_code.told(error)}"
+    if isinstance(found, bool) or not isinstance(found, (int, float, np.integer, np.floating)):
+        return None, f"returned {checks.show(found)}, expected a number"
+    try:
+        return float(found), ""
+    except named_code.faults() as error:
+        name = type(found).__name__
+        return None, f"returned a {name} that is no number: {named_code.told(error)}"
+
+
+if __name__ == "__main__":
+    # What the functions print is not to mix with what a command writes.
+    os.dup2(2, 1)
+    # No Ctrl-C comes here: it goes to the tuner alone, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    serve(Connection(int(sys.argv[1])))
