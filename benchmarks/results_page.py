@@ -23,6 +23,7 @@ paper and beside other optimizers, is in `docs/results.md`.
 
 SECTIONS = (
     ("certificates.json", "Certificates", answers.certificates),
+    ("repeated_certificates.json", "Certificates after a FAIL", answers.repeated),
     ("ablations.json", "Choices of the algorithm `boundary`", answers.ablations),
     ("suggestion_time.json", "Time of a proposal", cost.suggestion),
     ("closed_loop.json", "Cost of a cut, as ratios", cost.closed_loop),
