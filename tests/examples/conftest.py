@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,7 +43,8 @@ def backend_of(monkeypatch, tmp_path):
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)
-        opened.append(RosBackend(parse_study(text), tmp_path))
+        study = replace(parse_study(text), folder=str(EXAMPLES / example))
+        opened.append(RosBackend(study, tmp_path))
         opened[0].open()
         return opened[0]
 

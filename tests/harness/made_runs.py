@@ -26,7 +26,9 @@ def make_run(folder, study, backend, *, result=None, backend_name="inprocess", a
 
     With `result`, the number of a trial, the run has ended with that one.
     """
-    (folder / "log").mkdir(parents=True)
+    folder.mkdir()
+    if attached:
+        (folder / "log").mkdir()
     (folder / "study.yaml").write_text(study_to_yaml(study))
     backend.open()
     try:

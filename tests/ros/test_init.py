@@ -209,9 +209,10 @@ def test_in_a_namespace_the_commands_that_follow_are_too(empty_domain, tmp_path)
         node = Node("pid", context=context, namespace="/left")
         node.declare_parameter("kp", 1.0)
         node.declare_parameter("mass", 2.0, ParameterDescriptor(description="of the arm [kg]"))
-        node.create_subscription(Float64, "setpoint", lambda _: None, 10)
         angle = node.create_publisher(Float64, "angle", 10)
-        node.create_timer(0.01, lambda: angle.publish(Float64(data=0.0)))
+        heard = []
+        node.create_subscription(Float64, "setpoint", heard.append, 10)
+        node.create_timer(0.01, lambda: angle.publish(heard[-1] if heard else Float64()))
         return node
 
     with at_work(moved):

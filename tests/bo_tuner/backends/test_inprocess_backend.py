@@ -215,6 +215,8 @@ class TestEvaluation:
         assert interruption.signum == signal.SIGTERM
 
     def test_ctrl_c_without_a_command_is_no_fault_of_the_object(self, opened):
+        # A shell that starts the tests in the background has them ignore it.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         with pytest.raises(KeyboardInterrupt):
             behaving(opened, "stop").outcome(PLANNED)
 

@@ -20,7 +20,13 @@ from bo_tuner.storage.atomic import (
 )
 from bo_tuner.storage.json_numbers import without_nan
 from bo_tuner.storage.parameter_file import node_values, to_yaml
-from bo_tuner.storage.run_files import HELD_PARAMETERS, LOGS, is_same_file, open_file
+from bo_tuner.storage.run_files import (
+    HELD_PARAMETERS,
+    LOGS,
+    PREVIOUS_PARAMETERS,
+    is_same_file,
+    open_file,
+)
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_yaml
 from bo_tuner.trials import Value
@@ -138,7 +144,7 @@ class RunFolder:
             for path in self.log.rglob("*")
             if path.is_file()
             and path.stat().st_size
-            and path.name != HELD_PARAMETERS
+            and path.name not in (HELD_PARAMETERS, PREVIOUS_PARAMETERS)
             and own not in path.name
         ]
         with contextlib.suppress(OSError):

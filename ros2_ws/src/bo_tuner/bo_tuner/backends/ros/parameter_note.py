@@ -81,6 +81,17 @@ class ParameterNote:
                 found[name] = value
         return found
 
+    def settle(self, node: str) -> None:
+        """Take note that a node has again what it had; if that was parked, it still is."""
+        noted = self.content.pop(node, {})
+        parked = {name: noted["previous"].get(name) for name in noted.get("original", {})}
+        if parked:
+            self.content[node] = {
+                "previous": {},
+                "told": {name: [value] for name, value in parked.items()},
+                "original": noted["original"],
+            }
+
     def forget(self, node: str, names: Iterable[str]) -> None:
         """Forget parameters of a node, which somebody has set on purpose."""
         noted = self.content.get(node, {})

@@ -97,7 +97,7 @@ class PreviousParameters:
             except RefusedError as refusal:
                 raise BackendError(f"{spec.node} could not be restored: {refusal}") from refusal
             found[key] = self._parameters.read_anew(key)
-            self._note.content.pop(spec.node)
+            self._note.settle(spec.node)
             self._write()
 
     def begin(self, previous: Values, safe: Values) -> None:

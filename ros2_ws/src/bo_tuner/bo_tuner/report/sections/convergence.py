@@ -59,7 +59,7 @@ LOOKS = {
     TrialOutcome.FAILED: (Color.VERMILION, Marker.CROSS, False),
     TrialOutcome.LOST: (Color.GRAY, Marker.SQUARE, False),
     TrialOutcome.DISTURBED: (Color.GRAY, Marker.SQUARE, True),
-    TrialOutcome.UNPREPARED: (Color.GRAY, Marker.DIAMOND, False),
+    TrialOutcome.UNPREPARED: (Color.GRAY, Marker.DIAMOND, True),
 }
 """Colour, marker and whether the marker is filled, by the outcome of a trial."""
 
