@@ -42,6 +42,33 @@ def test_of_several_robots_none_of_which_is_meant(read):
     assert read("axis", {"/cell/axis": 0.25, "/hall/axis": 0.25}) == 0.25
 
 
-def test_what_is_for_all_nodes_yields_to_the_node(read):
-    assert read("axis", {"axis": 0.25, "/**": 0.75}) == 0.25
+def test_of_several_sections_the_last_counts(read):
+    assert read("axis", {"axis": 0.25, "/**": 0.75}) == 0.75
+    assert read("axis", {"/**": 0.75, "axis": 0.25}) == 0.25
     assert read("axis", {"/**": 0.75}) == 0.75
+
+
+def test_in_a_namespace_that_is_named_only_that_node_counts(tmp_path, make_study):
+    path = tmp_path / "nodes.yaml"
+    path.write_text(
+        "cell: {axis: {ros__parameters: {gain: 0.25}}}\naxis: {ros__parameters: {gain: 0.75}}\n"
+    )
+    study = make_study(nodes={"axis": {"node": "axis", "result": "~/r"}})
+    assert read_parameter_set(path, study)["gain"] == 0.75
+    assert read_parameter_set(path, study, "/cell")["gain"] == 0.25
+    with pytest.raises(StudyError, match="has none of the study's parameters"):
+        read_parameter_set(path, study, "/hall")
+
+
+def test_a_value_of_another_type_is_named(tmp_path, make_study):
+    path = tmp_path / "nodes.yaml"
+    path.write_text("axis:\n  ros__parameters:\n    load: 1\n    gain: on\n")
+    with pytest.raises(StudyError, match=r"nodes\.yaml: gain: expected a number, found true"):
+        read_parameter_set(path, make_study(nodes={"axis": {"node": "axis", "result": "~/r"}}))
+
+
+def test_what_ros_refuses_is_refused_with_its_line(tmp_path, make_study):
+    path = tmp_path / "nodes.yaml"
+    path.write_text("axis:\n  ros__parameters: {gain: 0.5}\nfile: a.urdf\n")
+    with pytest.raises(StudyError, match=r"nodes\.yaml:3: a value ahead of ros__parameters"):
+        read_parameter_set(path, make_study())
