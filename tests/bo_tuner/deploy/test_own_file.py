@@ -42,7 +42,9 @@ def other(value):
     return f"{value} it's" if isinstance(value, str) else value / 2 + 1 if value * 0 == 0 else 2.5
 
 
-@pytest.mark.parametrize("case", EXPECTED, ids=lambda c: f"{c['file']}-{c['namespace']}-{c['node']}")
+@pytest.mark.parametrize(
+    "case", EXPECTED, ids=lambda c: f"{c['file']}-{c['namespace']}-{c['node']}"
+)
 def test_a_node_reads_every_new_value_and_all_others_what_they_had(case):
     text, node = (FILES / case["file"]).read_text(), full_name(case)
     old = read(text, node)
@@ -169,7 +171,11 @@ class TestWildcards:
         text = "/**/pid:\n  ros__parameters: {kp: 1.0, ki: 1.0}\n"
         new = {"/a/pid": {"kp": 2.0}, "/b/pid": {"kp": 3.0}}
         edited = with_values(text, new)
-        assert [read(edited, node)["kp"] for node in ("/a/pid", "/b/pid", "/pid")] == [2.0, 3.0, 1.0]
+        assert [read(edited, node)["kp"] for node in ("/a/pid", "/b/pid", "/pid")] == [
+            2.0,
+            3.0,
+            1.0,
+        ]
 
     def test_what_a_wildcard_has_already_needs_no_section(self):
         text = "/**:\n  ros__parameters: {kp: 1.0}\n"
@@ -185,7 +191,11 @@ class TestWildcards:
         ("pid:\n  ros__parameters:\n    a:\n    - 1\n    - 2\n", {"a": [1]}, "expected 1 items"),
         ("pid:\n  ros__parameters:\n    a: [1]\n", {"a": 1}, "expected a single value"),
         # An integer that was given counts before a double that is given later.
-        ("pid: {ros__parameters: {a: 1}}\npid: {ros__parameters: {a: 2.0}}\n", {"a": 3.0}, "itself"),
+        (
+            "pid: {ros__parameters: {a: 1}}\npid: {ros__parameters: {a: 2.0}}\n",
+            {"a": 3.0},
+            "itself",
+        ),
         # A list of mappings, which ROS reads as one list.
         ("pid:\n  ros__parameters:\n    a: [{b: p}, {b: q}]\n", {"a.b.b": ["p"]}, "itself"),
     ],
@@ -206,7 +216,9 @@ SINGLE = st.one_of(
 
 @given(
     st.dictionaries(
-        st.sampled_from(["kp", "ki", "gains.joint1.p", "mode", "style", "plain", "enabled", "new.a"]),
+        st.sampled_from(
+            ["kp", "ki", "gains.joint1.p", "mode", "style", "plain", "enabled", "new.a"]
+        ),
         SINGLE,
     )
 )
@@ -215,5 +227,7 @@ def test_any_value_reads_back_and_the_rest_of_the_text_stays(values):
     assert repr(sorted(read(edited, "/pid").items())) == repr(
         sorted((read(OWN, "/pid") | values).items())
     )
-    assert edited.startswith("# Gains of the arm\npid:   # the node\n  ros__parameters:\n    kp:   ")
+    assert edited.startswith(
+        "# Gains of the arm\npid:   # the node\n  ros__parameters:\n    kp:   "
+    )
     assert edited.endswith("\n\n\n# the end\n")

@@ -21,7 +21,9 @@ def of_pid(*lines):
     return "\n".join(["pid:", "  ros__parameters:", *(f"    {line}" for line in lines)]) + "\n"
 
 
-@pytest.mark.parametrize("case", EXPECTED, ids=lambda c: f"{c['file']}-{c['namespace']}-{c['node']}")
+@pytest.mark.parametrize(
+    "case", EXPECTED, ids=lambda c: f"{c['file']}-{c['namespace']}-{c['node']}"
+)
 def test_files_in_the_layouts_of_the_field(case):
     text = (FILES / case["file"]).read_text()
     if case["ros_reads"] == {"refused": True}:
@@ -137,7 +139,7 @@ def test_what_ros_refuses_is_refused_with_its_line(text, problem, line):
 
 def test_the_place_of_a_value_is_that_of_its_text():
     text = "é: {ros__parameters: {}}\n".replace("é", "axis") + of_pid(
-        "a: &here 'it''s'", "b: [ 1.5,  2.5 ]  # ö", "c: !!str  on", "d: µm", "e: \"x\""
+        "a: &here 'it''s'", "b: [ 1.5,  2.5 ]  # ö", "c: !!str  on", "d: µm", 'e: "x"'
     )
     found = sources(read_sections(text), "/pid")
     places = {n: [text[i.start : i.end] for i in s.found.items] for n, s in found.items()}
@@ -154,5 +156,7 @@ def test_a_node_without_a_namespace_counts_in_that_of_the_file():
     assert full_names(sections, "axis") == ["/cell/axis"]
     assert full_names(sections, "axis", "/hall") == ["/hall/axis"]
     assert full_names(sections, "/axis", "/hall") == ["/axis"]
-    sections = read_sections("cell: {axis: {ros__parameters: {a: 1}}}\n/**: {ros__parameters: {a: 2}}")
+    sections = read_sections(
+        "cell: {axis: {ros__parameters: {a: 1}}}\n/**: {ros__parameters: {a: 2}}"
+    )
     assert full_names(sections, "axis") == ["/axis"]

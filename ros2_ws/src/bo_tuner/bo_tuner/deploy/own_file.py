@@ -111,9 +111,7 @@ def _check(text: str, changes: _Changes, wanted: Mapping[str, Mapping[str, Value
             raise StudyError(f"{problem}: of {node}")
 
 
-def _is_shared(
-    section: Section, node: str, sections: list[Section], values: NodeValues
-) -> bool:
+def _is_shared(section: Section, node: str, sections: list[Section], values: NodeValues) -> bool:
     """Return whether other nodes than one take values from a section, too, or may."""
     if not section.is_wildcard:
         return False

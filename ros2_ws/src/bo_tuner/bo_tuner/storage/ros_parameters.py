@@ -390,7 +390,7 @@ class _Reader:
         self._braces.append(bool(event.flow_style))
         self._key_is_next = True
         # The mapping of all parameters of a node opens no level of their names.
-        is_outermost = self._in_parameters and self._depth - (self._node.levels + 1) == 2  # noqa: PLR2004
+        is_outermost = self._in_parameters and self._depth - (self._node.levels + 1) == 2
         self._opens_level = not is_outermost
 
     def _close_mapping(self, event: Any) -> None:
