@@ -74,6 +74,14 @@ def test_a_second_result_keeps_the_first_previous_file(record, own, written, cap
     assert len(list(own.parent.glob("our nodes.yaml.*"))) == 2
 
 
+def test_what_an_editor_has_put_in_stays(record, own, written, capsys):
+    """Line breaks of another system and a byte order mark."""
+    own.write_bytes(b"\xef\xbb\xbf" + OWN.replace("\n", "\r\n").encode())
+    code, _, _ = call(command, capsys, record.path, "--write", own, "--yes")
+    assert code == 0
+    assert own.read_bytes() == b"\xef\xbb\xbf" + written.replace("\n", "\r\n").encode()
+
+
 def test_a_link_stays_one(record, own, written, capsys, tmp_path):
     link = tmp_path / "link.yaml"
     link.symlink_to(own)
@@ -136,7 +144,7 @@ class TestNothingIsWritten:
             ("other:\n  ros__parameters: {gain: 1.0}\n", " says nothing of the node /axis"),
             ("/a/axis: {ros__parameters: {gain: 1.0}}\n/b/axis: {ros__parameters: {gain: 2.0}}\n",
              " has axis in several namespaces, /a/axis and /b/axis: name one"),
-            ("axis: {ros__parameters: {name: \xe9}}\n".encode("latin-1"), " not text in UTF-8"),
+            ("axis: {ros__parameters: {name: \xe9}}\n".encode("latin-1"), "1: expected UTF-8 text"),
             (None, " cannot be read: No such file or directory"),
         ],
     )  # fmt: skip

@@ -16,6 +16,7 @@ from bo_tuner.monitoring.display import say
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import NodeValues
 from bo_tuner.storage.ros_parameters import full_names, read_sections
+from bo_tuner.study.study_file import read_text
 
 PREVIOUS = ".previous"
 
@@ -49,12 +50,15 @@ def write_back(
     """
     # A link may lead to the file that is meant, such as into the sources of a workspace.
     place = path.resolve()
-    data = _read(place, path)
-    new = _edited(data, path, values, namespace)
+    text = read_text(place, str(path))
+    data = place.read_bytes()
+    new = _edited(text, path, values, namespace)
+    if data.startswith(codecs.BOM_UTF8):
+        new = codecs.BOM_UTF8 + new
     if new == data:
         say(f"{path} has these values already; nothing to write")
         return EXIT_OK
-    _show(data, new, path)
+    _show(text, new.decode("utf-8-sig"), path)
     if not yes:
         if not sys.stdin.isatty():
             say_error("error: no terminal to confirm on; use --yes")
@@ -62,7 +66,7 @@ def write_back(
         if not confirmed(f"write {path}? [y/N] ", interruption):
             say("nothing was written")
             return EXIT_INFEASIBLE
-        if _read(place, path) != data:
+        if place.read_bytes() != data:
             say_error(f"error: {path} has changed meanwhile")
             return EXIT_INFEASIBLE
     interruption.check()
@@ -79,19 +83,7 @@ def write_back(
     return EXIT_OK
 
 
-def _read(place: Path, path: Path) -> bytes:
-    try:
-        return place.read_bytes()
-    except OSError as error:
-        raise StudyError(f"cannot be read: {error.strerror}", source=str(path)) from error
-
-
-def _edited(data: bytes, path: Path, values: NodeValues, namespace: str) -> bytes:
-    mark = codecs.BOM_UTF8 if data.startswith(codecs.BOM_UTF8) else b""
-    try:
-        text = data[len(mark) :].decode()
-    except UnicodeDecodeError as error:
-        raise StudyError("not text in UTF-8", source=str(path)) from error
+def _edited(text: str, path: Path, values: NodeValues, namespace: str) -> bytes:
     try:
         sections = read_sections(text)
         full: dict[str, dict[str, object]] = {}
@@ -103,15 +95,14 @@ def _edited(data: bytes, path: Path, values: NodeValues, namespace: str) -> byte
                     "--ros-args -r __ns:=/NAME"
                 )
             full[names[0]] = dict(of_node)
-        return mark + with_values(text, full).encode()
+        return with_values(text, full).encode()
     except StudyError as error:
         raise error.located(str(path), error.line) from None
 
 
-def _show(old: bytes, new: bytes, path: Path) -> None:
-    one, other = (data.decode().splitlines() for data in (old, new))
-    name = str(path)
-    for line in difflib.unified_diff(one, other, name, f"{name} (new)", lineterm="", n=2):
+def _show(old: str, new: str, path: Path) -> None:
+    one, other = old.splitlines(), new.splitlines()
+    for line in difflib.unified_diff(one, other, str(path), f"{path} (new)", lineterm="", n=2):
         say(line)
 
 

@@ -227,7 +227,7 @@ def is_parameter_file(text: str) -> bool:
             isinstance(event, yaml.ScalarEvent) and event.value.startswith(SECTION)
             for event in yaml.parse(text, Loader=_LOADER)
         )
-    except yaml.YAMLError:
+    except (yaml.YAMLError, UnicodeEncodeError):
         return False
 
 
@@ -254,7 +254,7 @@ def read_sections(text: str) -> list[Section]:
         raise StudyError(
             f"not valid YAML: {problem}", line=mark.line + 1 if mark else None
         ) from None
-    except yaml.reader.ReaderError as error:
+    except (yaml.reader.ReaderError, UnicodeEncodeError) as error:
         raise StudyError("not a text file: a character that YAML does not permit") from error
     return reader.sections
 
@@ -517,7 +517,7 @@ def _spans(text: str) -> Iterator[tuple[int, int]]:
         for token in yaml.scan(text, Loader=_LOADER):
             if isinstance(token, yaml.ScalarToken):
                 yield token.end_mark.index, token.start_mark.index
-    except yaml.YAMLError:
+    except (yaml.YAMLError, UnicodeEncodeError):
         # Which the parser tells, too.
         return
 
