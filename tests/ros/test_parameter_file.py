@@ -8,7 +8,8 @@ from rclpy.node import Node
 
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.parameter_file import to_yaml
-from bo_tuner.storage.ros_parameters import read_sections, sources
+from bo_tuner.storage.ros_reader import read_sections
+from bo_tuner.storage.ros_sections import sources
 
 pytestmark = pytest.mark.ros
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from bo_tuner.deploy.own_file import with_values
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.ros_parameters import read_sections, sources
+from bo_tuner.storage.ros_reader import read_sections
+from bo_tuner.storage.ros_sections import sources
 
 FILES = Path(__file__).parents[1] / "storage" / "parameter_files"
 EXPECTED = [

@@ -15,7 +15,8 @@ from bo_tuner.interruption import Interruption
 from bo_tuner.monitoring.display import say
 from bo_tuner.storage.atomic import write_atomically, writing
 from bo_tuner.storage.parameter_file import NodeValues
-from bo_tuner.storage.ros_parameters import full_names, read_sections
+from bo_tuner.storage.ros_reader import read_sections
+from bo_tuner.storage.ros_sections import full_names
 from bo_tuner.study.study_file import read_text
 
 PREVIOUS = ".previous"

@@ -8,15 +8,9 @@ import yaml
 
 from bo_tuner.errors import StudyError
 from bo_tuner.storage.parameter_file import NodeValues
-from bo_tuner.storage.ros_parameters import (
-    SECTION,
-    Section,
-    Single,
-    Source,
-    read_sections,
-    read_value,
-    sources,
-)
+from bo_tuner.storage.ros_reader import SECTION, read_sections
+from bo_tuner.storage.ros_sections import Section, Source, sources
+from bo_tuner.storage.ros_values import Single, read_value
 from bo_tuner.study.strict_yaml import LONGEST_LINE
 
 _OTHER_TRUTH = {

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import yaml
 
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.ros_parameters import SECTION, read_sections
+from bo_tuner.storage.ros_reader import SECTION, read_sections
 from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.study import Study

@@ -4,13 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.storage.ros_parameters import (
-    Section,
-    full_names,
-    is_parameter_file,
-    read_sections,
-    sources,
-)
+from bo_tuner.storage.ros_reader import is_parameter_file, read_sections
+from bo_tuner.storage.ros_sections import Section, full_names, sources
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import read_text

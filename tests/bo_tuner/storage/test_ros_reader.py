@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from bo_tuner.errors import StudyError
-from bo_tuner.storage.ros_parameters import full_names, read_sections, read_value, sources
+from bo_tuner.storage.ros_reader import read_sections
+from bo_tuner.storage.ros_sections import full_names, sources
+from bo_tuner.storage.ros_values import read_value
 
 FILES = Path(__file__).parent / "parameter_files"
 EXPECTED = json.loads((FILES / "expected.json").read_text())
@@ -156,6 +158,7 @@ def test_a_node_without_a_namespace_counts_in_that_of_the_file():
     assert full_names(sections, "axis") == ["/cell/axis"]
     assert full_names(sections, "axis", "/hall") == ["/hall/axis"]
     assert full_names(sections, "/axis", "/hall") == ["/axis"]
+    assert full_names(sections, "/axis") == ["/axis"]
     sections = read_sections(
         "cell: {axis: {ros__parameters: {a: 1}}}\n/**: {ros__parameters: {a: 2}}"
     )

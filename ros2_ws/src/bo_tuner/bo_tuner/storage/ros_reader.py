@@ -4,18 +4,18 @@ ROS does not read such a file as a tree: rcl_yaml_param_parser goes from one eve
 parser to the next and keeps two names, of the node and of the parameter, to which keys are added
 and from which they are removed. What looks alike can therefore mean different things, and this
 reader goes the same way, event by event; tests hold it against that parser with generated files.
-The parser itself would not tell where a value stands, and a file could end the process.
+That parser itself is not asked, since it does not tell where a value stands.
 """
 
-import ctypes
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
 
 from bo_tuner.errors import StudyError
+from bo_tuner.storage.ros_sections import Found, Scalar, Section, Setting
+from bo_tuner.storage.ros_values import read_value
 from bo_tuner.study.checks import quoted
 from bo_tuner.text import one_line
 
@@ -24,200 +24,10 @@ SECTION = "ros__parameters"
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """Where it can be, the YAML library that ROS itself uses."""
 
-_TRUE = {"y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
-_FALSE = {"n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
-_DOTTED = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_TEXT_TAG = "tag:yaml.org,2002:str"
-
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WILD = ("*", "**")
 _LONGEST_NAMESPACE, _LONGEST_NAME = 245, 255
 """Of a level of the namespace with its slash, and of the name of a node, in characters."""
-
-Single = bool | int | float | str
-
-_KINDS = (bool, int, float, str)
-"""Where a parameter has been given values of several types, the first of these counts."""
-
-
-@dataclass(frozen=True)
-class Scalar:
-    """A single value where it stands.
-
-    Attributes
-    ----------
-    value
-        As ROS reads it.
-    start, end
-        Of its text, without anchor and tag, in characters of the file; `end` is behind the last.
-    line
-        From 1.
-    style
-        The quotes, or ``|`` or ``>`` of a block; empty for a plain one.
-    """
-
-    value: Single
-    start: int
-    end: int
-    line: int
-    style: str
-
-
-@dataclass
-class Found:
-    """A value that a parameter has been given: of one type, single or a list.
-
-    Attributes
-    ----------
-    items
-        Its single values in order.
-    is_list
-        Whether it is a list.
-    span
-        Start and end of a list in brackets, in characters of the file; otherwise None.
-    """
-
-    items: list[Scalar] = field(default_factory=list)
-    is_list: bool = False
-    span: tuple[int, int] | None = None
-
-    @property
-    def value(self) -> Single | list[Single]:
-        """The value as ROS reads it; of a list without an item it reads none."""
-        values = [item.value for item in self.items]
-        return values if self.is_list else values[0]
-
-
-@dataclass
-class Setting:
-    """A parameter of a section.
-
-    Attributes
-    ----------
-    name
-        Of the parameter, dots between its levels.
-    found
-        What it was given, by whether it is a list and by type.
-    """
-
-    name: str
-    found: dict[tuple[bool, type], Found] = field(default_factory=dict)
-
-    @property
-    def counts(self) -> Found | None:
-        """What ROS takes; None if it has no value."""
-        for is_list in (False, True):
-            for kind in (*_KINDS, type(None)):
-                if (is_list, kind) in self.found:
-                    return self.found[is_list, kind]
-        return None
-
-
-@dataclass
-class Section:
-    """What a file says of one node, or of those that a pattern names.
-
-    Attributes
-    ----------
-    name
-        Of node or pattern, such as ``/arm/**``; the slash ahead may be missing.
-    settings
-        In the order in which ROS goes through them.
-    in_braces
-        Whether its parameters stand in braces.
-    column
-        Of its first parameter, from 0; None as long as there is none.
-    end
-        Behind its last value, in characters of the file; 0 as long as there is none.
-    """
-
-    name: str
-    settings: list[Setting] = field(default_factory=list)
-    in_braces: bool = False
-    column: int | None = None
-    end: int = 0
-
-    @property
-    def pattern(self) -> str:
-        """The name with the slash ahead."""
-        return f"/{self.name.removeprefix('/')}"
-
-    @property
-    def is_wildcard(self) -> bool:
-        """Whether it is of any nodes that a pattern names."""
-        return "*" in self.name
-
-    def is_of(self, node: str) -> bool:
-        """Return whether a node, given by its full name, takes what this section says."""
-        levels = self.pattern.replace("/*", r"(/\w+)")
-        return re.fullmatch(levels, node, re.ASCII) is not None
-
-    @property
-    def values(self) -> dict[str, Single | list[Single]]:
-        """The values by parameter."""
-        every = ((setting.name, setting.counts) for setting in self.settings)
-        return {name: found.value for name, found in every if found is not None}
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a node's parameter comes from."""
-
-    section: Section
-    setting: Setting
-    found: Found
-
-    @property
-    def line(self) -> int | None:
-        """The line of its value, from 1."""
-        return self.found.items[0].line if self.found.items else None
-
-
-def full_name(node: str, namespace: str) -> str:
-    """Return the full name of a node that is named relative to a namespace, or in full."""
-    if node.startswith("/"):
-        return node
-    return f"/{namespace.strip('/')}/{node}" if namespace.strip("/") else f"/{node}"
-
-
-def full_names(sections: list[Section], node: str, namespace: str = "") -> list[str]:
-    """Return the full names that a node may have in a file.
-
-    Parameters
-    ----------
-    sections
-        Of the file.
-    node
-        The name of the node in a study.
-    namespace
-        Of the nodes of the study. Where none is named, and the file says nothing of a node in the
-        root, the node counts in the namespaces that the file has it in.
-    """
-    name = full_name(node, namespace)
-    if namespace or any(section.is_of(name) for section in sections):
-        return [name]
-    others = [s.pattern for s in sections if not s.is_wildcard and s.pattern.endswith(name)]
-    return list(dict.fromkeys(others)) or [name]
-
-
-def sources(sections: list[Section], node: str) -> dict[str, Source]:
-    """Return where each parameter of a node comes from: of several sections the last.
-
-    Parameters
-    ----------
-    sections
-        Of a file.
-    node
-        The full name of the node, such as ``/arm/pid``.
-    """
-    found: dict[str, Source] = {}
-    for section in sections:
-        if section.is_of(node):
-            for setting in section.settings:
-                found.pop(setting.name, None)
-                if (counts := setting.counts) is not None:
-                    found[setting.name] = Source(section, setting, counts)
-    return found
 
 
 def is_parameter_file(text: str) -> bool:
@@ -257,52 +67,6 @@ def read_sections(text: str) -> list[Section]:
     except (yaml.reader.ReaderError, UnicodeEncodeError) as error:
         raise StudyError("not a text file: a character that YAML does not permit") from error
     return reader.sections
-
-
-def read_value(text: str, style: str = "", tag: str | None = None) -> Single:
-    """Return what ROS takes a single value for.
-
-    Parameters
-    ----------
-    text
-        The value, without quotes.
-    style
-        Its quotes; empty for none.
-    tag
-        Of YAML.
-    """
-    if tag == _TEXT_TAG or style in ("'", '"'):
-        return text
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
-    whole = _whole_number(text)
-    if whole is not None:
-        return whole
-    dotted = _DOTTED.fullmatch(text)
-    number = _number(text.replace(".", "") if dotted else text)
-    return text if number is None else number
-
-
-# ROS converts by these two functions: hexadecimal, octal, what is too large, and so on.
-_C = ctypes.CDLL(None, use_errno=True)
-_C.strtoll.restype = ctypes.c_longlong
-_C.strtoll.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_char_p), ctypes.c_int]
-_C.strtod.restype = ctypes.c_double
-_C.strtod.argtypes = [ctypes.c_char_p, ctypes.POINTER(ctypes.c_char_p)]
-
-
-def _whole_number(text: str) -> int | None:
-    data, rest = text.encode("utf-8", "replace"), ctypes.c_char_p()
-    ctypes.set_errno(0)
-    value: int = _C.strtoll(data, ctypes.byref(rest), 0)
-    return value if data and not ctypes.get_errno() and rest.value == b"" else None
-
-
-def _number(text: str) -> float | None:
-    data, rest = text.encode("utf-8", "replace"), ctypes.c_char_p()
-    ctypes.set_errno(0)
-    value: float = _C.strtod(data, ctypes.byref(rest))
-    return value if data and not ctypes.get_errno() and rest.value == b"" else None
 
 
 class _Name:
