@@ -128,6 +128,13 @@ class TestWhereAValueIsNot:
             "    names: [a, b]"
         )
 
+    def test_behind_a_text_in_a_block_and_at_the_end_of_the_file(self):
+        text = "pid:\n  ros__parameters:\n    note: |\n      a\n      b\n# end"
+        edited = with_values(text, {"/pid": {"kd": 0.5}})
+        assert edited == text.replace("# end", "    kd: 0.5\n# end")
+        text = "pid:\n  ros__parameters:\n    kp: 1.0  # here"
+        assert with_values(text, {"/pid": {"kd": 0.5}}) == f"{text}\n    kd: 0.5"
+
     def test_also_in_braces(self):
         text = "pid: {ros__parameters: {kp: 1.0, gains: {p: 2.0}}}\n"
         edited = with_values(text, {"/pid": {"kd": 0.5}})
@@ -149,6 +156,14 @@ class TestWildcards:
     def test_the_file_may_end_without_a_line_break(self):
         text = "/**:\n  ros__parameters:\n    kp: 1.0"
         assert with_values(text, {"/pid": {"kp": 2.5}}).startswith(text + "\n/pid:\n")
+
+    def test_each_of_several_nodes_gets_a_section(self):
+        text = "/**:\n  ros__parameters:\n    kp: 1.0"
+        edited = with_values(text, {"/a": {"kp": 2.0}, "/b": {"kp": 3.0, "ki": [1, 2]}})
+        assert edited == (
+            f"{text}\n/a:\n  ros__parameters:\n    kp: 2.0\n"
+            "/b:\n  ros__parameters:\n    kp: 3.0\n    ki: [1, 2]\n"
+        )
 
     def test_the_section_of_the_node_comes_ahead_of_it(self):
         """One of the same name would be read as part of the first."""

@@ -40,6 +40,10 @@ class _Changes:
     replaced: dict[tuple[int, int], str] = field(default_factory=dict)
     expected: dict[str, dict[str, Values]] = field(default_factory=dict)
 
+    def insert(self, at: int, text: str) -> None:
+        """Put a text at a place, behind what is to be put there already."""
+        self.replaced[at, at] = self.replaced.get((at, at), "") + text
+
 
 def with_values(text: str, values: NodeValues) -> str:
     """Return the text of a parameter file with other values.
@@ -165,25 +169,25 @@ def _add(
         name = node if node not in known else node.removeprefix("/")
         if name in known:
             raise StudyError(f"has a wildcard behind {node}; write a section behind that first")
-        lines = [f"{name}:", f"  {SECTION}:", *(f"    {pair}" for pair in pairs), ""]
-        start = break_ if text and not text.endswith("\n") else ""
-        place = (len(text), len(text))
-        new = start + break_.join(lines)
-        changes.replaced[place] = changes.replaced.get(place, "") + new
         changes.expected[name] = dict(added)
+        at = len(text)
+        before = changes.replaced.get((at, at), text)
+        start = "" if before.endswith("\n") else break_
+        lines = [f"{name}:", f"  {SECTION}:", *(f"    {pair}" for pair in pairs), ""]
+        changes.insert(at, start + break_.join(lines))
         return
     section = own[-1]
     changes.expected[section.name] |= added
     if section.in_braces:
-        place = (section.end, section.end)
-        new = "".join(f", {pair}" for pair in pairs)
+        changes.insert(section.end, "".join(f", {pair}" for pair in pairs))
+        return
+    new = break_.join(f"{' ' * (section.column or 0)}{pair}" for pair in pairs)
+    # A text in a block ends with its line.
+    line_end = text.find("\n", section.end - 1)
+    if line_end < 0:
+        changes.insert(len(text), f"{break_}{new}")
     else:
-        lines = [f"{' ' * (section.column or 0)}{pair}" for pair in pairs]
-        at = section.end if text[section.end - 1] == "\n" else text.find("\n", section.end) + 1
-        place = (at, at) if at else (len(text), len(text))
-        new = break_.join(lines)
-        new = f"{new}{break_}" if at else f"{break_}{new}"
-    changes.replaced[place] = changes.replaced.get(place, "") + new
+        changes.insert(line_end + 1, f"{new}{break_}")
 
 
 def _written(value: Values, like: str = "", style: str = "") -> str:
