@@ -425,7 +425,7 @@ def test_what_changes_while_it_asks_is_not_overwritten(client, record, now, caps
         client.set_parameters("mpc_controller", {"lambda_mpc": -1.75})
         return True
 
-    monkeypatch.setattr(command, "_confirmed", confirmed)
+    monkeypatch.setattr(command, "confirmed", confirmed)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     code, _, err = apply(capsys, record)
     assert (code, err) == (3, "error: the nodes' values have changed meanwhile\n")

@@ -44,7 +44,9 @@ def commands(tmp_path_factory, make_study):
 def earlier(commands):
     """A run that began with sets from a file of values and from a parameter file."""
     flat = commands.file("flat.yaml", "gain: 0.3\n")
-    of_nodes = "/**/axis:\n  ros__parameters: {gain: 0.7, load: 9.0}\nother:\n  a: 1\n"
+    of_nodes = (
+        "/**/axis:\n  ros__parameters: {gain: 0.7, load: 9.0}\nother:\n  ros__parameters: {a: 1}\n"
+    )
     nodes = commands.file("nodes.yaml", of_nodes)
     code, _, err = commands.tune(
         "earlier", "--study", commands.study, "--backend", "inprocess", "--start", flat, nodes

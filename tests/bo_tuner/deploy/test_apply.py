@@ -14,6 +14,7 @@ from made_runs import INITIAL, make_run, write_certificate
 from bo_tuner.certificate.store import certificate_problem, evaluations_path, next_path
 from bo_tuner.cli import apply as command
 from bo_tuner.cli.deliverables import withdraw_result
+from bo_tuner.cli.streams import confirmed
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -318,12 +319,12 @@ class TestQuestion:
     def test_only_yes_is_a_yes(self, terminal, capsys, typed, yes):
         terminal.write(typed)
         terminal.flush()
-        assert command._confirmed("set these? [y/N] ", Uninterrupted()) is yes
+        assert confirmed("set these? [y/N] ", Uninterrupted()) is yes
         assert capsys.readouterr().out == "set these? [y/N] "
 
     def test_the_end_of_the_input_is_a_no(self, terminal):
         terminal.close()
-        assert command._confirmed("set these? ", Uninterrupted()) is False
+        assert confirmed("set these? ", Uninterrupted()) is False
 
     def test_a_signal_ends_the_wait(self, terminal):
         class Signalled(Uninterrupted):
@@ -331,7 +332,7 @@ class TestQuestion:
                 raise Interrupted(signal.SIGINT)
 
         with pytest.raises(Interrupted):
-            command._confirmed("set these? ", Signalled())
+            confirmed("set these? ", Signalled())
 
 
 class TestBundle:

@@ -173,21 +173,22 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("text", "complaint"),
         [
-            ("[1, 2", "no YAML: while parsing"),
+            ("[1, 2", "line 1: a list cannot be a key"),
             ("", "expected a parameter file, found"),
-            ("7", "expected a parameter file, found 7"),
-            ("x_drive: {ros__parameters: {}}", "found text 'x_drive'"),
-            ("/**/x_drive: {gain: 1.0}", "with ros__parameters only"),
-            ("/**/x_drive: {ros__parameters: 7}", "expected parameters by name"),
+            ("7", "expected a parameter file, found no section"),
+            ("x_drive: {ros__parameters: {}}", "expected a section /**/<node>, found 'x_drive'"),
+            ("/**/x_drive: {gain: 1.0}", "line 1: a value ahead of ros__parameters"),
+            ("/**/x_drive: {ros__parameters: 7}", "line 1: a value ahead of"),
+            ("/**/x_drive: {ros__parameters: [}", "line 1: not valid YAML: "),
             ("/**/x_drive: {ros__parameters: {gain: .nan}}", "x_drive.gain: "),
-            ("/**/x_drive: {ros__parameters: {gain: {a: 1}}}", "x_drive.gain: "),
+            ("/**/x_drive: {ros__parameters: {gain: {a: 1}}}", "expected values of mode, limits,"),
             ("/**/x_drive: {ros__parameters: {gain: 1.0}}", "expected values of mode, limits,"),
             (VALUES.format(gain="3", n="4"), "gain: expected a value of the type of 2.0, found 3"),
             (VALUES.format(gain="3.0", n="4.0"), "n: expected a value of the type of 4, found 4.0"),
             (VALUES.format(gain="3.0", n="true"), "n: expected a value of the type of 4, found tr"),
             (VALUES.format(gain="fast", n="4"), "gain: expected a value of the type of 2.0"),
             ("/**/other: {ros__parameters: {gain: 1.0}}", "of x_drive, and no others"),
-            ("!!python/object/apply:os.getcwd []", "no YAML"),
+            ("!!python/object/apply:os.getcwd []", "line 1: a list cannot be a key"),
         ],
     )
     def test_a_way_back_that_is_none(self, record, text, complaint):
@@ -221,15 +222,17 @@ class TestRefusals:
             read_rollback(record)
 
 
+# ROS takes a double closer to zero than these for text, and ends a text at its first zero.
+DOUBLES = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False)
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 SCALARS = st.one_of(
     st.booleans(),
     st.integers(-(2**63) + 1, 2**63 - 1),
-    st.floats(allow_nan=False, allow_infinity=False),
-    st.text(st.characters(blacklist_categories=("Cs",)), max_size=10),
+    DOUBLES,
+    st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), max_size=10),
 )
 LISTS = st.one_of(
-    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=3),
+    st.lists(DOUBLES, min_size=1, max_size=3),
     st.lists(st.integers(-9, 9), min_size=1, max_size=3),
 )
 SECTIONS = st.dictionaries(NAMES, st.one_of(SCALARS, LISTS), max_size=4)

@@ -6,10 +6,12 @@ import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from rich.table import Table
 
 from bo_tuner.backends.ros.held_parameters import named_safe
+from bo_tuner.backends.ros.isolation import named_namespace
 from bo_tuner.backends.ros.parameter_note import said_of_killed
 from bo_tuner.certificate.store import certificate_problem
 from bo_tuner.cli.common import (
@@ -22,7 +24,8 @@ from bo_tuner.cli.common import (
     whole_number,
 )
 from bo_tuner.cli.exit_codes import EXIT_FAULT, EXIT_INFEASIBLE, EXIT_OK, EXIT_USAGE
-from bo_tuner.cli.streams import ask, output_was_closed, say_error
+from bo_tuner.cli.streams import confirmed, output_was_closed, say_error
+from bo_tuner.cli.write_back import PREVIOUS, write_back
 from bo_tuner.deploy.apply import (
     ApplyError,
     NodeError,
@@ -60,6 +63,9 @@ values or none, reads them back, and saves the previous values in
 RUN/deploy/rollback.yaml. The result needs a certificate: a PASS for this study,
 these parameters and this code, with the draws and confidence that the study
 requires, and no later FAIL.
+
+With --write FILE the result goes into the parameter file that the nodes start
+with instead: only its values change, the previous file is kept beside it.
 """
 
 EPILOG = """\
@@ -68,12 +74,12 @@ environment (ROS_DOMAIN_ID), and in the namespace of the run unless --ros-args
 name another.
 
 exit codes:
-  0    the nodes have the values, as read back from them
+  0    the nodes have the values, as read back from them, or the file has them
   1    a node refused, did not answer or read back another value; the previous
        values were restored, or the message names the node where that failed
-  2    bad input: run, option or nodes, or no terminal to confirm on
+  2    bad input: run, option, nodes or file, or no terminal to confirm on
   3    nothing was set: no certificate allows it, you did not confirm, or the
-       nodes' values changed before you did
+       nodes' values or the file changed before you did
   130  interrupted by Ctrl-C before anything was set (143: by SIGTERM, 129: the
        terminal was closed)
   141  if the output pipe was closed, 1 if output could not be written; run
@@ -85,6 +91,7 @@ examples:
   apply runs/latest --trial 12                   another certified parameter set
   apply runs/latest --rollback                   restore the previous values
   apply runs/latest --without-certificate        at your own risk
+  apply runs/latest --write nav2_params.yaml     into your own parameter file
   apply runs/latest --ros-args -r __ns:=/x_axis  nodes in a namespace
 """
 
@@ -102,6 +109,13 @@ def make_parser() -> Parser:
     parser.add_argument("--yes", action="store_true", help="set without asking")
     parser.add_argument(
         "--rollback", action="store_true", help=f"set the values of the run's deploy/{ROLLBACK}"
+    )
+    parser.add_argument(
+        "--write",
+        type=Path,
+        metavar="FILE",
+        help="write the values into this parameter file, and set none on nodes; the previous file "
+        f"is kept as FILE{PREVIOUS}",
     )
     parser.add_argument(
         "--without-certificate",
@@ -151,10 +165,12 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         else:
             new = node_values(record.study, trial.parameters)
             title = f"parameters of trial {trial.number}"
+        there = in_namespace_of(record, ros_arguments)
+        if arguments.write is not None:
+            namespace = named_namespace(there)
+            return write_back(arguments.write, new, namespace, interruption, yes=arguments.yes)
         os.environ.setdefault("ROS_LOG_DIR", str(folder.log))
-        nodes = LiveParameters(
-            list(new), in_namespace_of(record, ros_arguments), interruption.check
-        )
+        nodes = LiveParameters(list(new), there, interruption.check)
         with contextlib.closing(nodes):
             try:
                 now = read_values(nodes, new)
@@ -169,7 +185,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                 if not arguments.yes:
                     if not sys.stdin.isatty():
                         return _refuse("no terminal to confirm on; use --yes", EXIT_USAGE)
-                    if not _confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
+                    if not confirmed(f"set these on {', '.join(new)}? [y/N] ", interruption):
                         say("nothing was set")
                         return EXIT_INFEASIBLE
                     if read_values(nodes, new) != now:
@@ -279,11 +295,6 @@ def _value(value: object) -> str:
     if isinstance(value, bool):
         return shown(value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _confirmed(question: str, interruption: Interruption) -> bool:
-    """Return whether the user answers y or yes."""
-    return (ask(question, interruption) or "").lower() in ("y", "yes")
 
 
 def _warn(text: str) -> None:

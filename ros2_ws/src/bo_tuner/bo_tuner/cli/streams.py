@@ -58,6 +58,11 @@ def ask(question: str, interruption: Interruption) -> str | None:
     return line.strip() if (line := sys.stdin.readline()) else None
 
 
+def confirmed(question: str, interruption: Interruption) -> bool:
+    """Return whether the user answers y or yes."""
+    return (ask(question, interruption) or "").lower() in ("y", "yes")
+
+
 def discard_output() -> None:
     """Give up what cannot be written, so that the interpreter does not try again at its end."""
     for stream in (sys.stdout, sys.stderr):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from bo_tuner.backends.ros.graph import describe_nodes
-from bo_tuner.backends.ros.isolation import namespace_of
+from bo_tuner.backends.ros.isolation import named_namespace, namespace_of
 from bo_tuner.cli.check import check_study
 from bo_tuner.cli.common import (
     RUNS,
@@ -108,7 +108,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         parser.refuse_others(arguments, "check", OF_CHECK)
         attach = arguments.attach
         look = _look(ros_arguments, interruption)
-        study = _changed(_load(arguments.check, attach is not False, look), arguments)
+        loaded = _load(arguments.check, attach is not False, look)
+        study = _changed(loaded, arguments, named_namespace(ros_arguments))
         return check_study(study, ros_arguments, interruption, attach=attach)
     return _run(arguments, parser, ros_arguments, interruption)
 
@@ -131,9 +132,9 @@ def _run(
     elif arguments.earlier is not None:
         record = read_run(run_folder(arguments.earlier))
         ros_arguments = in_namespace_of(record, ros_arguments)
-        plan = _after_earlier(record, arguments, parser, _look(ros_arguments, interruption))
+        plan = _after_earlier(record, arguments, parser, ros_arguments, interruption)
     else:
-        plan = _new(arguments, parser, _look(ros_arguments, interruption))
+        plan = _new(arguments, parser, ros_arguments, interruption)
     _check_options(plan, arguments, parser)
     options = RunOptions(
         algorithm=plan.algorithm,
@@ -193,12 +194,16 @@ def _resumed(record: RunRecord, arguments: argparse.Namespace, parser: Parser) -
     if arguments.trials is not None or arguments.evaluations is not None:
         _check_more(arguments, record, parser)
         # Who asks for more trials does not want the earlier advice to stop.
-        study, stop_early = _changed(study, arguments), arguments.stop_early
+        study, stop_early = _changed(study, arguments, record.namespace), arguments.stop_early
     return Plan(study, record.algorithm, backend, attach, stop_early, resumed=record)
 
 
 def _after_earlier(
-    record: RunRecord, arguments: argparse.Namespace, parser: Parser, look: Describe
+    record: RunRecord,
+    arguments: argparse.Namespace,
+    parser: Parser,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
 ) -> Plan:
     """Plan a run that begins with the trials of an earlier one."""
     backend = recorded_backend(record)
@@ -207,9 +212,9 @@ def _after_earlier(
         if getattr(arguments, name) not in (None, found):
             parser.error(f"--{name}: expected {found}, as in the run of --from; leave it out")
     if arguments.study is not None:
-        study = _given(arguments.study, attach, arguments, look)
+        study = _given(arguments.study, attach, arguments, ros_arguments, interruption)
     else:
-        study = _changed(record.study, arguments)
+        study = _changed(record.study, arguments, named_namespace(ros_arguments))
         allow_programs(record, trusted=arguments.trust, attach=attach)
         if is_trusted(record.study):
             # With other bounds it names the same programs.
@@ -240,21 +245,33 @@ def _as_much_again(record: RunRecord, study: Study, carried: Carried) -> Study:
     return study.replace(trials=trials, evaluations=evaluations)
 
 
-def _new(arguments: argparse.Namespace, parser: Parser, look: Describe) -> Plan:
+def _new(
+    arguments: argparse.Namespace,
+    parser: Parser,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> Plan:
     """Plan a run of its own."""
     named = STUDY if arguments.study is None else arguments.study
     backend = arguments.backend or BACKENDS[0]
     attach = attached(arguments, parser, backend, None)
-    study = _given(named, attach, arguments, look)
+    study = _given(named, attach, arguments, ros_arguments, interruption)
     algorithm = arguments.algorithm or default_algorithm(study)
     if problem := several_objectives_problem(algorithm, study):
         parser.error(f"--algorithm: {problem}")
     return Plan(study, algorithm, backend, attach, arguments.stop_early)
 
 
-def _given(named: str, attach: bool, arguments: argparse.Namespace, look: Describe) -> Study:
+def _given(
+    named: str,
+    attach: bool,
+    arguments: argparse.Namespace,
+    ros_arguments: Sequence[str],
+    interruption: Interruption,
+) -> Study:
     """Read the study that the user has given to be run, and trust it."""
-    study = _changed(_load(named, attach, look), arguments)
+    loaded = _load(named, attach, _look(ros_arguments, interruption))
+    study = _changed(loaded, arguments, named_namespace(ros_arguments))
     _trust(study)
     return study
 
@@ -321,11 +338,11 @@ def _check_budget(study: Study, carried: Carried, parser: Parser) -> None:
     parser.error(f"--{name}: expected more than the {taken} of --from, found {most}")
 
 
-def _changed(study: Study, arguments: argparse.Namespace) -> Study:
-    """Return the study with the options of the command line."""
+def _changed(study: Study, arguments: argparse.Namespace, namespace: str) -> Study:
+    """Return the study, whose nodes are in a namespace, with the options of the command line."""
     if arguments.bounds:
         study = _with_bounds(study, arguments.bounds)
-    sets = [read_parameter_set(path, study) for path in arguments.start or ()]
+    sets = [read_parameter_set(path, study, namespace) for path in arguments.start or ()]
     try:
         return study.replace(
             trials=arguments.trials,

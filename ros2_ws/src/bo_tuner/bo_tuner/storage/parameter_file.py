@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import yaml
 
 from bo_tuner.errors import StudyError
+from bo_tuner.storage.ros_reader import SECTION, read_sections
 from bo_tuner.study import checks
 from bo_tuner.study.nodes import USE_SIM_TIME
 from bo_tuner.study.study import Study
@@ -13,7 +14,6 @@ from bo_tuner.trials import Value
 NodeValues = Mapping[str, Mapping[str, object]]
 """Values by the name of the ROS node, then by its parameter."""
 
-SECTION = "ros__parameters"
 ANY_NAMESPACE = "/**/"
 
 
@@ -58,28 +58,23 @@ def from_yaml(text: str) -> dict[str, dict[str, object]]:
     ValueError
         If it is another text; one line.
     """
-    try:
-        document = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ValueError(f"no YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(document, dict) or not document:
-        raise ValueError(f"expected a parameter file, found {checks.show(document)}")
     values: dict[str, dict[str, object]] = {}
-    for key, section in document.items():
-        given = section.get(SECTION) if isinstance(section, dict) and len(section) == 1 else None
-        if not isinstance(key, str) or not key.startswith(ANY_NAMESPACE) or given is None:
-            raise ValueError(
-                f"expected '{ANY_NAMESPACE}<node>' with {SECTION} only, found {checks.show(key)}"
-            )
-        # A study cannot set an array without an item, but a node may have had one.
-        empty = {k: v for k, v in given.items() if v == []} if isinstance(given, dict) else {}
-        try:
-            rest = {k: v for k, v in given.items() if k not in empty} if empty else given
-            checked = checks.parameter_values(rest, key) | empty
-        except StudyError as error:
-            raise ValueError(str(error)) from error
-        order = given if isinstance(given, dict) else checked
-        values[key.removeprefix(ANY_NAMESPACE)] = {k: _plain(checked[k]) for k in order}
+    try:
+        for section in read_sections(text):
+            node = section.name.removeprefix(ANY_NAMESPACE)
+            if node == section.name:
+                raise StudyError(
+                    f"expected a section {ANY_NAMESPACE}<node>, found {checks.quoted(section.name)}"
+                )
+            # A study cannot set an array without an item, but a node may have had one.
+            given = section.values
+            checks.parameter_values({k: v for k, v in given.items() if v != []}, node)
+            values[node] = dict(given)
+    except StudyError as error:
+        place = "" if error.line is None else f"line {error.line}: "
+        raise ValueError(f"{place}{error}") from error
+    if not values:
+        raise ValueError("expected a parameter file, found no section")
     return values
 
 

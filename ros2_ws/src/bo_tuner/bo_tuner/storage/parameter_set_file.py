@@ -4,24 +4,26 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bo_tuner.errors import KeyPath, StudyError
-from bo_tuner.storage.parameter_file import SECTION
+from bo_tuner.storage.ros_reader import is_parameter_file, read_sections
+from bo_tuner.storage.ros_sections import Section, full_names, sources
 from bo_tuner.study import checks, strict_yaml
 from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import read_text
 from bo_tuner.trials import Value
 
 
-def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
+def read_parameter_set(path: Path, study: Study, namespace: str = "") -> dict[str, Value]:
     """Return the values of the study's parameters that a file holds, by their names in the study.
 
     Parameters
     ----------
     path
         A file of values by name, ``gain: 0.4``, or a parameter file of ROS nodes. Of the latter
-        everything else that the nodes have is ignored. A node counts in any namespace, unless the
-        study names that.
+        the values are those that ROS gives the nodes, and everything else is ignored.
     study
         The study.
+    namespace
+        Of its nodes; empty if none is named, see `full_names`.
 
     Raises
     ------
@@ -31,12 +33,15 @@ def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
     source = str(path)
     lines: Mapping[KeyPath, int] = {}
     try:
-        document = strict_yaml.parse(read_text(path, source))
-        lines, found = document.lines, document.value
-        if not isinstance(found, dict) or not found:
-            raise StudyError(f"expected values by name, found {checks.show(found)}")
-        of_nodes = any(isinstance(item, dict) and SECTION in item for item in found.values())
-        values = _of_nodes(found, study) if of_nodes else found
+        text = read_text(path, source)
+        if is_parameter_file(text):
+            values, lines = _of_nodes(read_sections(text), study, namespace)
+        else:
+            document = strict_yaml.parse(text)
+            lines, found = document.lines, document.value
+            if not isinstance(found, dict) or not found:
+                raise StudyError(f"expected values by name, found {checks.show(found)}")
+            values = found
         for name in values:
             checks.reference(name, "parameter", study.parameters, name)
         if not values:
@@ -48,49 +53,24 @@ def read_parameter_set(path: Path, study: Study) -> dict[str, Value]:
     return {name: complete[name] for name in values}
 
 
-def _of_nodes(document: Mapping[str, object], study: Study) -> dict[str, Value]:
+def _of_nodes(
+    sections: list[Section], study: Study, namespace: str
+) -> tuple[dict[str, Value], dict[KeyPath, int]]:
+    """Return the values by parameter of the study, and the line of each."""
     values: dict[str, Value] = {}
+    lines: dict[KeyPath, int] = {}
     for name, item in study.parameters.items():
-        found: dict[int, dict[str, Value]] = {}
-        for key, section in document.items():
-            given = section.get(SECTION) if isinstance(section, dict) else None
-            match = _match(key, study.nodes[item.node].node)
-            if match is None or not isinstance(given, dict):
+        found: dict[str, Value] = {}
+        for node in full_names(sections, study.nodes[item.node].node, namespace):
+            source = sources(sections, node).get(item.array or item.parameter)
+            if source is None or source.found.is_list != bool(item.array):
                 continue
-            value = _nested(given, item.array or item.parameter)
-            if item.array:
-                items = value if isinstance(value, list) else []
-                value = items[item.item] if item.item < len(items) else None
-            if isinstance(value, bool | int | float | str):
-                found.setdefault(match, {})[key] = value
-        if not found:
-            continue
-        closest = found[max(found)]
-        if len({(type(value), value) for value in closest.values()}) > 1:
-            raise StudyError(f"has several values: of {' and of '.join(closest)}", (name,))
-        values[name] = next(iter(closest.values()))
-    return values
-
-
-def _match(key: str, node: str) -> int | None:
-    """Return how well the key of a section names a node, more is better; None if it does not."""
-    parts, wanted = key.strip("/").split("/"), node.strip("/").split("/")
-    if parts[-1] == "**":
-        # The namespace of the tuner may stand ahead of that in the study.
-        above = len(parts) - 1
-        return None if above and len(wanted) > 1 and parts[:above] != wanted[:above] else 0
-    of_any_namespace = parts[0] == "**"
-    parts = parts[1:] if of_any_namespace else parts
-    shared = min(len(parts), len(wanted))
-    if parts[-shared:] != wanted[-shared:]:
-        return None
-    return 2 if len(parts) >= len(wanted) and not of_any_namespace else 1
-
-
-def _nested(values: Mapping[str, object], name: str) -> object:
-    """Return a parameter, whose dots may be levels of the file; None if it is not there."""
-    if name in values:
-        return values[name]
-    first, _, rest = name.partition(".")
-    below = values.get(first)
-    return _nested(below, rest) if rest and isinstance(below, dict) else None
+            at = item.item if item.array else 0
+            if at < len(source.found.items):
+                found[node] = source.found.items[at].value
+                lines[(name,)] = source.found.items[at].line
+        if len({(type(value), value) for value in found.values()}) > 1:
+            raise StudyError(f"has several values: of {' and of '.join(found)}", (name,))
+        if found:
+            values[name] = next(iter(found.values()))
+    return values, lines
