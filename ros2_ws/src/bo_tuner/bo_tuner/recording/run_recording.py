@@ -111,14 +111,14 @@ class RunRecording(RunObserver):
 
     def proposal(self) -> None:
         """Let go of what came while it was computed."""
-        self._forget()
+        self.forget()
 
     def pause(self, paused: bool) -> None:
         """Let go of what came in a pause."""
         if not paused:
-            self._forget()
+            self.forget()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Let go of what belongs to no evaluation: it would take the memory of the next one."""
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
