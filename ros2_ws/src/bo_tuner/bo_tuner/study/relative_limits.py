@@ -127,7 +127,11 @@ def _factor_and_offset(text: str, side: str) -> tuple[float, float]:
     StudyError
         If it is none, or a is not above 0.
     """
-    of = named_expression(text, (DEFAULT,), "name", side)
+    expected = "expected a number, or a multiple of the default such as 1.1 * default"
+    try:
+        of = named_expression(text, (DEFAULT,), "name", side)
+    except StudyError as error:
+        raise StudyError(f"{expected}; {error.problem}", (side,)) from None
     points = np.array([_HUGE, 0.0, 1.0, -2.0, 7.0])
     with np.errstate(all="ignore"):
         values = np.broadcast_to(of({DEFAULT: points}), points.shape)
@@ -135,6 +139,5 @@ def _factor_and_offset(text: str, side: str) -> tuple[float, float]:
         size = abs(offset) + abs(factor * points)
         linear = np.all(np.abs(values - (factor * points + offset)) <= 1e-9 * size)
     if not linear or not 0.0 < factor < np.inf:
-        expected = "a number, or a multiple of the default such as 1.1 * default or default + 0.05"
-        raise StudyError(f"expected {expected}, found {checks.quoted(text)}", (side,))
+        raise StudyError(f"{expected} or default + 0.05, found {checks.quoted(text)}", (side,))
     return checks.magnitude(factor, side), checks.magnitude(offset, side)
