@@ -387,12 +387,12 @@ class TestRelativeToTheDefault:
         study = self.limited(
             make_study, "1.1 * default", parameters={"gain": GAIN | {"default": 0.4}}
         )
-        with pytest.raises(RunRecordError, match="without a record of peak_minus_1.1_default"):
+        with pytest.raises(RunRecordError, match=r"record of peak_minus_1\.1_default"):
             carry(earlier, study)
 
     def test_a_run_without_such_a_limit_has_no_record_of_it(self, runs, make_study):
         study = self.limited(make_study, "1.1 * default")
-        with pytest.raises(RunRecordError, match="without a record of peak_minus_1.1_default"):
+        with pytest.raises(RunRecordError, match=r"record of peak_minus_1\.1_default"):
             carry(runs[BOUNDARY], study)
 
     def test_of_a_metric_that_the_earlier_run_has_not_compared(self, earlier, make_study):

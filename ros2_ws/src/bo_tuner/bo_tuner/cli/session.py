@@ -330,8 +330,7 @@ class Session:
             for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
-                # A run of the default beside an evaluation is none of this.
-                ros.after_default = recording.forget
+                ros.after_default = recording.skip
                 live = LiveNode(
                     ros.context, self._study, self._folder.path, self._status, self._control
                 )

@@ -111,18 +111,26 @@ class RunRecording(RunObserver):
 
     def proposal(self) -> None:
         """Let go of what came while it was computed."""
-        self.forget()
+        self._forget()
 
     def pause(self, paused: bool) -> None:
         """Let go of what came in a pause."""
         if not paused:
-            self.forget()
+            self._forget()
 
-    def forget(self) -> None:
+    def _forget(self) -> None:
         """Let go of what belongs to no evaluation: it would take the memory of the next one."""
         if self._recorder is not None and self._listener is not None:
             self._listener.take()
             self._recorder.forget()
+
+    def skip(self) -> None:
+        """Let go of a run that is no evaluation, such as one of the default beside it."""
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            # Its last messages are still on their way.
+            self._recorder.wait_for_quiet()
+            self._forget()
 
     def end(self, phase: str) -> None:
         """Finish the bag of the checks or of the validation."""
