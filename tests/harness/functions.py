@@ -61,6 +61,7 @@ class FunctionBackend(SequentialBackend):
     name = "function"
 
     def __init__(self, study, function, sources=None):
+        super().__init__(study)
         self._study = study
         self._collector = Collector(study, sources)
         self._function = function

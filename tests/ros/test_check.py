@@ -144,6 +144,16 @@ def test_limits_and_noise_that_ask_for_a_look(servo, tmp_path):
     assert began.startswith("note: speed: has a value at the start of run 2 and none at that of ")
 
 
+def test_a_limit_relative_to_the_default_takes_a_second_run(servo, tmp_path):
+    """The default, which the check runs, needs none beside it."""
+    calm = {"kind": "chance", "metric": "error", "upper": "1.1 * default", "probability": 0.9}
+    code, out, err = study(tmp_path, constraints={"calm": calm})
+    assert code == 0, err
+    assert "error_minus_1.1_default" in out
+    said = "note: limits are relative to the default, which is run beside each evaluation"
+    assert said in " ".join(out.split())
+
+
 def test_names_of_contexts_constants_and_the_seed_are_checked_too(servo, tmp_path):
     spread = {"distribution": "uniform", "bounds": [0.0, 0.5]}
     code, _, err = study(

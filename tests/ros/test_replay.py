@@ -30,15 +30,25 @@ LOOP = {
 }
 
 
-def study_of(**plant):
+CALM = {
+    "kind": "chance", "metric": "tracking_error", "upper": "1.1 * default", "probability": 0.9,
+}  # fmt: skip
+
+
+def study_of(constraints=None, **plant):
     mapping = small_study(2, plant=plant, drawn_contexts=1, search_evaluations=1, seed=3)
-    return study_from_mapping(mapping)
+    return study_from_mapping(
+        mapping | {"constraints": mapping["constraints"] | (constraints or {})}
+    )
 
 
-@pytest.fixture(scope="module")
-def attached(shared_pair, tmp_path_factory):
-    """A run, and what the command says of its trial 1 on nodes that run already."""
-    study = study_of()
+@pytest.fixture(scope="module", params=[{}, {"calm": CALM}], ids=["alone", "beside the default"])
+def attached(shared_pair, tmp_path_factory, request):
+    """A run, and what the command says of its trial 1 on nodes that run already.
+
+    A run of the default beside an evaluation is in no bag.
+    """
+    study = study_of(request.param)
     folder = tmp_path_factory.mktemp("replay") / "run"
     record = make_run(folder, study, InProcessBackend(study))
     with pytest.MonkeyPatch.context() as patch:
@@ -76,7 +86,8 @@ def test_the_metrics_are_equal_and_what_the_clock_measures_is_not_judged(attache
     data = custom_data(bag_of(record))
     recorded = find_evaluation(record, 1, None).outcome.metrics
     replayed = json.loads(data["tuned"])["metrics"]
-    for name in ("tracking_error", "overshoot"):
+    assert replayed.keys() == recorded.keys()
+    for name in recorded.keys() - {"return_time"}:
         assert replayed[name] == recorded[name]
 
 

@@ -95,6 +95,18 @@ def test_the_command(folder, tmp_path):
     assert [float(row["error"]) for row in rows] == [item["error"] for item in metrics]
 
 
+def test_what_is_relative_to_the_default_is_left_out_by_name(folder, tmp_path):
+    """The runs of the default beside those of the bags were not recorded."""
+    limit = {"kind": "chance", "metric": "peak", "upper": "1.1 * default", "probability": 0.9}
+    (tmp_path / "other.yaml").write_text(study_to_yaml(make_study(constraints={"peak": limit})))
+    code, out, err = run("recompute", folder, "--study", "other.yaml", folder=tmp_path)
+    assert (code, err) == (0, "")
+    table, _, rest = out.partition("left out: peak_minus_1.1_default, relative to the default")
+    assert "peak" in table
+    assert "default" not in table
+    assert f"{RUNS} evaluations; 0 differ from the record" in rest
+
+
 def test_a_number_that_is_not_the_recorded_one(folder, tmp_path):
     metadata = folder / "bags" / "trial_0000" / "metadata.yaml"
     peak = read_run(folder).trials[0].evaluations[1].outcome.metrics["peak"]

@@ -140,7 +140,7 @@ class TestVerdict:
                 found[self.changed] = nextafter(found[self.changed], 9.0)
                 return Outcome(EvaluationState.COMPLETE, found)
 
-        backend = Backend()
+        backend = Backend(record.study)
         assert replay(record, recorded, backend).confirmed is confirmed
         backend.changed = "error"
         assert not replay(record, recorded, backend).confirmed
@@ -161,7 +161,7 @@ class TestVerdict:
             def outcome(self, planned):
                 return self.ends
 
-        backend = Backend()
+        backend = Backend(record.study)
         found = replay(record, recorded, backend)
         assert found.confirmed
         assert "the way the evaluation ended is confirmed; no metric" in found.verdict

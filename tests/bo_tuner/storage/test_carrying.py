@@ -358,6 +358,49 @@ class TestOutcomes:
         assert len(same.trials) == 3
 
 
+class TestRelativeToTheDefault:
+    """What the default has is on record, with its value in each draw of the earlier run."""
+
+    @staticmethod
+    def limited(make_study, upper, **sections):
+        limit = {"kind": "chance", "metric": "peak", "upper": upper, "probability": 0.9}
+        return make_study(constraints={"calm": limit}, **sections)
+
+    @pytest.fixture
+    def earlier(self, tmp_path, make_study, function_backend):
+        return record(tmp_path, self.limited(make_study, "1.1 * default"), function_backend)
+
+    @pytest.mark.parametrize("factor", [1.1, 1.25])
+    def test_each_multiple_of_it_is_known(self, earlier, make_study, factor):
+        carried = carry(earlier, self.limited(make_study, f"{factor} * default + 1"))
+        assert len(carried.trials) == len(earlier.trials)
+        assert "left out" not in carried.text
+        for evaluation in (e for trial in carried.trials for e in trial.evaluations):
+            # By the definition of the machine, whose default has a gain of 0.5.
+            peak, default = (0.5 * g * evaluation.context["load"] for g in (
+                evaluation.parameters["gain"], 0.5,
+            ))  # fmt: skip
+            found = evaluation.outcome.metrics[f"peak_minus_{factor}_default"]
+            assert found == pytest.approx(peak - factor * default)
+
+    def test_another_default_is_not_known(self, earlier, make_study):
+        study = self.limited(
+            make_study, "1.1 * default", parameters={"gain": GAIN | {"default": 0.4}}
+        )
+        with pytest.raises(RunRecordError, match=r"record of peak_minus_1\.1_default"):
+            carry(earlier, study)
+
+    def test_a_run_without_such_a_limit_has_no_record_of_it(self, runs, make_study):
+        study = self.limited(make_study, "1.1 * default")
+        with pytest.raises(RunRecordError, match=r"record of peak_minus_1\.1_default"):
+            carry(runs[BOUNDARY], study)
+
+    def test_of_a_metric_that_the_earlier_run_has_not_compared(self, earlier, make_study):
+        limit = {"kind": "chance", "metric": "error", "upper": "default", "probability": 0.9}
+        with pytest.raises(RunRecordError, match="without a record of error_minus_default"):
+            carry(earlier, make_study(constraints={"good": limit}))
+
+
 class TestSignals:
     """Metrics of another definition are computed from the bags."""
 

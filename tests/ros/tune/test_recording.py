@@ -28,16 +28,26 @@ RESULTS = ("/x_axis/milling_plant/cut_result", "/x_axis/mpc_controller/cut_resul
 REFERENCE = "/x_axis/mpc_controller/joint_trajectory"
 
 
-@pytest.fixture(scope="module")
-def recorded(start_tune):
-    """A run that keeps all bags; its trials and their bags."""
+CALM = {
+    "kind": "chance", "metric": "tracking_error", "upper": "1.1 * default", "probability": 0.9,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=[{}, {"calm": CALM}], ids=["alone", "beside the default"])
+def recorded(start_tune, request):
+    """A run that keeps all bags; its trials and their bags.
+
+    A run of the default beside an evaluation is in none of them.
+    """
+    study = small_study(2)
+    study["constraints"] |= request.param
     command = start_tune(
         "--record",
         "all",
         "--ros-args",
         "-r",
         "__ns:=/x_axis",
-        study=small_study(2),
+        study=study,
         AMENT_PREFIX_PATH="",
     )
     assert command.finish() in (0, 3), command.err

@@ -58,12 +58,17 @@ class TrialState(StrEnum):
 
 DISTURBED, UNPREPARED = "disturbed", "unprepared"
 """Keys of an outcome's details: somebody else acted on the nodes during the evaluation, or it did
-not begin, as the steps before it failed with the safe parameters."""
+not begin, as the steps before it failed with the safe parameters, or the default failed that a
+limit is relative to."""
 SPOILING = (DISTURBED, UNPREPARED)
 """Why a failed evaluation tells nothing of its parameters."""
 
 NOTE = "note"
 """Key of an outcome's details: what to know of its metrics, as of signals that were silent."""
+
+DEFAULT_HAS = "default's "
+"""Begins the keys of an outcome's details with what the default has, in the same context and with
+the same seed, of the metric named after it."""
 
 
 def parameter_set(parameters: Mapping[str, Value]) -> ParameterSet:

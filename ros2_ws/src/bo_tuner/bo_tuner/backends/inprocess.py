@@ -34,6 +34,7 @@ class InProcessBackend(SequentialBackend):
     name = IN_PROCESS
 
     def __init__(self, study: Study, interrupted: Callable[[], None] = lambda: None) -> None:
+        super().__init__(study)
         self._study = study
         self._interrupted = interrupted
         self._collector = Collector(study)

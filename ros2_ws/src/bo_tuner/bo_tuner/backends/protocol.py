@@ -1,11 +1,13 @@
 """What the loop asks of a backend: to run evaluations."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from time import monotonic
 from typing import Protocol
 
+from bo_tuner.backends.paired import DefaultBeside
+from bo_tuner.study.study import Study
 from bo_tuner.trials import Evaluation, Outcome
 
 
@@ -35,13 +37,29 @@ class Backend(Protocol):
 
 
 class SequentialBackend(ABC):
-    """A backend that runs one evaluation after the other."""
+    """A backend that runs one evaluation after the other.
+
+    Parameters
+    ----------
+    study
+        The study. If it has metrics that are relative to the default, this is run ahead of each
+        evaluation.
+
+    Attributes
+    ----------
+    after_default : callable
+        Called after each such run, which is no evaluation of its own.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._beside = DefaultBeside(study)
+        self.after_default: Callable[[], object] = lambda: None
 
     def run(self, evaluations: Iterable[Evaluation]) -> Iterator[Evaluation]:
         """Run planned evaluations in the order given."""
         for planned in evaluations:
             begin = monotonic()
-            outcome = self.outcome(planned)
+            outcome = self._beside.outcome(planned, self.outcome, self.after_default)
             yield replace(planned, outcome=outcome, seconds=monotonic() - begin)
 
     @abstractmethod

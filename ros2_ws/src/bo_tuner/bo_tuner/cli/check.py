@@ -321,6 +321,12 @@ def evaluations_at_most(study: Study) -> tuple[int, int]:
 def _estimate(study: Study, seconds: float) -> None:
     tuning, certificate = evaluations_at_most(study)
     say(f"an evaluation took {seconds:.3g} s")
+    if study.relative_metrics:
+        seconds *= 2.0
+        say(
+            "note: limits are relative to the default, which is run beside each evaluation of "
+            "another parameter set: it takes twice the time"
+        )
     say(f"study: at most {tuning} evaluations, {_duration(tuning * seconds)}")
     say(
         f"certificate: at most {certificate} evaluations, {_duration(certificate * seconds)}; "

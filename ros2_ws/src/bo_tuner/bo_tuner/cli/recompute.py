@@ -12,8 +12,7 @@ from bo_tuner.monitoring.display import plain_console, say
 from bo_tuner.replay.recompute import Recomputed, differing, recompute
 from bo_tuner.storage.atomic import write_atomically
 from bo_tuner.storage.csv_tables import csv_text
-from bo_tuner.storage.record import RunRecord, read_run
-from bo_tuner.study.study import Study
+from bo_tuner.storage.record import read_run
 from bo_tuner.study.study_file import load_study
 from bo_tuner.text import counted
 
@@ -71,7 +70,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
     else:
         study = load_study(arguments.study)
     table = Table()
-    header = ("bag", "trial", "evaluation", "stage", *study.metrics, "")
+    names = [name for name in study.metrics if name not in study.relative_metrics]
+    header = ("bag", "trial", "evaluation", "stage", *names, "")
     for column in header:
         table.add_column(column, overflow="fold")
     rows: list[tuple[object, ...]] = []
@@ -80,24 +80,27 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         interruption.check()
         differs = differing(record, study, found)
         wrong += bool(differs)
-        rows.append(_row(record, study, found, differs))
+        rows.append(_row(names, found, differs))
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in rows[-1]])
     plain_console().print(table)
     if arguments.csv is not None:
         text = csv_text([(*header[:-1], "note"), *rows])
         say(f"table: {write_atomically(arguments.csv, text)}")
+    if study.relative_metrics:
+        say(
+            f"left out: {', '.join(study.relative_metrics)}, relative to the default, whose runs "
+            "beside these are in no bag"
+        )
     say(f"{counted(len(rows), 'evaluation')}; {wrong} differ from the record")
     return EXIT_INFEASIBLE if wrong else EXIT_OK
 
 
-def _row(
-    record: RunRecord, study: Study, found: Recomputed, differs: Sequence[str]
-) -> tuple[object, ...]:
+def _row(names: Sequence[str], found: Recomputed, differs: Sequence[str]) -> tuple[object, ...]:
     run, outcome = found.run, found.outcome
     notes = [] if outcome.complete else [outcome.reason]
     if differs:
         recorded = (f"{name} {run.evaluation['metrics'][name]!r}" for name in differs)
         notes.append(f"recorded: {', '.join(recorded)}")
-    metrics = (outcome.metrics.get(name, "") for name in study.metrics)
+    metrics = (outcome.metrics.get(name, "") for name in names)
     evaluation = run.evaluation
     return run.bag, run.trial, evaluation["index"], evaluation["stage"], *metrics, "; ".join(notes)

@@ -330,6 +330,7 @@ class Session:
             for observer in (journaling, recording, self._status, self._display):
                 self._observers.add(observer)
             if ros is not None:
+                ros.after_default = recording.skip
                 live = LiveNode(
                     ros.context, self._study, self._folder.path, self._status, self._control
                 )

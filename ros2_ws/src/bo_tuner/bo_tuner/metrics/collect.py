@@ -6,7 +6,7 @@ from math import isfinite
 from bo_tuner.metrics.source import MetricSource, MissingMetricError, Results, reported_sources
 from bo_tuner.study import maxima, named_code
 from bo_tuner.study.checks import same_value
-from bo_tuner.study.metrics import CombinedMetric, ReportedMetric
+from bo_tuner.study.metrics import CombinedMetric, RelativeMetric, ReportedMetric
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.study import Study
 from bo_tuner.text import MOST_SAID, brief
@@ -47,10 +47,11 @@ class Collector:
         Returns
         -------
         Outcome
-            Failed if a node ran with another parameter, if it says so or sends more than
-            `maxima.ANSWER` values, if a metric is missing, no number, not finite or beyond
-            `LARGEST_METRIC`, or if an objective has no logarithm, see `judged`. With the status
-            `DISTURBED` a node says that somebody else had a hand in the evaluation.
+            Without metrics that are relative to the default, which `backends.paired` adds. Failed
+            if a node ran with another parameter, if it says so or sends more than `maxima.ANSWER`
+            values, if a metric is missing, no number, not finite or beyond `LARGEST_METRIC`, or if
+            an objective has no logarithm, see `judged`. With the status `DISTURBED` a node says
+            that somebody else had a hand in the evaluation.
         """
         for node, pairs in results.items():
             if not isinstance(pairs, Mapping):
@@ -79,6 +80,8 @@ class Collector:
             self._study.metrics.items(), key=lambda item: isinstance(item[1], CombinedMetric)
         )
         for name, metric in ordered:
+            if isinstance(metric, RelativeMetric):
+                continue
             try:
                 found: object
                 if isinstance(metric, CombinedMetric):
@@ -93,7 +96,7 @@ class Collector:
                     reason = f"{metric.node}: metric {metric.key} is {problem}"
                 return Outcome(EvaluationState.FAILED, {}, reason, details)
             metrics[name] = float(found)  # type: ignore[arg-type]
-        metrics = {name: metrics[name] for name in self._study.metrics}
+        metrics = {name: metrics[name] for name in self._study.metrics if name in metrics}
         return judged(self._study, Outcome(EvaluationState.COMPLETE, metrics, "", details))
 
     def _mismatch(self, results: Results, assigned: Results) -> str:

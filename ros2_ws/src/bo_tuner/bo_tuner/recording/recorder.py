@@ -121,12 +121,12 @@ class Recorder:
 
     def trial(self, trial: Trial, best: bool) -> None:
         """Tell that a trial is complete, and whether no other is better so far."""
-        self._wait_for_quiet()
+        self.wait_for_quiet()
         self._submit(self._finish, self._take_batch(), trial, best)
 
     def phase_ended(self) -> None:
         """Tell that no evaluation of a check, or of the validation, is to come for now."""
-        self._wait_for_quiet()
+        self.wait_for_quiet()
         self._submit(self._finish_evidence, self._take_batch())
 
     def warn(self, text: str) -> None:
@@ -160,7 +160,7 @@ class Recorder:
             batch, self._batch = self._batch, _Batch()
         return batch
 
-    def _wait_for_quiet(self) -> None:
+    def wait_for_quiet(self) -> None:
         """Let the last messages come: topics have no order between them."""
         end = time.monotonic() + LATEST_QUIET
         count = -1

@@ -124,6 +124,14 @@ class RunRecording(RunObserver):
             self._listener.take()
             self._recorder.forget()
 
+    def skip(self) -> None:
+        """Let go of a run that is no evaluation, such as one of the default beside it."""
+        if self._recorder is not None and self._listener is not None:
+            self._listener.take()
+            # Its last messages are still on their way.
+            self._recorder.wait_for_quiet()
+            self._forget()
+
     def end(self, phase: str) -> None:
         """Finish the bag of the checks or of the validation."""
         if phase == Phase.TUNING:

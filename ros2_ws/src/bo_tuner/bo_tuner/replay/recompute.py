@@ -63,6 +63,8 @@ def recompute(
 ) -> Iterator[Recomputed]:
     """Compute the metrics of a study for every run in the bags of a record, in their order.
 
+    Those that are relative to the default are left out, whose runs beside these are in no bag.
+
     Parameters
     ----------
     record
@@ -107,7 +109,14 @@ def measure_again(record: RunRecord, study: Study) -> Measure:
     RunRecordError
         As `recompute`.
     """
-    anew = [study.metrics[name] for name in remeasured(record.study, study)]
+    # What the default has beside an evaluation is in no bag.
+    anew = [
+        study.metrics[name]
+        for name in remeasured(record.study, study)
+        if name not in study.relative_metrics
+    ]
+    if not anew:
+        return lambda evaluation: None
     parts = [
         part
         for metric in anew
@@ -168,6 +177,7 @@ def differing(record: RunRecord, study: Study, found: Recomputed) -> list[str]:
         name
         for name, value in found.run.evaluation.get("metrics", {}).items()
         if name in study.metrics
+        and name not in study.relative_metrics
         and _defined_alike(study.metrics[name], record.study.metrics.get(name))
         and found.outcome.metrics.get(name) != value
     ]

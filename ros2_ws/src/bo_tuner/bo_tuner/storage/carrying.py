@@ -22,7 +22,7 @@ bounds, another budget, limit or objective. What is made of it may not:
 import dataclasses
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_tuner.errors import ParameterError, RunRecordError, StudyError
@@ -35,12 +35,19 @@ from bo_tuner.storage.record import RunRecord
 from bo_tuner.study.changes import changes_of_data, incomparable_changes, summarized
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.distributions import Discrete, Distribution
-from bo_tuner.study.metrics import CombinedMetric, PythonMetric, SignalMetric, StudyMetric
+from bo_tuner.study.metrics import (
+    COMPUTED,
+    PythonMetric,
+    RelativeMetric,
+    SignalMetric,
+    StudyMetric,
+)
 from bo_tuner.study.parts import LOG
 from bo_tuner.study.signals import expression
 from bo_tuner.study.study import Study
 from bo_tuner.text import counted
 from bo_tuner.trials import (
+    DEFAULT_HAS,
     Evaluation,
     Outcome,
     Stage,
@@ -287,15 +294,28 @@ class _Taking:
                 raise _LeftOutError("failed by what is measured otherwise now")
             return outcome
         known = {n: outcome.metrics[n] for n in self._study.metrics if n not in self._anew}
-        if not self._anew:
-            return dataclasses.replace(outcome, metrics=known)
+        known |= self._relative(known, outcome.details)
+        anew = self._anew - known.keys()
+        if not anew:
+            metrics = {name: known[name] for name in self._study.metrics}
+            return dataclasses.replace(outcome, metrics=metrics)
         found = None if self._measure is None else self._measure(evaluation)
-        if found is None:
-            raise _LeftOutError(f"without a record of {', '.join(sorted(self._anew))}")
+        if found is None or (found.complete and not anew <= found.metrics.keys()):
+            raise _LeftOutError(f"without a record of {', '.join(sorted(anew))}")
         if not found.complete:
             return dataclasses.replace(found, details=outcome.details)
         metrics = {name: known.get(name, found.metrics[name]) for name in self._study.metrics}
         return dataclasses.replace(outcome, metrics=metrics)
+
+    def _relative(self, known: Mapping[str, float], details: Mapping[str, str]) -> dict[str, float]:
+        """Return metrics relative to the default, as far as it is on record what that has."""
+        if not _same_default(self._then, self._study):
+            return {}
+        return {
+            name: metric.value(known, {metric.relative: float(details[key])})
+            for name, metric in self._study.relative_metrics.items()
+            if metric.relative in known and (key := f"{DEFAULT_HAS}{metric.relative}") in details
+        }
 
     def _worst_cases(self, trial: Trial) -> dict[str, WorstCase]:
         """Return the estimates that hold under the study, by the names of its constraints."""
@@ -384,7 +404,9 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
         return False
     if dataclasses.replace(metric, unit="") != dataclasses.replace(other, unit=""):
         return False
-    if isinstance(metric, CombinedMetric) and isinstance(other, CombinedMetric):
+    if isinstance(metric, RelativeMetric) and not _same_default(then, now):
+        return False
+    if isinstance(metric, COMPUTED) and isinstance(other, COMPUTED):
         pairs = zip(metric.parts, other.parts, strict=True)
         return all(_same_metric(one, earlier, then, now) for one, earlier in pairs)
     if isinstance(metric, PythonMetric):
@@ -394,6 +416,10 @@ def _same_metric(metric: StudyMetric, other: StudyMetric | None, then: Study, no
         used = {name for text in texts for name in expression(text, now.signals).names}
         return all(then.signals.get(name) == now.signals.get(name) for name in used)
     return True
+
+
+def _same_default(then: Study, now: Study) -> bool:
+    return then.search_space().defaults == now.search_space().defaults
 
 
 def _measured_otherwise(then: Study, now: Study, anew: set[str]) -> bool:

@@ -34,9 +34,10 @@ class Constraint:
     metric : str
         Metric in the study.
     upper : float, optional
-        Largest permitted value, in the metric's unit. At least one of `upper` and `lower`.
+        Largest permitted value, in the metric's unit, or relative to what the default has in the
+        same context with the same seed, as `1.1 * default`. At least one of `upper` and `lower`.
     lower : float, optional
-        Smallest permitted value, in the metric's unit. With both limits, either side may be
+        Smallest permitted value, likewise. With both limits, either side may be
         violated half as often as the `probability` permits, so that both hold as often as asked.
     probability : float, optional
         Between 0 and 1. Required for a `chance` constraint. With it, in every context a run keeps

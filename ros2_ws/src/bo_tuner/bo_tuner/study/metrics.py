@@ -222,9 +222,9 @@ class CombinedMetric:
         Raises
         ------
         StudyError
-            If it is no expression of metrics that are not combined themselves.
+            If it is no expression of metrics that are measured.
         """
-        measured = {k: m for k, m in metrics.items() if not isinstance(m, CombinedMetric)}
+        measured = {k: m for k, m in metrics.items() if not isinstance(m, COMPUTED)}
         of = metric_expression(self.expression, measured, "expression")
         parts = {name: measured[name] for name in sorted(of.names)}
         found = dataclasses.replace(self, unit=self.unit or _common_unit(of, parts))
@@ -246,6 +246,75 @@ class CombinedMetric:
     def measures_time(self) -> bool:
         """Whether it depends on a measured time."""
         return any(part.measures_time for part in self.parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RelativeMetric:
+    """A metric minus a multiple of what the default has of it in the same draw.
+
+    The default is run ahead of each evaluation, in the same context and with the same seed. A limit
+    such as `upper: 1.1 * default` is one on such a metric.
+
+    Attributes
+    ----------
+    name : str
+        Name in the study.
+    relative : str
+        The other metric.
+    factor : float
+        Multiple of the default's value that is subtracted; above 0.
+    unit : str
+        Unit, for display only; that of the other metric unless given.
+    """
+
+    name: str
+    relative: str
+    factor: float = 1.0
+    unit: str = ""
+
+    parts: "ClassVar[tuple[StudyMetric, ...]]" = ()
+    """The other metric; there as soon as it is `joined` to a study."""
+
+    def __post_init__(self) -> None:
+        checks.parameter_name(self.name)
+        checks.text(self.relative, "relative")
+        checks.text(self.unit, "unit")
+        object.__setattr__(self, "factor", checks.magnitude(self.factor, "factor"))
+        checks.positive(self.factor, "factor")
+
+    def joined(self, metrics: "Mapping[str, StudyMetric]") -> "RelativeMetric":
+        """Return it with the other metric among those of a study.
+
+        Raises
+        ------
+        StudyError
+            If there is no such metric, or it is relative itself.
+        """
+        checks.reference(self.relative, "metric", metrics, "relative")
+        part = metrics[self.relative]
+        if isinstance(part, RelativeMetric):
+            raise StudyError(f"metric '{part.name}' is relative itself", ("relative",))
+        found = dataclasses.replace(self, unit=self.unit or part.unit)
+        object.__setattr__(found, "parts", (part,))
+        return found
+
+    def value(self, metrics: Mapping[str, float], default: Mapping[str, float]) -> float:
+        """Return its value by the metrics of an evaluation and those of the default beside it."""
+        return metrics[self.relative] - self.factor * default[self.relative]
+
+    @property
+    def reproducible(self) -> bool:
+        """Whether the same evaluation gives the same number again, as the other metric does."""
+        return all(part.reproducible for part in self.parts)
+
+    @property
+    def measures_time(self) -> bool:
+        """Whether it depends on a measured time."""
+        return any(part.measures_time for part in self.parts)
+
+
+COMPUTED = (CombinedMetric, RelativeMetric)
+"""Kinds of metrics that are computed from others."""
 
 
 def metric_expression(text: object, metrics: Iterable[str], *path: str | int) -> Expression:
@@ -277,7 +346,7 @@ def _common_unit(of: Expression, parts: Mapping[str, Metric]) -> str:
     return units.pop() if len(units) == 1 and keeps else ""
 
 
-StudyMetric = ReportedMetric | SignalMetric | PythonMetric | CombinedMetric
+StudyMetric = ReportedMetric | SignalMetric | PythonMetric | CombinedMetric | RelativeMetric
 
 
 def metric_kind(fields: object) -> type[StudyMetric]:
@@ -287,4 +356,6 @@ def metric_kind(fields: object) -> type[StudyMetric]:
         return SignalMetric
     if "expression" in keys:
         return CombinedMetric
+    if "relative" in keys:
+        return RelativeMetric
     return PythonMetric if "python" in keys else ReportedMetric

@@ -11,16 +11,31 @@ from bo_tuner.numerics.signal_metrics import NEVER_NEGATIVE
 from bo_tuner.study import checks, maxima
 from bo_tuner.study.building import Findings, under
 from bo_tuner.study.constraint import Constraint
-from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, SignalMetric, StudyMetric
+from bo_tuner.study.metrics import (
+    COMPUTED,
+    RelativeMetric,
+    ReportedMetric,
+    SignalMetric,
+    StudyMetric,
+)
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
-from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
+from bo_tuner.study.parts import (
+    LINEAR,
+    LOG,
+    ContextVariable,
+    Objective,
+    SeedParameter,
+    Trigger,
+)
 from bo_tuner.study.run import Run
 from bo_tuner.study.signals import Signal
 
 
-def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) -> None:
-    """Refuse objectives without a metric, too many, or two of one metric."""
+def check_objectives(
+    objectives: Sequence[Objective], metrics: Mapping[str, StudyMetric | None]
+) -> None:
+    """Refuse objectives without a metric or its logarithm, too many, or two of one metric."""
     checks.reference(objectives[0].metric, "metric", metrics, "objective", "metric")
     if len(objectives) > maxima.OBJECTIVES:
         raise StudyError(
@@ -38,6 +53,14 @@ def check_objectives(objectives: Sequence[Objective], metrics: Collection[str]) 
                 path,
             )
         taken.append(item.metric)
+    for index, item in enumerate(objectives):
+        if item.scale == LOG and isinstance(metrics[item.metric], RelativeMetric):
+            where: KeyPath = ("further_objectives", index - 1) if index else ("objective",)
+            raise StudyError(
+                f"expected {LINEAR}; metric '{item.metric}' is relative to the default, and may be "
+                "0 or negative",
+                (*where, "scale"),
+            )
 
 
 def check_constraint(constraint: Constraint, metrics: Mapping[str, StudyMetric | None]) -> None:
@@ -108,7 +131,7 @@ def check_run(
     reporting = {}
     for name, metric in metrics.items():
         here = ("metrics", name)
-        if isinstance(metric, CombinedMetric):
+        if isinstance(metric, COMPUTED):
             continue
         if not isinstance(metric, ReportedMetric):
             if run is None:

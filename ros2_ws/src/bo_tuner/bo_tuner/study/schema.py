@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_tuner.study.constraint import Constraint
+from bo_tuner.study.constraint import LOWER, UPPER, Constraint
 from bo_tuner.study.distributions import DISTRIBUTIONS
 from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
@@ -169,6 +169,9 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
     found = _type(typing.get_type_hints(cls)[field.name], definitions)
     if (cls, field.name) == (Study, "objective"):
         # Text alone is minimized.
+        return {"anyOf": [found, {"type": "string"}]}
+    if cls is Constraint and field.name in (UPPER, LOWER):
+        # Text is relative to the default.
         return {"anyOf": [found, {"type": "string"}]}
     if found.get("$ref") == f"#/$defs/{End.__name__}":
         # The word alone is an end, too.

@@ -21,7 +21,7 @@ from bo_tuner.study.constraint import (
     Constraint,
 )
 from bo_tuner.study.context_space import ContextSpace
-from bo_tuner.study.metrics import CombinedMetric, PythonMetric, StudyMetric
+from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
 from bo_tuner.study.park import Park
@@ -66,7 +66,7 @@ class Study:
         Nodes that take parameters or report metrics.
     parameters : mapping from str to Parameter
         Tuned, tied and fixed parameters.
-    metrics : mapping from str to ReportedMetric, SignalMetric, PythonMetric or CombinedMetric
+    metrics : mapping from str to StudyMetric
         Results of an evaluation.
     objective : Objective
         What is optimized. Text is minimized: the name of a metric, or an expression of metrics as
@@ -243,6 +243,11 @@ class Study:
         if len(self.objectives) > 1:
             return np.asarray(cost, dtype=np.float64)
         return self.objective.from_cost(cost)
+
+    @property
+    def relative_metrics(self) -> dict[str, RelativeMetric]:
+        """Metrics for which the default is run beside each evaluation, by name."""
+        return {k: m for k, m in self.metrics.items() if isinstance(m, RelativeMetric)}
 
     @property
     def needs_folder(self) -> bool:
@@ -502,10 +507,12 @@ class Study:
 def _joined(metrics: Mapping[str, StudyMetric], findings: Findings) -> dict[str, StudyMetric]:
     """Return the metrics, those that are computed from others with these."""
     found = dict(metrics)
-    for name, item in metrics.items():
-        if isinstance(item, CombinedMetric):
-            with findings.under("metrics", name):
-                found[name] = item.joined(metrics)
+    # One that is relative may be to a combined one.
+    for kind in (CombinedMetric, RelativeMetric):
+        for name, item in metrics.items():
+            if isinstance(item, kind):
+                with findings.under("metrics", name):
+                    found[name] = item.joined(found)
     return found
 
 

@@ -14,12 +14,13 @@ from bo_tuner.study.building import Findings, arguments, build, is_required, und
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
-from bo_tuner.study.metrics import CombinedMetric, ReportedMetric, metric_expression, metric_kind
+from bo_tuner.study.metrics import COMPUTED, ReportedMetric, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
 from bo_tuner.study.park import Park
 from bo_tuner.study.parts import ContextVariable, Objective, SeedParameter, Trigger
 from bo_tuner.study.references import check_names
+from bo_tuner.study.relative_limits import written_out
 from bo_tuner.study.run import Run, build_run
 from bo_tuner.study.signals import Signal
 from bo_tuner.study.study import Study
@@ -171,6 +172,7 @@ def study_from_mapping(mapping: object) -> Study:
     if len(findings) > size:
         # What is wrong with it is told.
         del values["objective"]
+    values |= written_out(values, findings)
     made = dict(values)
     for key, cls in _SINGLE.items():
         if key in values:
@@ -209,7 +211,7 @@ def _objective_of_text(values: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     if given in metrics or given.isidentifier():
         return {"objective": {"metric": given}}
-    measured = (name for name, item in metrics.items() if metric_kind(item) is not CombinedMetric)
+    measured = (name for name, item in metrics.items() if metric_kind(item) not in COMPUTED)
     metric_expression(given, [name for name in measured if isinstance(name, str)])
     if COST in metrics:
         raise StudyError(

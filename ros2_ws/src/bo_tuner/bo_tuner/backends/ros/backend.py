@@ -105,6 +105,7 @@ class RosBackend(SequentialBackend):
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
     ) -> None:
+        super().__init__(study)
         self._study = study
         self._collector = Collector(study)
         self._rates = MessageRates(study)

@@ -1,0 +1,104 @@
+"""The default beside each evaluation, for metrics that are relative to it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from bo_tuner.metrics.collect import metric_problem
+from bo_tuner.study.study import Study
+from bo_tuner.text import brief
+from bo_tuner.trials import (
+    DEFAULT_HAS,
+    SPOILING,
+    UNPREPARED,
+    Evaluation,
+    EvaluationState,
+    Outcome,
+    parameter_set,
+)
+
+Run = Callable[[Evaluation], Outcome]
+
+_Draw = tuple[tuple[tuple[str, float], ...], int]
+
+
+class DefaultBeside:
+    """Runs the default in the draw of each evaluation: in the same context, with the same seed.
+
+    What it has in a draw is kept, so that it is run once for all evaluations in it. An evaluation
+    of the default itself needs no other.
+
+    Parameters
+    ----------
+    study
+        The study; without metrics that are relative to the default, this is not run.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._study = study
+        self._metrics = study.relative_metrics
+        self._default = study.search_space().defaults
+        self._known: dict[_Draw, Mapping[str, float]] = {}
+
+    def outcome(
+        self, planned: Evaluation, run: Run, after_default: Callable[[], object]
+    ) -> Outcome:
+        """Run an evaluation, and the default ahead of it where it is needed and not known yet.
+
+        Parameters
+        ----------
+        planned
+            The evaluation.
+        run
+            Runs one; its outcome has the metrics that are not relative.
+        after_default
+            Called after a run of the default ahead of another one.
+
+        Returns
+        -------
+        Outcome
+            With the relative metrics, and in its details what the default has of the metrics that
+            these are of. Where the default fails, nothing is known of the parameters, and they are
+            not run: the evaluation is lost if the default is, and otherwise not prepared.
+        """
+        if not self._metrics:
+            return run(planned)
+        draw = (tuple(sorted(planned.context.items())), planned.seed)
+        if planned.parameter_set == parameter_set(self._default):
+            outcome = run(planned)
+            if outcome.complete:
+                self._known[draw] = outcome.metrics
+            return self._completed(outcome, outcome.metrics)
+        if draw not in self._known:
+            default = run(replace(planned, parameters=self._default))
+            after_default()
+            if not default.complete:
+                return _without_default(default)
+            self._known[draw] = default.metrics
+        return self._completed(run(planned), self._known[draw])
+
+    def _completed(self, outcome: Outcome, default: Mapping[str, float]) -> Outcome:
+        """Return an outcome with its relative metrics; `default` are the metrics of the default."""
+        if not outcome.complete:
+            return outcome
+        metrics = dict(outcome.metrics)
+        details = dict(outcome.details)
+        for name, metric in self._metrics.items():
+            metrics[name] = metric.value(metrics, default)
+            details[f"{DEFAULT_HAS}{metric.relative}"] = repr(default[metric.relative])
+            if problem := metric_problem(metrics[name]):
+                reason = f"metric {name} is {problem}"
+                return Outcome(EvaluationState.FAILED, {}, reason, details)
+        ordered = {name: metrics[name] for name in self._study.metrics}
+        return replace(outcome, metrics=ordered, details=details)
+
+
+def _without_default(default: Outcome) -> Outcome:
+    """Return the outcome of an evaluation ahead of which the default has failed."""
+    how = "was lost" if default.state is EvaluationState.LOST else "failed"
+    reason = brief(
+        f"the default, to which limits are relative, {how} in this context: {default.reason}"
+    )
+    if default.state is EvaluationState.LOST:
+        return replace(default, reason=reason)
+    ending = next((key for key in SPOILING if key in default.details), UNPREPARED)
+    return replace(default, reason=reason, details={**default.details, ending: reason})
