@@ -38,6 +38,7 @@ SECTIONS = (
     ("soak.json", "Many cuts over ROS", faults.soak),
     ("kill_soak.json", "Killed at random moments", faults.kill),
     ("command_kills.json", "Commands killed, and begun again", faults.command_kill),
+    ("guard_faults.json", "The guard", faults.guard),
     ("fuzz.json", "Hostile input", faults.fuzz),
 )
 """File, heading, and what makes the paragraphs."""

@@ -48,6 +48,35 @@ def command_kill(result: Result) -> list[str]:
     ]
 
 
+def guard(result: Result) -> list[str]:
+    """How soon a guard has the machine safe, and what it costs."""
+    rows = [
+        [kind, r["faults"], r["unsafe"]]
+        + [f"{r[what][which]:.3f}" for what in ("stop", "safe") for which in ("median", "worst")]
+        for kind, r in result["full"].items()
+    ]
+    random = result["random"]
+    costs = [
+        [name, *(f"{value:.3g}" for value in figures.values())]
+        for name, figures in result["cost"].items()
+    ]
+    return [
+        "Faults of a tuner in the midst of runs on the unmodified system of the tutorial, with "
+        "attached nodes and a guard with its default of 0.5 s. Seconds from the fault until an "
+        "observer hears the stop message, and the node's event of its safe value; for a tuner "
+        "that is blind to `abort_when`, from the message that fulfils it.",
+        markdown(
+            ["the tuner is", "times", "unsafe", "stop, median", "worst", "safe, median", "worst"],
+            rows,
+        ),
+        f"{random['faults']} more faults, `kill -9` and `kill -STOP` in turn, at random moments "
+        "from the start of a tuner on that sets another value again and again: "
+        f"{random['with values of a trial']} hit a node with such a value, and "
+        f"{random['unsafe']} left it there.",
+        markdown(["what it costs", "median", "least", "largest"], costs),
+    ]
+
+
 def fuzz(result: Result) -> list[str]:
     """Failures by hostile input."""
     kinds = ", ".join(f"{r['inputs']} of {kind}" for kind, r in result["hypothesis"].items())

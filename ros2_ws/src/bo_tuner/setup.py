@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "bo_tuner"
-COMMANDS = ["tune", "report", "validate", "replay", "recompute", "apply"]
+COMMANDS = ["tune", "report", "validate", "replay", "recompute", "apply", "guard"]
 
 
 def shared(folder):

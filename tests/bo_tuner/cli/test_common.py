@@ -11,7 +11,7 @@ import pytest
 from bo_tuner.cli.common import attached, in_namespace_of, run_folder
 from bo_tuner.errors import RunRecordError
 
-COMMANDS = ("apply", "recompute", "replay", "report", "tune", "validate")
+COMMANDS = ("apply", "guard", "recompute", "replay", "report", "tune", "validate")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -73,7 +73,7 @@ def test_nodes_are_attached_as_in_the_run(options, backend, expected):
     assert attached(arguments, parser, backend, None) is ("--attach" in options)
 
 
-@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune"}))
+@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"tune", "guard"}))
 def test_a_run_may_be_called_latest(name):
     text = importlib.import_module(f"bo_tuner.cli.{name}").make_parser().format_help()
     assert "or 'latest' for runs/latest" in " ".join(text.split())

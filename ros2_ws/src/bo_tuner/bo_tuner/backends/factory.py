@@ -21,6 +21,7 @@ def make_backend(
     ros_arguments: Sequence[str],
     interrupted: Callable[[], None],
     earlier: Iterable[Evaluation] = (),
+    halt: Callable[[str], None] | None = None,
 ) -> Backend:
     """Make a backend, not open yet.
 
@@ -31,11 +32,13 @@ def make_backend(
     study
         The study.
     log_directory, attach, run_log, ros_arguments
-        As in `RosBackend`; of no meaning in process.
+        As in `RosBackend`; of no meaning in process. Attached nodes have a guard.
     interrupted
         As in `RosBackend` and `InProcessBackend`.
     earlier
         Evaluations on record, in their order; see `RosBackend.recall`.
+    halt
+        As in `RosBackend`.
     """
     if name == IN_PROCESS:
         return InProcessBackend(study, interrupted)
@@ -44,6 +47,8 @@ def make_backend(
         log_directory,
         attach=attach,
         run_log=run_log,
+        guard=attach or study.guard.always,
+        halt=halt,
         ros_arguments=list(ros_arguments),
         interrupted=interrupted,
     )

@@ -192,7 +192,8 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
                         return _refuse("the nodes' values have changed meanwhile", EXIT_INFEASIBLE)
             except NodeError as error:
                 raise BackendError(str(error)) from error
-            return _set(record, trial, nodes, now, new, ros_arguments, interruption)
+            with nodes.guarded(record.study, now, folder.log):
+                return _set(record, trial, nodes, now, new, ros_arguments, interruption)
 
 
 def _set(

@@ -199,6 +199,7 @@ def _try(
             folder,
             attach=attach,
             keep_parked=False,
+            guard=attach or study.guard.always,
             ros_arguments=list(ros_arguments),
             interrupted=interruption.check,
         )

@@ -9,7 +9,7 @@ from typing import NoReturn
 from bo_tuner.cli.streams import open_streams
 from bo_tuner.interruption import SIGNALS, Interruption
 
-COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply")
+COMMANDS = ("tune", "report", "validate", "replay", "recompute", "apply", "guard")
 
 
 def run(module: str, argv: list[str]) -> NoReturn:
@@ -29,6 +29,6 @@ def _run_named(command: str) -> NoReturn:
 
 
 # One for each of the console scripts.
-tune, report, validate, replay, recompute, apply = (
+tune, report, validate, replay, recompute, apply, guard = (
     partial(_run_named, command) for command in COMMANDS
 )

@@ -29,6 +29,7 @@ from bo_tuner.recording.topic_listener import listen_to
 from bo_tuner.report.sections.convergence import known_incumbents
 from bo_tuner.storage.carrying import Carried
 from bo_tuner.storage.csv_tables import export_csv
+from bo_tuner.storage.guard_record import read_acts
 from bo_tuner.storage.journal import Journal
 from bo_tuner.storage.journal_reader import JournalContent, read_journal
 from bo_tuner.storage.journal_repair import salvage, withdraw_lost
@@ -140,7 +141,13 @@ class Session:
             attach=options.attach,
             ros_arguments=options.ros_arguments,
             interrupted=interruption.check,
+            halt=self._halt,
         )
+
+    def _halt(self, reason: str) -> None:
+        """Let the run wait: the guard has taken over, and somebody is to look at the machine."""
+        self._gate.requests.request(True)
+        self._display.warn(f"{reason}; the run waits until you have looked at the machine")
 
     def run(self) -> int:
         """Tune, validate and report; returns the exit code.
@@ -281,6 +288,8 @@ class Session:
                 f"continues after {counted(len(earlier.trials), 'trial')} and "
                 f"{counted(len(earlier.evaluations), 'evaluation')} on record"
             )
+        if acts := read_acts(self._folder.log):
+            self._display.warn(f"on record, {acts[-1]}")
         study, observers = self._study, self._observers
         known = continued(
             study,

@@ -2,12 +2,15 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.errors import SilentError
+from bo_tuner.backends.ros.guard.link import GuardLink
+from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import LEASE, DomainClaim
 from bo_tuner.backends.ros.parameter_client import ParameterClient
 from bo_tuner.backends.ros.parameter_note import ParameterNote
@@ -21,6 +24,7 @@ from bo_tuner.backends.ros.tuner_node import (
 from bo_tuner.deploy.apply import NodeError, RefusedError
 from bo_tuner.errors import BackendError, OutputError
 from bo_tuner.storage.parameter_file import NodeValues
+from bo_tuner.study.study import Study
 from bo_tuner.text import brief
 
 NODE_NAME = "bo_tuner_apply"
@@ -56,6 +60,7 @@ class LiveParameters:
         self, nodes: list[str], ros_arguments: list[str], watch: Callable[[], None]
     ) -> None:
         self._claim: DomainClaim | None = None
+        self._ros_arguments = ros_arguments
         self._present: dict[str, dict[str, object]] = {}
         self._tuner = TunerNode(None, ros_arguments, watch, NODE_NAME)
         try:
@@ -116,6 +121,33 @@ class LiveParameters:
             raise NodeError(self._events.problem)
         if changed := self._events.take_seen():
             raise NodeError(f"{changed[0]} (it did not keep what it was set to)")
+
+    @contextlib.contextmanager
+    def guarded(self, study: Study, before: NodeValues, folder: Path) -> Iterator[None]:
+        """Have a guard give nodes back what they had if this process ends within.
+
+        Parameters
+        ----------
+        study
+            The study, which names the nodes.
+        before
+            What they have.
+        folder
+            Takes the guard's log and record.
+
+        Raises
+        ------
+        BackendError
+            If there can be no guard.
+        """
+        keys = {study.nodes[item.node].node: item.node for item in study.parameters.values()}
+        values = {keys[node]: of_node for node, of_node in before.items()}
+        guard = GuardLink(self._tuner, Plan.of_values(study, values), folder)
+        try:
+            guard.begin(study, self._ros_arguments, values)
+            yield
+        finally:
+            guard.end()
 
     def before_killed(self, node: str, values: Mapping[str, object]) -> dict[str, object]:
         """Return what a node had before a tuner that was killed, of what that has left on it."""

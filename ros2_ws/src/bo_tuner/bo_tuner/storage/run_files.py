@@ -14,6 +14,8 @@ BAGS = "bags"
 """Folder of the bags, each named by `bag_name`."""
 HELD_PARAMETERS = "held_parameters.json"
 """File beside the logs: parameters of attached nodes that a run holds."""
+GUARD_RECORD = "guard.jsonl"
+"""File beside the logs: what guards have done, see `guard_record`."""
 PREVIOUS_PARAMETERS = "previous_parameters.json"
 """File beside the logs: what attached nodes had, of what a run sets, before it set anything."""
 

@@ -7,7 +7,7 @@ from bo_tuner.study.study import Study
 from bo_tuner.study.study_file import study_to_mapping
 
 MOST_SHOWN = 3
-OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder")
+OF_A_RUN = ("name", "description", "seed", "budget", "start", "certificate", "folder", "guard")
 """Sections that say how much is run, and from where: all data of a run are those of a study that
 differs there."""
 JUDGED = ("objective", "further_objectives", "constraints", "metrics", "signals", "order")

@@ -19,6 +19,7 @@ from typing import Any
 
 from bo_tuner.study.constraint import LOWER, UPPER, Constraint
 from bo_tuner.study.distributions import DISTRIBUTIONS
+from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.metrics import StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import TYPES, Parameter
@@ -173,9 +174,10 @@ def _field(cls: type[Any], field: dataclasses.Field[Any], definitions: dict[str,
     if cls is Constraint and field.name in (UPPER, LOWER):
         # Text is relative to the default.
         return {"anyOf": [found, {"type": "string"}]}
-    if found.get("$ref") == f"#/$defs/{End.__name__}":
-        # The word alone is an end, too.
-        return {"anyOf": [found, {"const": "result"}]}
+    for part, alone in ((End, {"const": "result"}), (Guarding, {"type": "boolean"})):
+        if found.get("$ref") == f"#/$defs/{part.__name__}":
+            # The word alone is one, too.
+            return {"anyOf": [found, alone]}
     return found
 
 

@@ -21,6 +21,7 @@ from bo_tuner.study.constraint import (
     Constraint,
 )
 from bo_tuner.study.context_space import ContextSpace
+from bo_tuner.study.guarding import Guarding
 from bo_tuner.study.metrics import CombinedMetric, PythonMetric, RelativeMetric, StudyMetric
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Number, Parameter
@@ -82,6 +83,9 @@ class Study:
         What is recorded in such a run.
     park : Park
         What the nodes are set to while no run is performed.
+    guard : Guarding
+        Whether a guard watches also over nodes that the tuner starts, and its patience; or
+        ``true``.
     further_objectives : tuple of Objective
         One or two more objectives. The run then searches the Pareto front of all, and its result is
         the compromise between them, while the limits hold as with one.
@@ -123,6 +127,7 @@ class Study:
     run: Run | None = None
     signals: Mapping[str, Signal] = field(default_factory=dict)
     park: Park = field(default_factory=Park)
+    guard: Guarding = field(default_factory=Guarding)
     further_objectives: tuple[Objective, ...] = ()
     contexts: Mapping[str, ContextVariable] = field(default_factory=dict)
     constraints: Mapping[str, Constraint] = field(default_factory=dict)

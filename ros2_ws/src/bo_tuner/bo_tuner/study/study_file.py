@@ -14,6 +14,7 @@ from bo_tuner.study.building import Findings, arguments, build, is_required, und
 from bo_tuner.study.constraint import Constraint
 from bo_tuner.study.descriptors import Descriptions, complete, incomplete
 from bo_tuner.study.distributions import DISTRIBUTIONS, Distribution
+from bo_tuner.study.guarding import Guarding, build_guarding
 from bo_tuner.study.metrics import COMPUTED, ReportedMetric, metric_expression, metric_kind
 from bo_tuner.study.nodes import NodeSpec
 from bo_tuner.study.parameter import Parameter
@@ -30,6 +31,8 @@ COST = "cost"
 MAX_BYTES = 1_000_000
 LONGEST_PROBLEM = 1000
 
+# Sections that a word alone may stand for, at least in part.
+_BUILDERS: dict[type[Any], Callable[[object], Any]] = {Run: build_run, Guarding: build_guarding}
 # Sections that hold one object, and sections of objects by name.
 _SINGLE: dict[str, type[Any]] = {
     "trigger": Trigger,
@@ -38,6 +41,7 @@ _SINGLE: dict[str, type[Any]] = {
     "budget": Budget,
     "run": Run,
     "park": Park,
+    "guard": Guarding,
     "certificate": CertificateRequirement,
 }
 _NAMED: dict[str, type[Any]] = {
@@ -178,7 +182,8 @@ def study_from_mapping(mapping: object) -> Study:
         if key in values:
             del made[key]
             with findings.under(key):
-                made[key] = build_run(values[key]) if cls is Run else build(cls, values[key])
+                builder = _BUILDERS.get(cls)
+                made[key] = builder(values[key]) if builder else build(cls, values[key])
     if "further_objectives" in values:
         del made["further_objectives"]
         with findings.under():

@@ -21,6 +21,8 @@ from bo_tuner.backends.ros.errors import (
     RefusedError,
     UnpreparedError,
 )
+from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
+from bo_tuner.backends.ros.guard.plan import Plan
 from bo_tuner.backends.ros.isolation import (
     DomainClaim,
     domain_of_environment,
@@ -36,7 +38,7 @@ from bo_tuner.backends.ros.started_nodes import StartedNodes
 from bo_tuner.backends.ros.study_client import PARK_TIMEOUT, StudyClient
 from bo_tuner.backends.ros.suspension import Suspension
 from bo_tuner.backends.ros.take_over import take_over
-from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, TunerNode
+from bo_tuner.backends.ros.tuner_node import CALL_TIMEOUT, SPIN_PERIOD, TunerNode
 from bo_tuner.errors import BackendError, StudyError
 from bo_tuner.interruption import Interrupted
 from bo_tuner.metrics.collect import Collector
@@ -80,6 +82,11 @@ class RosBackend(SequentialBackend):
         Leave attached nodes, in the end, with the safe parameters that the study names.
     run_log
         Log directory of the run that this repeats a part of, if it is not this one's own.
+    guard
+        Have a guard leave the nodes safe if this process does not.
+    halt
+        Is told that the guard has taken over, so that the next evaluation waits until somebody
+        lets it begin; without it that ends the run.
     ros_arguments
         ``--ros-args`` for the tuner's node and, as far as they are remappings of the namespace,
         for the nodes that it starts.
@@ -102,6 +109,8 @@ class RosBackend(SequentialBackend):
         attach: bool = False,
         keep_parked: bool = True,
         run_log: Path | None = None,
+        guard: bool = False,
+        halt: Callable[[str], None] | None = None,
         ros_arguments: list[str] | None = None,
         interrupted: Callable[[], None] = lambda: None,
     ) -> None:
@@ -116,6 +125,9 @@ class RosBackend(SequentialBackend):
         self._attach = attach
         self._restored = study if keep_parked else study.without_safe_parameters()
         self._run_log = run_log
+        self._guarded = guard
+        self._halt = halt
+        self._guard: GuardLink | None = None
         self._ros_arguments = ros_arguments or []
         self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
@@ -156,7 +168,11 @@ class RosBackend(SequentialBackend):
             self._study, tuner, client, self._started, self._suspension, attach=self._attach
         )
         try:
+            if self._guarded:
+                self._guard = GuardLink(tuner, Plan.of(self._study), self._log_directory)
             self._bringup.open(look_around=given is not None)
+            if self._guard is not None:
+                self._guard.begin(self._study, self._ros_arguments)
             self.at_nodes(tuner)
             if self._attach:
                 self._previous = PreviousParameters(self._restored, tuner, client.parameters)
@@ -170,7 +186,9 @@ class RosBackend(SequentialBackend):
             )
             if self._study.run is not None:
                 restart = None if self._attach else self._bringup.restart
-                self._procedure = Procedure(self._study, self._study.run, tuner, restart)
+                self._procedure = Procedure(
+                    self._study, self._study.run, tuner, restart, self._guard
+                )
             self._safe_state = SafeState(
                 tuner, client, safe, self._held, self._procedure, self._suspension, self._look
             )
@@ -256,7 +274,7 @@ class RosBackend(SequentialBackend):
         safe_state = self._opened.safe_state
         safe_state.take_unfinished()
         try:
-            outcome = self._evaluated(planned)
+            outcome = self._watched_over(self._evaluated(planned))
         except BaseException:
             # Such as a signal. Records are closed before this backend is, and may take their time.
             for problem in [*safe_state.stop(), *safe_state.take_unfinished()]:
@@ -278,6 +296,28 @@ class RosBackend(SequentialBackend):
             return dataclasses.replace(outcome, details={**outcome.details, "park": text})
         return dataclasses.replace(outcome, reason=brief(f"{outcome.reason}; {text}"))
 
+    def _watched_over(self, outcome: Outcome) -> Outcome:
+        """Return an outcome, or that it was lost since the guard has acted meanwhile.
+
+        What the guard sets and publishes would else be taken for somebody else's doing.
+        """
+        try:
+            if self._guard is not None and outcome.state is not EvaluationState.COMPLETE:
+                # It is told of an act in ten states a second, and a node of it at once.
+                self._opened.tuner.spin_for(SPIN_PERIOD)
+            self._look_at_guard()
+        except GuardActedError as acted:
+            return self._overruled(acted)
+        return outcome
+
+    def _overruled(self, acted: GuardActedError) -> Outcome:
+        """Return the outcome of an evaluation in which the guard has acted."""
+        if acted.takes_over:
+            if self._halt is None or acted.ends:
+                raise BackendError(str(acted)) from acted
+            self._halt(str(acted))
+        return Outcome(EvaluationState.LOST, {}, brief(str(acted)))
+
     def _evaluated(self, planned: Evaluation) -> Outcome:
         """Run an evaluation; whatever becomes of it is an outcome."""
         client = self._opened.client
@@ -285,6 +325,7 @@ class RosBackend(SequentialBackend):
         wanted = {key: {**held, **assignments.get(key, {})} for key, held in self._held.items()}
         kept = {key: held.keys() - assignments.get(key, {}) for key, held in self._held.items()}
         try:
+            self._look_at_guard()
             if self._previous is not None:
                 self._previous.tell(wanted)
             run = None
@@ -305,6 +346,8 @@ class RosBackend(SequentialBackend):
         except DisturbedError as error:
             reason = brief(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {DISTURBED: reason})
+        except GuardActedError as acted:
+            return self._overruled(acted)
         except UnpreparedError as error:
             reason = brief(str(error))
             return Outcome(EvaluationState.FAILED, {}, reason, {UNPREPARED: reason})
@@ -453,6 +496,8 @@ class RosBackend(SequentialBackend):
             stack.callback(self._started.stop)
             if self._tuner is not None and self._client is not None:
                 stack.enter_context(self._tuner.watched_by(self._look))
+                if self._guard is not None:
+                    stack.callback(self._guard.end)
                 if self._previous is not None:
                     stack.callback(self._restore, self._previous, problems)
                     stack.callback(self._client.parameters.forget_all)
@@ -481,7 +526,7 @@ class RosBackend(SequentialBackend):
 
     def _let_go(self) -> None:
         self._claim = self._tuner = self._client = self._procedure = self._previous = None
-        self._bringup = self._safe_state = None
+        self._bringup = self._safe_state = self._guard = None
 
     @property
     def _restore_timeout(self) -> float:
@@ -491,7 +536,12 @@ class RosBackend(SequentialBackend):
 
     def _watch(self) -> None:
         self._look()
+        self._look_at_guard()
         self._started.check()
+
+    def _look_at_guard(self) -> None:
+        if self._guard is not None:
+            self._guard.look()
 
     def _look(self) -> None:
         """Watch without a look at the nodes."""

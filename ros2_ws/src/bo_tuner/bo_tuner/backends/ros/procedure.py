@@ -13,6 +13,7 @@ from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.conditions import latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
+from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
@@ -62,6 +63,8 @@ class Procedure:
         The tuner's node.
     restart
         Starts a node anew, by its key; None if the tuner has started none.
+    guard
+        Is told when a run is in progress; None without a guard.
 
     Attributes
     ----------
@@ -80,12 +83,15 @@ class Procedure:
         run: Run,
         tuner: TunerNode,
         restart: Callable[[str], None] | None,
+        guard: GuardLink | None = None,
     ) -> None:
         self._run = run
         self._study = study
         self._tuner = tuner
         self._restart = restart
-        self._recorder = SignalRecorder(tuner.context, study.signals)
+        self._guard = guard
+        guarded = () if guard is None else guard.topics
+        self._recorder = SignalRecorder(tuner.context, study.signals, guarded)
         self._clock: RunClock = WallClock()
         self.recording = NOTHING_RECORDED
         self._steps: dict[KeyPath, PreparedStep] = {}
@@ -239,9 +245,11 @@ class Procedure:
         self._recorder.begin()
         self._watch.begin(largest_gaps)
         self._is_recording = True
+        guarded = contextlib.nullcontext() if self._guard is None else self._guard.run()
         try:
-            self._perform(START)
-            return self._recorder.recording(self._watch.wait_for_end())
+            with guarded:
+                self._perform(START)
+                return self._recorder.recording(self._watch.wait_for_end())
         finally:
             self._is_recording = False
             self._recorder.end()

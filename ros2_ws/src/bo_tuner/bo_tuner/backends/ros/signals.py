@@ -2,7 +2,7 @@
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,11 +11,13 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from bo_tuner.backends.ros import others
 from bo_tuner.backends.ros.clock import LARGEST_JUMP, RunClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.decoding import UnreadableError, decode
 from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.guard.messages import GUARD
 from bo_tuner.backends.ros.lost_messages import LostMessages
 from bo_tuner.backends.ros.messages import (
     ItemMissingError,
@@ -50,6 +52,8 @@ class SignalRecorder:
         ROS context of the tuner.
     signals
         The study's signals.
+    guarded
+        Topics that a guard would publish: its silent publisher does not count.
 
     Attributes
     ----------
@@ -57,8 +61,11 @@ class SignalRecorder:
         The recorder's node, which is in no executor.
     """
 
-    def __init__(self, context: Context, signals: Mapping[str, Signal]) -> None:
+    def __init__(
+        self, context: Context, signals: Mapping[str, Signal], guarded: Collection[str] = ()
+    ) -> None:
         self._signals = signals
+        self._guarded = guarded
         self._clock: RunClock = WallClock()
         self.node = Node(
             NODE_NAME, context=context, enable_rosout=False, start_parameter_services=False
@@ -254,10 +261,14 @@ class SignalRecorder:
     def _connect(self, name: str, spec: Signal, wait: Callable[[Callable[[], bool]], bool]) -> None:
         topic = self.node.resolve_topic_name(spec.topic)
         publishers = self.node.get_publishers_info_by_topic
-        if not wait(lambda: bool(publishers(topic))):
+
+        def present() -> list[TopicEndpointInfo]:
+            return [info for info in publishers(topic) if info.node_name != GUARD]
+
+        if not wait(lambda: bool(present())):
             near = others.instead(topic, others.topics(self.node), self.node)
             raise StudyError(f"nothing publishes {topic}; {near}", ("topic",))
-        found = publishers(topic)
+        found = present()
         if len(found) > 1:
             nodes = " and ".join(sorted(i.node_name for i in found if i.node_name != UNKNOWN_NODE))
             raise StudyError(
@@ -281,7 +292,10 @@ class SignalRecorder:
             raise StudyError(error.problem, ("field",)) from None
         if topic not in self._heard:
             subscribed = self._subscribe(topic, cls, publisher.qos_profile)
-            self._heard[topic] = _Topic(topic, publisher.node_name, self._clock, *subscribed)
+            of_guard = int(topic in self._guarded)
+            self._heard[topic] = _Topic(
+                topic, publisher.node_name, self._clock, *subscribed, of_guard
+            )
         by_header = spec.time == HEADER or (spec.time == "" and has_header(cls))
         self._heard[topic].tracks[name] = _Track(read, by_header, self._clock)
 
@@ -410,6 +424,7 @@ class _Topic:
     clock: RunClock
     subscription: Subscription
     is_latched: bool
+    of_guard: int = 0
     tracks: dict[str, _Track] = field(default_factory=dict)
     lost: LostMessages = field(default_factory=LostMessages)
     problem: str = ""
@@ -423,9 +438,9 @@ class _Topic:
 
     @property
     def publishers(self) -> int:
-        """How many publishers are known here."""
+        """How many publishers are known here, without that of a guard."""
         found: int = self.subscription.handle.get_publisher_count()
-        return found
+        return max(found - self.of_guard, 0)
 
     def has_message(self) -> bool:
         """Whether anything ever came."""

@@ -176,10 +176,14 @@ class Publication:
         connected = self._reaches_any if self.is_stop else self._reaches_all
         is_heard = self.tuner.wait_until(connected, CONNECT_TIMEOUT) or self._reaches_any()
         if is_heard or self.is_stop:
-            stamp = to_stamp(self.clock.now)
-            self.topic.publish(make_message(self.kind, self.publish.message, stamp))
+            self.publish_now()
         if not is_heard:
             raise UnheardError(self._unheard)
+
+    def publish_now(self) -> None:
+        """Publish it for whoever is connected."""
+        stamp = to_stamp(self.clock.now)
+        self.topic.publish(make_message(self.kind, self.publish.message, stamp))
 
     @property
     def _unheard(self) -> str:

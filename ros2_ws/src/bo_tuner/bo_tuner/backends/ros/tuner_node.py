@@ -91,6 +91,8 @@ class TunerNode:
         ROS context of the node.
     node : Node
         The node, which is served by `spin_once`.
+    served : float
+        Time [s] of `time.monotonic` at which that was last done.
 
     Raises
     ------
@@ -107,6 +109,7 @@ class TunerNode:
     ) -> None:
         self._watch = watch
         self._period = SPIN_PERIOD
+        self.served = time.monotonic()
         self.node = _make_node(name, ros_arguments, domain)
         self.context = self.node.context
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -178,6 +181,7 @@ class TunerNode:
 
     def spin_once(self, period: float = SPIN_PERIOD) -> None:
         """Take one message or answer, if one comes within `period` seconds."""
+        self.served = time.monotonic()
         self._watch()
         self._executor.spin_once(timeout_sec=min(period, self._period))
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from bo_tuner.report.analysis import Analysis
 from bo_tuner.report.content import Section, Table, number
-from bo_tuner.storage.run_files import BAGS, bag_name
+from bo_tuner.storage.guard_record import read_acts
+from bo_tuner.storage.run_files import BAGS, LOGS, bag_name
 from bo_tuner.text import values, with_unit
 from bo_tuner.trials import Evaluation, Trial
 
@@ -28,7 +29,11 @@ def failures(analysis: Analysis) -> Section:
         title="Failures and outliers",
         lead=lead if failed or outliers else "No evaluation failed, and no trial is an outlier.",
         tables=tables,
-        notes=[*warnings, *_gaps(analysis.record.evaluations)],
+        notes=[
+            *warnings,
+            *_gaps(analysis.record.evaluations),
+            *(f"{act}." for act in read_acts(analysis.record.path / LOGS)),
+        ],
     )
 
 

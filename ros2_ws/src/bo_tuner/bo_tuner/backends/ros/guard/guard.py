@@ -1,0 +1,356 @@
+"""The guard's process: its ROS node, and what it does when it acts."""
+
+import contextlib
+import os
+import signal
+import time
+import uuid
+from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Protocol
+
+from action_msgs.srv import CancelGoal
+from rclpy.client import Client
+from std_msgs.msg import String
+
+from bo_tuner.backends.ros import others
+from bo_tuner.backends.ros.clock import RunClock, WallClock
+from bo_tuner.backends.ros.guard.condition import AbortCondition
+from bo_tuner.backends.ros.guard.messages import (
+    BEAT_TOPIC,
+    BEATS,
+    GUARD,
+    LATEST,
+    PERIOD,
+    STATE_TOPIC,
+    Beat,
+    State,
+)
+from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.guard.watch import Cause, Watch
+from bo_tuner.backends.ros.node_parameters import NodeParameters
+from bo_tuner.backends.ros.own_topics import OwnTopic
+from bo_tuner.backends.ros.steps import Publication
+from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.errors import BackendError
+from bo_tuner.storage.guard_record import Act, add_act
+
+LOOK_AROUND = 0.5
+"""Time [s] to hear of another guard."""
+CONNECT = 10.0
+"""Time [s] to find the nodes."""
+ANSWER = 2.0
+"""Time [s] that all nodes have to take the safe values."""
+AGAIN = 0.5
+"""Time [s] after which what the nodes have is looked at again while they are held safe."""
+GIVE_UP = 600.0
+"""Time [s] for which a guard whose tuner has ended tries to leave the nodes safe."""
+ASLEEP = 0.3
+"""Gap [s] between two looks beyond which this process did not run."""
+
+
+class Beats(Protocol):
+    """How heartbeats come in."""
+
+    def take(self) -> tuple[list[Beat], bool]:
+        """Return those that came since the last call, and whether no more can come."""
+
+
+class PipeBeats:
+    """Heartbeats on a pipe, which closes at the moment at which the tuner's process ends."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._rest = b""
+        os.set_blocking(descriptor, False)
+
+    def take(self) -> tuple[list[Beat], bool]:
+        """Return those that came since the last call, and whether no more can come."""
+        ended = False
+        while True:
+            try:
+                data = os.read(self._descriptor, 65536)
+            except BlockingIOError:
+                break
+            if not data:
+                ended = True
+                break
+            self._rest += data
+        *lines, self._rest = self._rest.split(b"\n")
+        return [beat for line in lines if (beat := Beat.read(line)) is not None], ended
+
+
+class TopicBeats:
+    """Heartbeats of a tuner on another machine."""
+
+    def __init__(self) -> None:
+        self._beats: list[Beat] = []
+
+    def connect(self, tuner: TunerNode, name: str) -> None:
+        """Listen for those to the guard of a name."""
+
+        def hear(message: Any) -> None:
+            beat = Beat.read(message.data)
+            if beat is not None and beat.guard == name:
+                self._beats.append(beat)
+
+        tuner.node.create_subscription(String, BEAT_TOPIC, hear, BEATS)
+
+    def take(self) -> tuple[list[Beat], bool]:
+        """Return those that came since the last call; more can always come."""
+        beats, self._beats = self._beats, []
+        return beats, False
+
+
+class Guard:
+    """Guards the nodes of a plan.
+
+    Parameters
+    ----------
+    plan
+        What it holds.
+    ros_arguments
+        ``--ros-args`` of its node.
+    beats
+        Heartbeats of the tuner.
+    name
+        Its own, by which the tuner knows it; random unless given.
+    timeout
+        Time [s] without a heartbeat after which it acts.
+    record
+        File that takes a line for each act; None for no file.
+    say
+        Is passed what it does, a line each.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        ros_arguments: Sequence[str],
+        beats: Beats,
+        *,
+        name: str = "",
+        timeout: float,
+        record: Path | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self._plan = plan
+        self._beats = beats
+        self._name = name or uuid.uuid4().hex
+        self._record = record
+        self._say = say
+        self._watch = Watch(timeout)
+        self._ending = False
+        self._held = 0.0
+        self._tuner = TunerNode(None, ros_arguments, lambda: None, GUARD)
+        self._state = State(
+            self._name,
+            plan.digest,
+            plan.name,
+            plan.full_names(self._tuner.node.get_namespace()),
+            sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
+        )
+        self._told = -1.0
+        self._run_began = 0.0
+        self._was_in_run = False
+
+    @property
+    def nodes(self) -> list[str]:
+        """Full names of the nodes that it guards."""
+        return self._state.nodes
+
+    def open(self, *, wait: bool, alone: bool = True) -> None:
+        """Find the nodes and who hears the stop messages.
+
+        Parameters
+        ----------
+        wait
+            Wait for nodes that are not there yet, for as long as it takes.
+        alone
+            Refuse nodes that another guard has.
+
+        Raises
+        ------
+        BackendError
+            If another guard has one of the nodes, or one is not there.
+        StudyError
+            If a stop message has no listener, or not the fields of its type.
+        """
+        tuner, plan = self._tuner, self._plan
+        if isinstance(self._beats, TopicBeats):
+            self._beats.connect(tuner, self._name)
+        if alone:
+            self._refuse_others()
+        self._parameters = NodeParameters(tuner, plan.nodes)
+        clients = self._parameters.clients
+
+        def absent() -> list[str]:
+            return [client.node for client in clients.values() if not client.is_ready()]
+
+        while not tuner.wait_until(lambda: not absent() or self._ending, CONNECT):
+            problem = others.absent(absent(), tuner.node)
+            if not wait:
+                raise BackendError(problem)
+            self._say(f"waiting: {problem}")
+        self._clock: RunClock = WallClock()
+        topics: dict[str, OwnTopic] = {}
+        self._stop = [
+            Publication.prepare(tuner, item, self._clock, topics, None, is_stop=True)
+            for item in plan.stop
+        ]
+        self._cancels: list[Client] = [
+            tuner.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
+            for action in plan.actions
+        ]
+        self._abort = AbortCondition(tuner.node, plan)
+        self._publisher = tuner.node.create_publisher(String, STATE_TOPIC, LATEST)
+        self._tell()
+
+    def serve(self) -> None:
+        """Guard until the tuner has ended and the nodes are safe, or the end is asked for."""
+        looked = time.monotonic()
+        while True:
+            beats, hung_up = self._beats.take()
+            now = time.monotonic()
+            if now - looked > ASLEEP:
+                self._watch.wake(now)
+            looked = now
+            for beat in beats:
+                self._watch.beat(beat, now)
+            if hung_up:
+                self._watch.hang_up()
+            self._look_at_nodes()
+            self._look_at_signals(now)
+            cause = self._watch.due(now)
+            if cause is None and self._ending and self._watch.is_watching:
+                cause = Cause("the guard was asked to end")
+            if cause is not None:
+                self._act(cause, hung_up or self._ending)
+                looked = time.monotonic()
+            elif not self._watch.is_known:
+                self._hold()
+            if hung_up or self._ending:
+                return
+            if now - self._told >= PERIOD:
+                self._tell()
+            self._tuner.spin_once(POLL_PERIOD)
+
+    def end(self) -> None:
+        """Ask for the end, as by a signal: nodes in a tuner's hands are left safe first."""
+        self._ending = True
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._tuner.close()
+
+    def _refuse_others(self) -> None:
+        """Refuse nodes that another guard has."""
+        found: dict[str, State] = {}
+
+        def hear(message: Any) -> None:
+            state = State.read(message.data)
+            if state is not None:
+                found[state.guard] = state
+
+        subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
+        self._tuner.spin_for(LOOK_AROUND)
+        self._tuner.node.destroy_subscription(subscription)
+        for state in found.values():
+            if shared := sorted(set(state.nodes) & set(self._state.nodes)):
+                raise BackendError(
+                    f"{shared[0]} has a guard already, of study {state.study}; end that one first"
+                )
+
+    def _look_at_nodes(self) -> None:
+        for client in self._parameters.clients.values():
+            self._watch.presence(client.node, client.is_ready())
+
+    def _look_at_signals(self, now: float) -> None:
+        in_run = self._watch.in_run
+        if in_run and not self._was_in_run:
+            self._run_began = now
+        # What came between two runs is taken, and tells nothing.
+        if self._abort.holds(now - self._run_began) and in_run and self._was_in_run:
+            self._watch.held(now)
+        self._was_in_run = in_run
+
+    def _act(self, cause: Cause, is_last: bool) -> None:
+        """Stop the machine, then set the safe values; again and again if nobody else will."""
+        begun = time.monotonic()
+        self._watch.act()
+        self._say(f"acts: {cause.reason}")
+        self._publish_stop()
+        stopped = time.monotonic() - begun
+        self._state = State(
+            **{
+                **vars(self._state),
+                "acts": self._watch.acts,
+                "reason": cause.reason,
+                "outcome": "",
+                "takes_over": cause.takes_over,
+                "ends": is_last,
+            }
+        )
+        self._tell()
+        problems = self._set_safe()
+        while problems and is_last and time.monotonic() - begun < GIVE_UP:
+            self._say("; ".join(problems))
+            self._tuner.spin_for(AGAIN)
+            self._publish_stop()
+            problems = self._set_safe()
+        # A node may have got a command of the tuner's in between.
+        self._publish_stop()
+        safe = time.monotonic() - begun
+        outcome = f"stop messages after {stopped * 1e3:.1f} ms, "
+        outcome += (
+            "; ".join(problems)
+            if problems
+            else f"safe values set and read back after {safe * 1e3:.0f} ms"
+        )
+        self._state = State(**{**vars(self._state), "outcome": outcome})
+        self._tell()
+        self._say(outcome)
+        self._note(cause.reason, stopped, safe, problems)
+        self._held = time.monotonic()
+
+    def _hold(self) -> None:
+        """Look again at what the nodes have: a tuner that lives again may be in the midst of it."""
+        if time.monotonic() - self._held < AGAIN:
+            return
+        self._set_safe()
+        self._held = time.monotonic()
+
+    def _publish_stop(self) -> None:
+        for publication in self._stop:
+            publication.publish_now()
+        # Without an identifier and a time stamp it is for all goals (action_msgs/srv/CancelGoal).
+        for client in self._cancels:
+            client.call_async(CancelGoal.Request())
+
+    def _set_safe(self) -> list[str]:
+        """Set the safe values and read them back; returns what went wrong, in lines."""
+        self._parameters.forget_all()
+        failed = self._parameters.assign_side_by_side(self._plan.safe, ANSWER)
+        return [f"{self._plan.nodes[key]} is not safe: {why}" for key, why in failed.items()]
+
+    def _tell(self) -> None:
+        self._publisher.publish(String(data=str(self._state)))
+        self._told = time.monotonic()
+
+    def _note(self, reason: str, stopped: float, safe: float, problems: Iterable[str]) -> None:
+        """Add a line to the record, which must not keep it from anything."""
+        if self._record is None:
+            return
+        begun = datetime.now(UTC) - timedelta(seconds=safe)
+        time_of_act = begun.isoformat(timespec="milliseconds")
+        act = Act(time_of_act, reason, round(stopped, 4), round(safe, 4), list(problems))
+        with contextlib.suppress(OSError):
+            add_act(self._record, act)
+
+
+def end_on_signals(guard: Guard) -> None:
+    """Let SIGTERM end the guard; what a terminal sends is for the tuner, which ends it."""
+    signal.signal(signal.SIGTERM, lambda *_: guard.end())
+    for signum in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+        signal.signal(signum, signal.SIG_IGN)

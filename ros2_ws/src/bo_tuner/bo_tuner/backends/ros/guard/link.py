@@ -1,0 +1,371 @@
+"""The tuner's connection to the guard of its nodes."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from rclpy.publisher import Publisher
+from std_msgs.msg import String
+
+from bo_tuner.backends.ros.decoding import UnreadableError, decode
+from bo_tuner.backends.ros.errors import LostError
+from bo_tuner.backends.ros.guard.messages import (
+    BEAT_TOPIC,
+    BEATS,
+    END,
+    IDLE,
+    LATEST,
+    PERIOD,
+    RUN,
+    STATE_TOPIC,
+    Beat,
+    State,
+)
+from bo_tuner.backends.ros.guard.plan import Plan, patience
+from bo_tuner.backends.ros.tuner_node import POLL_PERIOD, TunerNode
+from bo_tuner.errors import BackendError
+from bo_tuner.storage.run_files import GUARD_RECORD
+from bo_tuner.study.study import Study
+from bo_tuner.study.study_file import study_to_yaml
+
+START = 60.0
+"""Time [s] that a guard has to start."""
+FRESH = 0.35
+"""Age [s] of a state from which on a newer one is waited for: this process may have been stopped,
+and a guard have acted meanwhile."""
+DEAD = 3.0
+"""Time [s] without a state after which a guard counts as dead."""
+HEARD = 3.0
+"""Time [s] to hear the state of a guard that is discovered."""
+LEAVE = 5.0
+"""Time [s] that a guard has to end."""
+LOG = "guard.log"
+
+
+class GuardActedError(LostError):
+    """The guard has stopped the machine and set the safe values.
+
+    Attributes
+    ----------
+    takes_over
+        Whether the tuner was not in control, so that somebody is to look before it goes on.
+    ends
+        Whether the guard watches no longer.
+    """
+
+    def __init__(self, text: str, *, takes_over: bool, ends: bool) -> None:
+        super().__init__(text)
+        self.takes_over = takes_over
+        self.ends = ends
+
+
+class _Wire(Protocol):
+    def send(self, beat: Beat) -> None:
+        """Send a heartbeat; from any thread."""
+
+    @property
+    def problem(self) -> str:
+        """Why the guard is known to have ended; empty if it is not."""
+
+    def close(self) -> None:
+        """Let go of the guard, which has been told that no beat comes any more."""
+
+
+class _Process:
+    """A guard that this process has started."""
+
+    def __init__(self, settings: Mapping[str, Any], log: Path) -> None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("ab") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "bo_tuner.backends.ros.guard"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=output,
+                # Signals of the terminal, and its end, are for the tuner.
+                start_new_session=True,
+                env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            )
+        if self._process.stdin is None or self._process.stdout is None:
+            raise BackendError("the guard has no pipes")
+        self._problem = ""
+        self._pipe = self._process.stdin.fileno()
+        self._write(json.dumps(settings))
+        os.set_blocking(self._pipe, False)
+
+    def send(self, beat: Beat) -> None:
+        self._write(str(beat))
+
+    @property
+    def problem(self) -> str:
+        code = self._process.poll()
+        if code is not None and not self._problem:
+            said = b"" if self._process.stdout is None else self._process.stdout.read()
+            self._problem = said.decode(errors="replace").strip() or f"it has ended with {code}"
+        return self._problem
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        try:
+            self._process.wait(LEAVE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    def _write(self, text: str) -> None:
+        # A pipe takes a short line whole (POSIX, write). One that is full is not read any more.
+        with contextlib.suppress(BrokenPipeError, BlockingIOError):
+            os.write(self._pipe, f"{text}\n".encode())
+
+
+class _Topic:
+    """A guard that somebody has started near the machine."""
+
+    problem = ""
+
+    def __init__(self, publisher: Publisher) -> None:
+        self._publisher = publisher
+
+    def send(self, beat: Beat) -> None:
+        self._publisher.publish(String(data=str(beat)))
+
+    def close(self) -> None:
+        """Do nothing: the guard goes on, for the next tuner."""
+
+
+class GuardLink:
+    """The guard of a study's nodes: found, or started, told of every run, and heard.
+
+    Parameters
+    ----------
+    tuner
+        The tuner's node. While a run is in progress, heartbeats are sent as long as it is served.
+    plan
+        What is to be held.
+    folder
+        Takes log and record of a guard that is started.
+    """
+
+    def __init__(self, tuner: TunerNode, plan: Plan, folder: Path) -> None:
+        self._tuner = tuner
+        self._plan = plan
+        self._folder = folder
+        self._name = ""
+        self._wire: _Wire | None = None
+        self._states: dict[str, State] = {}
+        self._heard: dict[str, float] = {}
+        self._phase, self._run, self._acts = IDLE, 0, 0
+        self._ended = ""
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+        # rclpy passes on what it knows of a message to whoever takes two arguments.
+        hear: Any = self._hear
+        self._subscription = tuner.node.create_subscription(
+            String, STATE_TOPIC, hear, LATEST, raw=True
+        )
+        self._publisher = tuner.node.create_publisher(String, BEAT_TOPIC, BEATS)
+
+    def begin(
+        self,
+        study: Study,
+        ros_arguments: Sequence[str],
+        values: Mapping[str, Mapping[str, object]] | None = None,
+    ) -> None:
+        """Take the guard that is there, or start one, and let it watch from now on.
+
+        Parameters
+        ----------
+        study
+            The study, of which the plan is.
+        ros_arguments
+            ``--ros-args`` of a guard that is started.
+        values
+            What nodes have, by node key: a guard is started that gives them that back, whether
+            there is another one or not.
+
+        Raises
+        ------
+        BackendError
+            If a guard of another study has one of the nodes, or none can be started.
+        """
+        if values is not None or not self._find():
+            try:
+                self._start(study, ros_arguments, values)
+            except BackendError:
+                # One that is there may be discovered late; it is why another one does not start.
+                if values is not None or not self._find():
+                    raise
+        self._beat()
+        self._thread = threading.Thread(target=self._go_on, name="heartbeat", daemon=True)
+        self._thread.start()
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics that the guard would publish, and is known as a publisher of."""
+        state = self._states.get(self._name)
+        return [] if state is None else state.topics
+
+    @contextlib.contextmanager
+    def run(self) -> Iterator[None]:
+        """Let the abort condition count within, and the tuner be hung if it does not look."""
+        self._run += 1
+        self._turn(RUN)
+        try:
+            yield
+        finally:
+            self._turn(IDLE)
+
+    def look(self) -> None:
+        """See whether the guard is there and has not acted.
+
+        Raises
+        ------
+        GuardActedError
+            Once, if it has acted.
+        BackendError
+            If it has ended.
+        """
+        if self._ended:
+            raise BackendError(self._ended)
+        if self._wire is None:
+            return
+        self._take()
+        waited = time.monotonic() + DEAD
+        # The clock is that of the stamps at which messages came in.
+        while time.time() - self._heard.get(self._name, 0.0) > FRESH:
+            problem = self._wire.problem
+            if problem or time.monotonic() > waited:
+                self._wire.close()
+                self._wire = None
+                self._ended = (
+                    f"the guard of the nodes has ended: {problem or 'nothing is heard of it'}; "
+                    f"see {self._folder / LOG}"
+                )
+                raise BackendError(self._ended)
+            time.sleep(POLL_PERIOD)
+            self._take()
+        state = self._states[self._name]
+        # While it acts, nobody is to be in its way.
+        while state.acts > self._acts and not state.outcome and time.monotonic() < waited:
+            time.sleep(POLL_PERIOD)
+            self._take()
+            state = self._states[self._name]
+        if state.acts > self._acts:
+            self._acts = state.acts
+            self._phase = IDLE
+            self._beat()
+            raise GuardActedError(
+                f"the guard has stopped the machine: {state.reason}; "
+                f"{state.outcome or 'it is still at it'}",
+                takes_over=state.takes_over,
+                ends=state.ends,
+            )
+
+    def end(self) -> None:
+        """Tell the guard that the nodes are left as they are to be, and let go of it."""
+        wire = self._wire
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+        if wire is None:
+            return
+        self._turn(END)
+        wire.close()
+        self._wire = None
+
+    def _find(self) -> bool:
+        """Take the guard of these nodes that somebody has started, if there is one."""
+        publishers = self._tuner.node.count_publishers
+
+        def heard() -> bool:
+            self._take()
+            return len(self._states) >= publishers(STATE_TOPIC)
+
+        self._tuner.wait_until(heard, HEARD)
+        nodes = set(self._plan.full_names(self._tuner.node.get_namespace()))
+        for state in self._states.values():
+            shared = sorted(nodes & set(state.nodes))
+            if not shared:
+                continue
+            if state.digest != self._plan.digest:
+                raise BackendError(
+                    f"the guard of {shared[0]} is one of study {state.study}, with other safe "
+                    "values, stop messages or conditions; start it with this study"
+                )
+            self._name, self._acts = state.guard, state.acts
+            self._wire = _Topic(self._publisher)
+        return self._wire is not None
+
+    def _start(
+        self,
+        study: Study,
+        ros_arguments: Sequence[str],
+        values: Mapping[str, Mapping[str, object]] | None,
+    ) -> None:
+        self._name = uuid.uuid4().hex
+        settings = {
+            "name": self._name,
+            "study": study_to_yaml(study),
+            "values": values,
+            "timeout": patience(study),
+            "ros_arguments": list(ros_arguments),
+            "record": str((self._folder / GUARD_RECORD).resolve()),
+        }
+        wire = _Process(settings, self._folder / LOG)
+
+        def is_there() -> bool:
+            self._take()
+            return self._name in self._states or bool(wire.problem)
+
+        try:
+            self._tuner.wait_until(is_there, START)
+        except BaseException:
+            wire.close()
+            raise
+        if self._name not in self._states:
+            problem = wire.problem or f"it does not answer within {START:g} s"
+            wire.close()
+            raise BackendError(f"the guard of the nodes cannot start: {problem}")
+        self._wire = wire
+
+    def _turn(self, phase: str) -> None:
+        self._phase = phase
+        self._beat()
+
+    def _beat(self) -> None:
+        wire = self._wire
+        if wire is not None:
+            wire.send(Beat(self._name, self._phase, self._run, self._acts))
+
+    def _go_on(self) -> None:
+        while not self._over.wait(PERIOD):
+            # In a run this process is alive only if somebody looks at the machine.
+            if self._phase != RUN or time.monotonic() - self._tuner.served < FRESH:
+                self._beat()
+
+    def _hear(self, data: bytes, info: Any) -> None:
+        """Take a state: here in the executor, or whenever one is looked for."""
+        with contextlib.suppress(UnreadableError):
+            state = State.read(decode(data, String).data)
+            if state is not None:
+                self._states[state.guard] = state
+                self._heard[state.guard] = info["received_timestamp"] * 1e-9
+
+    def _take(self) -> None:
+        """Take the states that came in and wait."""
+        handle = self._subscription.handle
+        with handle:
+            while taken := handle.take_message(String, True):
+                self._hear(*taken)

@@ -1,0 +1,105 @@
+"""What a guard holds of a study: the safe parameters, the stop messages, the abort condition."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import takewhile
+
+from rclpy.expand_topic_name import expand_topic_name
+
+from bo_tuner.backends.ros.held_parameters import safe_parameters
+from bo_tuner.errors import BackendError, StudyError
+from bo_tuner.study.guarding import Guarding
+from bo_tuner.study.signals import Signal
+from bo_tuner.study.steps import Publish
+from bo_tuner.study.study import Study
+
+PATIENCE = "BO_TUNER_GUARD_TIMEOUT"
+"""Environment variable with the least time [s] that a guard waits for a heartbeat: how busy a
+computer may be is no matter of a study."""
+
+
+def patience(study: Study) -> float:
+    """Return the time [s] without a heartbeat after which a guard acts.
+
+    Raises
+    ------
+    BackendError
+        If the environment names one that is none.
+    """
+    given = os.environ.get(PATIENCE, "")
+    try:
+        least = Guarding(timeout=float(given)).timeout if given else 0.0
+    except (ValueError, StudyError) as error:
+        raise BackendError(f"{PATIENCE}: {error}") from error
+    return max(study.guard.timeout, least)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a guard holds.
+
+    Attributes
+    ----------
+    name : str
+        Name of the study.
+    nodes : mapping from str to str
+        Names of the nodes by their keys in the study, relative to the namespace or absolute.
+    safe : mapping
+        By node key the parameters that the nodes are to be left with.
+    stop : tuple of Publish
+        The messages that stop the machine: those at the head of ``after``.
+    actions : tuple of str
+        Actions whose goals are cancelled.
+    abort_when : str
+        Condition on signals at which a run must end; empty for none.
+    signals : mapping from str to Signal
+        The study's signals.
+    """
+
+    name: str
+    nodes: Mapping[str, str]
+    safe: Mapping[str, Mapping[str, object]]
+    stop: tuple[Publish, ...] = ()
+    actions: tuple[str, ...] = ()
+    abort_when: str = ""
+    signals: Mapping[str, Signal] | None = None
+
+    @classmethod
+    def of(cls, study: Study) -> "Plan":
+        """Return what is to be held of a study."""
+        nodes = {key: spec.node for key, spec in study.nodes.items()}
+        safe = safe_parameters(study)
+        run = study.run
+        if run is None:
+            return cls(study.name, nodes, safe)
+        head = takewhile(lambda step: step.publish is not None, run.after)
+        steps = [step for _, step in run.steps]
+        return cls(
+            study.name,
+            nodes,
+            safe,
+            tuple(step.publish for step in head if step.publish is not None),
+            tuple(dict.fromkeys(s.send_goal.action for s in steps if s.send_goal is not None)),
+            run.abort_when,
+            study.signals,
+        )
+
+    @classmethod
+    def of_values(cls, study: Study, values: Mapping[str, Mapping[str, object]]) -> "Plan":
+        """Return a plan to give nodes back what they have, by node key; there is no run to stop."""
+        return cls(study.name, {key: study.nodes[key].node for key in values}, values)
+
+    @property
+    def digest(self) -> str:
+        """A digest: plans of two studies that hold the same are equal, whatever else they say."""
+        held = (self.nodes, self.safe, self.stop, self.actions, self.abort_when)
+        used = {} if not self.abort_when else self.signals
+        text = json.dumps([held, used], sort_keys=True, default=repr)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def full_names(self, namespace: str) -> list[str]:
+        """Return the full names of the nodes, seen from a namespace."""
+        return sorted(expand_topic_name(name, "guard", namespace) for name in self.nodes.values())

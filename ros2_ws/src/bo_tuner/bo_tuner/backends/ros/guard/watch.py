@@ -1,0 +1,124 @@
+"""Decides when a guard acts; knows neither ROS nor clocks."""
+
+from dataclasses import dataclass
+
+from bo_tuner.backends.ros.guard.messages import END, RUN, Beat
+
+CYCLE = 0.1
+"""Time [s] that the tuner has to act on a condition: it looks every 0.01 s."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Why a guard acts.
+
+    Attributes
+    ----------
+    reason : str
+        In words.
+    takes_over : bool
+        Whether the tuner was not in control of the machine. It was if only the guard, or a node,
+        was away for a while.
+    """
+
+    reason: str
+    takes_over: bool = True
+
+
+class Watch:
+    """Watches the tuner by its heartbeats and the machine by what is told of it.
+
+    It watches from the first beat to the one that says that no further one comes. Times [s] are of
+    a steady clock, and given by the caller.
+
+    Parameters
+    ----------
+    timeout
+        Time [s] without a beat after which the tuner counts as hung.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._last: Beat | None = None
+        self._heard = 0.0
+        self._gone = False
+        self._held_since: float | None = None
+        self._away: set[str] = set()
+        self._back: list[str] = []
+        self._answered = 0
+        self.acts = 0
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether a tuner is at work."""
+        return self._last is not None
+
+    @property
+    def in_run(self) -> bool:
+        """Whether the abort condition counts."""
+        return self._last is not None and self._last.phase == RUN
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the tuner knows of the last act, so that it is in control again."""
+        return self._answered == self.acts
+
+    def beat(self, beat: Beat, now: float) -> None:
+        """Take a heartbeat."""
+        if self._last is None or (beat.phase, beat.run) != (self._last.phase, self._last.run):
+            self._held_since = None
+        self._answered = beat.acts
+        self._heard = now
+        self._last = None if beat.phase == END else beat
+        if self._last is None:
+            self._answered = self.acts
+
+    def hang_up(self) -> None:
+        """Take note that the tuner's process has ended."""
+        self._gone = True
+
+    def wake(self, now: float) -> None:
+        """Take note that this process itself did not run for a while: beats may be waiting."""
+        self._heard = now
+
+    def held(self, now: float) -> None:
+        """Take note that the abort condition holds."""
+        if self.in_run and self._held_since is None:
+            self._held_since = now
+
+    def presence(self, node: str, is_there: bool) -> None:
+        """Take note of whether a node can be reached."""
+        if not self.is_watching:
+            return
+        if not is_there:
+            self._away.add(node)
+        elif node in self._away:
+            self._away.discard(node)
+            self._back.append(node)
+
+    def due(self, now: float) -> Cause | None:
+        """Return why to act now, if there is a reason; asked again and again."""
+        if self._last is None:
+            return None
+        if self._gone:
+            return Cause("the tuner has ended without leaving the machine safe")
+        if not self.is_known:
+            # It is held safe until the tuner knows.
+            return None
+        if now - self._heard > self._timeout:
+            return Cause(f"no heartbeat of the tuner for {now - self._heard:.2f} s")
+        if self._held_since is not None and now - self._held_since > CYCLE:
+            return Cause("the abort condition holds, and the tuner has not ended the run")
+        if self._back:
+            nodes, self._back = " and ".join(self._back), []
+            return Cause(f"{nodes} could not be reached for a while", takes_over=False)
+        return None
+
+    def act(self) -> None:
+        """Take note that the guard acts."""
+        self.acts += 1
+        self._held_since = None
+        self._back.clear()
+        if self._gone:
+            self._last = None
+            self._answered = self.acts

@@ -1,0 +1,421 @@
+"""Whatever becomes of the tuner, an attached machine is stopped and has its safe values again."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import guarded_tuner
+import pytest
+from commands import Fork, environment, finish, python_path
+from guarded_tuner import STOP
+from made_runs import INITIAL, make_run
+from node_threads import at_work
+from servo import SAFE, System, gain, study
+from waiting import DEADLINE, wait_until
+
+from bo_tuner.backends.ros.backend import RosBackend
+from bo_tuner.backends.ros.guard.messages import GUARD
+from bo_tuner.storage.record import read_run
+from bo_tuner.study.study_file import study_to_yaml
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """As patient as users have it."""
+    monkeypatch.delenv("BO_TUNER_GUARD_TIMEOUT")
+
+
+@pytest.fixture
+def system(ros_environment):
+    with at_work(System) as system:
+        yield system
+
+
+class Tuner:
+    """A tuner in a process of its own, and what it has said."""
+
+    def __init__(self, folder, kind="plain", **changes):
+        self.folder = folder
+        script = Path(guarded_tuner.__file__)
+        self.process = subprocess.Popen(
+            [sys.executable, script, folder, kind, json.dumps(changes)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment() | {"PYTHONPATH": python_path(script.parent)},
+        )
+        self.said = []
+        self._listener = threading.Thread(target=self._listen)
+        self._listener.start()
+
+    def _listen(self):
+        for line in self.process.stdout:
+            self.said.append(json.loads(line))
+
+    def evaluate(self, what="run"):
+        self.process.stdin.write(f"{what}\n")
+        self.process.stdin.flush()
+
+    def expect(self, key):
+        """The next thing that it says of a kind."""
+
+        def is_there():
+            return any(key in facts for facts in self.said)
+
+        wait_until(is_there, key, None if is_there() else self.process, lambda: self.said)
+        found = next(facts for facts in self.said if key in facts)
+        self.said.remove(found)
+        return found[key]
+
+    def end(self):
+        """Let it end by itself."""
+        self.process.stdin.close()
+        self.process.wait(DEADLINE)
+        self.expect("closed")
+
+    def close(self):
+        """End it, whatever state it is in."""
+        self.process.send_signal(signal.SIGCONT)
+        self.process.kill()
+        self.process.wait()
+        self._listener.join()
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
+
+    @property
+    def acts(self):
+        path = Path(self.folder) / "guard.jsonl"
+        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+    @property
+    def guards(self):
+        """Processes of guards that it has started, by their record."""
+        found = []
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            try:
+                if b"bo_tuner.backends.ros.guard" in path.read_bytes() and str(
+                    Path(self.folder) / "guard.log"
+                ) == str(Path(path.parent, "fd", "2").readlink()):
+                    found.append(int(path.parent.name))
+            except OSError:
+                continue
+        return found
+
+
+@pytest.fixture
+def tuner(system, tmp_path):
+    """Function that starts a tuner and waits until it is at work, in a run unless told not to."""
+    started = []
+
+    def begin(kind="plain", *, in_run=True, refused=False, **changes):
+        made = Tuner(tmp_path / f"log{len(started)}", kind, **changes)
+        started.append(made)
+        if refused:
+            return made
+        made.expect("open")
+        if in_run:
+            system.setpoint = 0.0
+            made.evaluate()
+            wait_until(lambda: system.setpoint == 1.0, "a run", made.process)
+        return made
+
+    yield begin
+    for made in started:
+        made.close()
+        wait_until(lambda made=made: not made.guards, "the end of the guard")
+
+
+def is_safe(system):
+    return gain(system) == SAFE and system.setpoint == STOP
+
+
+def test_a_normal_run_has_nothing_of_it(tuner, system):
+    made = tuner("short")
+    for _ in range(3):
+        made.evaluate()
+    made.evaluate("fit")
+    for _ in range(4):
+        assert made.expect("state") == "complete"
+    assert made.expect("fitted")
+    assert gain(system) == 0.75
+    assert len(made.guards) == 1
+    made.end()
+    assert (made.acts, gain(system)) == ([], SAFE)
+    wait_until(lambda: not made.guards, "the end of the guard")
+
+
+@pytest.mark.parametrize("in_run", [True, False])
+def test_a_tuner_that_is_killed(tuner, system, in_run):
+    made = tuner("plain" if in_run else "short")
+    if not in_run:
+        assert made.expect("state") == "complete"
+        assert gain(system) == 0.75
+        system.setpoint = 1.0
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: not made.guards, "the end of the guard")
+    (act,) = made.acts
+    assert act["reason"] == "the tuner has ended without leaving the machine safe"
+    assert act["problems"] == []
+
+
+def test_a_tuner_that_is_killed_before_the_first_run(tuner, system):
+    made = tuner(in_run=False)
+    system.set_gain(0.9)
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+
+
+def test_a_tuner_that_is_stopped_and_lives_again_waits_for_somebody(tuner, system):
+    made = tuner()
+    made.process.send_signal(signal.SIGSTOP)
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: made.acts, "the record")
+    # Whoever changes something meanwhile does not leave it unsafe.
+    system.set_gain(0.9)
+    wait_until(lambda: gain(system) == SAFE, "safe values once more")
+    made.process.send_signal(signal.SIGCONT)
+    assert "no heartbeat of the tuner for" in made.expect("halt")
+    assert made.expect("state") == "lost"
+    assert is_safe(system)
+    # Once somebody lets it, it goes on, and is watched as before.
+    system.setpoint = 0.0
+    made.evaluate()
+    wait_until(lambda: system.setpoint == 1.0, "the next run", made.process)
+    assert gain(system) == 0.75
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: len(made.acts) == 2, "the record")
+
+
+def test_a_tuner_that_does_not_look_any_more_in_a_run(tuner, system):
+    made = tuner("hung")
+    wait_until(lambda: is_safe(system), "a safe machine")
+    assert "no heartbeat" in made.expect("halt")
+    assert made.expect("state") == "lost"
+
+
+def test_an_abort_condition_that_the_tuner_overlooks(tuner, system):
+    made = tuner("blind")
+    assert "the abort condition holds" in made.expect("halt")
+    assert made.expect("state") == "lost"
+    assert is_safe(system)
+
+
+def test_a_guard_that_dies_ends_the_run_with_the_machine_safe(tuner, system):
+    made = tuner()
+    (guard,) = made.guards
+    os.kill(guard, signal.SIGKILL)
+    assert made.expect("error").startswith("the guard of the nodes has ended")
+    assert made.expect("closed")
+    assert is_safe(system)
+
+
+def test_a_guard_that_is_asked_to_end_leaves_the_machine_safe(tuner, system):
+    made = tuner()
+    (guard,) = made.guards
+    os.kill(guard, signal.SIGTERM)
+    assert made.expect("error").startswith(
+        "the guard has stopped the machine: the guard was asked to end; stop messages after "
+    )
+    assert is_safe(system)
+    assert [act["reason"] for act in made.acts] == ["the guard was asked to end"]
+
+
+def test_a_terminal_that_goes_away_is_none_of_the_guards(tuner, system):
+    made = tuner()
+    (guard,) = made.guards
+    for signum in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP):
+        os.kill(guard, signum)
+    made.evaluate("fit")
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+
+
+def test_a_node_that_refuses_is_tried_until_it_does_not(tuner, system):
+    made = tuner()
+    system.refusal = "the key is out"
+    made.process.kill()
+    wait_until(lambda: system.setpoint == STOP, "the stop message")
+    log = Path(made.folder) / "guard.log"
+    wait_until(lambda: "servo is not safe: servo refused" in log.read_text(), "what is wrong")
+    system.refusal = ""
+    wait_until(lambda: gain(system) == SAFE, "safe values")
+
+
+def test_a_node_that_hangs_is_safe_once_it_answers(tuner, system):
+    made = tuner()
+    system.hang = 3.0
+    made.process.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+
+
+def test_without_after_there_is_nothing_to_stop_but_values_to_set(tuner, system):
+    run = {**guarded_tuner.GUARDED["run"], "after": [], "abort_when": ""}
+    made = tuner(run=run)
+    made.process.kill()
+    wait_until(lambda: gain(system) == SAFE, "safe values")
+    assert system.setpoint == 1.0
+
+
+def test_a_condition_that_cannot_be_known_stops_nothing(tuner, system):
+    run = {**guarded_tuner.GUARDED["run"], "end": {"when": "t > 0.3"}}
+    run["abort_when"] = "log(-1 - abs(angle)) > 0"
+    made = tuner(run=run)
+    assert made.expect("state") == "complete"
+    assert made.acts == []
+
+
+def test_a_stop_message_that_nobody_hears(tuner, system):
+    step = {
+        "publish": {"topic": "nobody", "message": {"data": 0.0}, "type": "std_msgs/msg/Float64"}
+    }
+    run = {**guarded_tuner.GUARDED["run"], "after": [step]}
+    made = tuner(refused=True, run=run)
+    assert made.expect("error").startswith(
+        "the guard of the nodes cannot start: publish.topic: nothing subscribes to /nobody"
+    )
+    assert made.expect("closed")
+    assert gain(system) == 0.5
+
+
+def test_an_apply_that_is_killed_gives_back_what_the_node_had(system, tmp_path):
+    """It is killed while the node is about to take the value."""
+    made = study(run={"before": []}, budget=INITIAL)
+    path = tmp_path / "run"
+    backend = RosBackend(made, path / "log", attach=True)
+    record = make_run(path, made, backend, result=1, backend_name="ros", attached=True)
+    system.set_gain(0.375)
+    asked = threading.Event()
+
+    def accepts():
+        asked.set()
+        # As long as the command lives.
+        process.wait(DEADLINE)
+        system.accepts = lambda: True
+        return True
+
+    system.accepts = accepts
+    process = Fork("apply", path, "--yes", "--without-certificate", folder=tmp_path)
+    assert asked.wait(DEADLINE)
+    process.kill()
+    log = path / "log" / "guard.jsonl"
+    wait_until(log.exists, "the record of the guard")
+    assert gain(system) == 0.375
+    assert record.trials[1].parameters["gain"] != 0.375
+
+
+def test_a_check_that_is_killed_leaves_the_machine_safe(system, tmp_path):
+    changes = guarded_tuner.GUARDED
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study(**changes)))
+    check = Fork("tune", "--check", "servo.yaml", folder=tmp_path)
+    wait_until(lambda: system.setpoint == 1.0, "a run", check)
+    check.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+
+
+def test_a_run_that_was_killed_says_so_when_it_goes_on(system, tmp_path):
+    """Of the guard's act the record tells, the terminal and the report."""
+    changes = guarded_tuner.GUARDED | {"budget": INITIAL | {"trials": 3, "validation_draws": 2}}
+    changes["run"] = changes["run"] | {"end": {"after": 0.5}}
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study(**changes)))
+    tune = Fork("tune", "--study", "servo.yaml", "--attach", "--quiet", folder=tmp_path)
+    runs = tmp_path / "runs" / "latest"
+
+    def counted():
+        return len(read_run(runs).evaluations) if (runs / "journal.sqlite").exists() else 0
+
+    wait_until(lambda: counted() > 2, "some evaluations", tune)
+    tune.kill()
+    wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until((runs / "log" / "guard.jsonl").exists, "the record of the guard")
+    code, _, err = finish(Fork("tune", "--resume", runs, "--quiet", folder=tmp_path))
+    assert code in (0, 3), err
+    assert "the guard has stopped the machine: the tuner has ended without leaving the" in err
+    assert "the guard has stopped the machine" in (runs / "report.html").read_text()
+
+
+class Standing:
+    """A guard that was started by hand."""
+
+    def __init__(self, folder, **changes):
+        path = folder / "guarded.yaml"
+        path.write_text(study_to_yaml(study(**{**guarded_tuner.GUARDED, **changes})))
+        self.record = folder / "standing.jsonl"
+        self.process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "bo_tuner", "guard", "--study", path),
+                *("--record", self.record),
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=environment() | {"PYTHONUNBUFFERED": "1"},
+        )
+
+    def ready(self):
+        line = self.process.stdout.readline()
+        assert line.startswith("guards /servo for studies like servo"), line
+
+    def end(self):
+        self.process.terminate()
+        code = self.process.wait(DEADLINE)
+        self.process.stdout.close()
+        return code
+
+
+@pytest.fixture
+def standing(system, tmp_path):
+    guards = []
+
+    def start(**changes):
+        guards.append(Standing(tmp_path, **changes))
+        return guards[-1]
+
+    yield start
+    for guard in guards:
+        if guard.process.poll() is None:
+            guard.process.kill()
+            guard.process.wait()
+        guard.process.stdout.close()
+
+
+def test_a_guard_near_the_machine_is_found_and_outlives_tuners(tuner, system, standing):
+    guard = standing()
+    guard.ready()
+    for _ in range(2):
+        made = tuner()
+        assert made.guards == []
+        made.process.kill()
+        wait_until(lambda: is_safe(system), "a safe machine")
+    wait_until(lambda: len(guard.record.read_text().splitlines()) == 2, "the record")
+    assert guard.end() == 0
+
+
+def test_a_guard_of_another_study_is_refused(tuner, standing):
+    standing(park={"parameters": {"gain": 0.125}}).ready()
+    made = tuner(refused=True)
+    assert made.expect("error").startswith("the guard of /servo is one of study servo, with other")
+
+
+def test_two_guards_of_one_node_are_refused(system, standing):
+    standing().ready()
+    second = standing()
+    out, _ = second.process.communicate(timeout=DEADLINE)
+    assert (second.process.returncode, out) == (
+        2,
+        "error: /servo has a guard already, of study servo; end that one first\n",
+    )
+
+
+def test_its_nodes_are_known_as_the_tuners_own(tuner, peer, system):
+    tuner()
+    peer.spin_until(lambda: GUARD in peer.node.get_node_names(), "the guard")
