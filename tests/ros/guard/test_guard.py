@@ -16,6 +16,7 @@ from guarded_tuner import STOP
 from made_runs import INITIAL, make_run
 from node_threads import at_work
 from servo import SAFE, System, gain, study
+from std_srvs.srv import SetBool
 from waiting import DEADLINE, wait_until
 
 from bo_tuner.backends.ros.backend import RosBackend
@@ -341,6 +342,34 @@ def test_a_run_that_was_killed_says_so_when_it_goes_on(system, tmp_path):
     assert code in (0, 3), err
     assert "the guard has stopped the machine: the tuner has ended without leaving the" in err
     assert "the guard has stopped the machine" in (runs / "report.html").read_text()
+
+
+def test_a_run_that_was_stopped_waits_until_somebody_lets_it_go_on(system, peer, tmp_path):
+    budget = INITIAL | {"trials": 3, "validation_draws": 2}
+    changes = guarded_tuner.GUARDED | {"budget": budget}
+    changes["run"] = changes["run"] | {"end": {"after": 0.5}}
+    (tmp_path / "servo.yaml").write_text(study_to_yaml(study(**changes)))
+    said = tmp_path / "said.txt"
+    with said.open("w") as output:
+        tune = Fork(
+            "tune",
+            "--study",
+            "servo.yaml",
+            "--attach",
+            folder=tmp_path,
+            stderr=output,
+            stdout=output,
+        )
+    journal = tmp_path / "runs" / "latest" / "journal.sqlite"
+    wait_until(lambda: journal.exists() and system.setpoint == 1.0, "a run", tune, said.read_text)
+    tune.send_signal(signal.SIGSTOP)
+    wait_until(lambda: is_safe(system), "a safe machine")
+    tune.send_signal(signal.SIGCONT)
+    waits = "the run waits until you have looked at the machine"
+    wait_until(lambda: waits in " ".join(said.read_text().split()), "the run to wait", tune)
+    wait_until(lambda: is_safe(system), "a parked machine")
+    assert peer.call(SetBool, "tuner/pause", SetBool.Request(data=False)).success
+    assert tune.wait(DEADLINE) in (0, 3), said.read_text()
 
 
 class Standing:
