@@ -57,8 +57,8 @@ def backend(tmp_path):
     """Function that opens a backend."""
     opened = []
 
-    def make(study, attach=False):
-        opened.append(RosBackend(study, tmp_path, attach=attach))
+    def make(study, attach=False, guard=False):
+        opened.append(RosBackend(study, tmp_path, attach=attach, guard=guard))
         opened[-1].open()
         return opened[-1]
 
@@ -67,7 +67,9 @@ def backend(tmp_path):
         made.close()
 
 
-def test_any_command_with_its_environment_and_a_restart_before_each_run(backend, tmp_path):
+@pytest.mark.parametrize("guard", [False, True])
+def test_any_command_with_its_environment_and_a_restart_before_each_run(backend, tmp_path, guard):
+    """Of nodes that come and go with the tuner a guard does not mind that they do."""
     nodes = {
         "pid": {"node": "pid", "command": command("pid"), "env": {"GREETING": "good day"}},
         "motor": {"node": "motor", "command": command("motor")},
@@ -78,7 +80,7 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
         {"call": {"service": "/motor/reset"}},
         {"wait": 0.1},
     ]
-    made = backend(position(nodes=nodes, run={"before": before}))
+    made = backend(position(nodes=nodes, run={"before": before}), guard=guard)
     pids = []
     for _ in range(2):
         outcome = run(made)
@@ -88,6 +90,8 @@ def test_any_command_with_its_environment_and_a_restart_before_each_run(backend,
     environment = Path(f"/proc/{pids[1]}/environ").read_bytes().split(b"\0")
     assert b"GREETING=good day" in environment
     assert "ready" in (tmp_path / "motor.log").read_text()
+    assert (tmp_path / "guard.log").exists() == guard
+    assert not (tmp_path / "guard.jsonl").exists()
 
 
 def test_commands_are_relative_to_the_study_file(backend, tmp_path, monkeypatch):

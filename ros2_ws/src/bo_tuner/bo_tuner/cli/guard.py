@@ -70,6 +70,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         ros_arguments,
         TopicBeats(),
         timeout=timeout,
+        attached=True,
         record=arguments.record,
         say=say,
     )

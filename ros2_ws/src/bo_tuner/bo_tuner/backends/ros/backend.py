@@ -169,7 +169,9 @@ class RosBackend(SequentialBackend):
         )
         try:
             if self._guarded:
-                self._guard = GuardLink(tuner, Plan.of(self._study), self._log_directory)
+                self._guard = GuardLink(
+                    tuner, Plan.of(self._study), self._log_directory, attached=self._attach
+                )
             self._bringup.open(look_around=given is not None)
             if self._guard is not None:
                 self._guard.begin(self._study, self._ros_arguments)

@@ -28,6 +28,7 @@ def main() -> int:
             PipeBeats(sys.stdin.fileno()),
             name=settings["name"],
             timeout=settings["timeout"],
+            attached=settings["attached"],
             record=Path(settings["record"]) if settings["record"] else None,
             say=_say,
         )

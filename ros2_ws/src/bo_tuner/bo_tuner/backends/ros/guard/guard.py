@@ -44,8 +44,9 @@ ANSWER = 2.0
 """Time [s] that all nodes have to take the safe values."""
 AGAIN = 0.5
 """Time [s] after which what the nodes have is looked at again while they are held safe."""
-GIVE_UP = 600.0
-"""Time [s] for which a guard whose tuner has ended tries to leave the nodes safe."""
+GIVE_UP, GONE = 600.0, 3.0
+"""Time [s] for which a guard whose tuner has ended tries to leave the nodes safe, and the same of
+nodes that end with it."""
 ASLEEP = 0.3
 """Gap [s] between two looks beyond which this process did not run."""
 
@@ -118,6 +119,8 @@ class Guard:
         Its own, by which the tuner knows it; random unless given.
     timeout
         Time [s] without a heartbeat after which it acts.
+    attached
+        Whether the nodes run by themselves: those that a tuner has started come and go with it.
     record
         File that takes a line for each act; None for no file.
     say
@@ -132,6 +135,7 @@ class Guard:
         *,
         name: str = "",
         timeout: float,
+        attached: bool,
         record: Path | None,
         say: Callable[[str], None],
     ) -> None:
@@ -140,6 +144,7 @@ class Guard:
         self._name = name or uuid.uuid4().hex
         self._record = record
         self._say = say
+        self._attached = attached
         self._watch = Watch(timeout)
         self._ending = False
         self._held = 0.0
@@ -220,7 +225,6 @@ class Guard:
                 self._watch.beat(beat, now)
             if hung_up:
                 self._watch.hang_up()
-            self._look_at_nodes()
             self._look_at_signals(now)
             cause = self._watch.due(now)
             if cause is None and self._ending and self._watch.is_watching:
@@ -233,6 +237,7 @@ class Guard:
             if hung_up or self._ending:
                 return
             if now - self._told >= PERIOD:
+                self._look_at_nodes()
                 self._tell()
             self._tuner.spin_once(POLL_PERIOD)
 
@@ -263,7 +268,7 @@ class Guard:
                 )
 
     def _look_at_nodes(self) -> None:
-        for client in self._parameters.clients.values():
+        for client in self._parameters.clients.values() if self._attached else ():
             self._watch.presence(client.node, client.is_ready())
 
     def _look_at_signals(self, now: float) -> None:
@@ -294,7 +299,8 @@ class Guard:
         )
         self._tell()
         problems = self._set_safe()
-        while problems and is_last and time.monotonic() - begun < GIVE_UP:
+        patience = GIVE_UP if self._attached else GONE
+        while problems and is_last and time.monotonic() - begun < patience:
             self._say("; ".join(problems))
             self._tuner.spin_for(AGAIN)
             self._publish_stop()

@@ -156,10 +156,15 @@ class GuardLink:
         What is to be held.
     folder
         Takes log and record of a guard that is started.
+    attached
+        Whether the nodes run by themselves.
     """
 
-    def __init__(self, tuner: TunerNode, plan: Plan, folder: Path) -> None:
+    def __init__(
+        self, tuner: TunerNode, plan: Plan, folder: Path, *, attached: bool = True
+    ) -> None:
         self._tuner = tuner
+        self._attached = attached
         self._plan = plan
         self._folder = folder
         self._name = ""
@@ -320,6 +325,7 @@ class GuardLink:
             "study": study_to_yaml(study),
             "values": values,
             "timeout": patience(study),
+            "attached": self._attached,
             "ros_arguments": list(ros_arguments),
             "record": str((self._folder / GUARD_RECORD).resolve()),
         }
