@@ -117,7 +117,7 @@ class TestPresence:
 
 
 def test_messages_are_read_back_and_others_passed_over():
-    state = State("a", "b", "c", ["/servo"], ["/setpoint"], 2, "why", "what", True, False)
+    state = State("a", "b", "c", ["/servo"], ["/setpoint"], 2, "why", "what", True, False, True)
     assert State.read(str(state)) == state
     assert Beat.read(str(beat(RUN, 3, 1))) == beat(RUN, 3, 1)
     for text in ("", "{", "[1]", "7", "{}", str(state)):

@@ -28,9 +28,10 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture(autouse=True)
-def patience(monkeypatch):
-    """As patient as users have it."""
+def patience(monkeypatch, tmp_path):
+    """As patient as users have it; what the killed have left is no matter of other tests."""
     monkeypatch.delenv("BO_TUNER_GUARD_TIMEOUT")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture

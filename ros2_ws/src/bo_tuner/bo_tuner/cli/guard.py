@@ -26,10 +26,11 @@ their own, on their own computer.
 
 EPILOG = """\
 exit codes:
-  0    ended by SIGTERM; nodes in a tuner's hands were left safe first
+  0    ended by SIGTERM or Ctrl-C; nodes in a tuner's hands were left safe first
   1    output could not be written (141: the output pipe was closed)
   2    bad input: study or option, nodes that another guard has, or a stop
        message that nobody hears
+  130  Ctrl-C while it asked nodes for what the study leaves open (143: SIGTERM)
 
 examples:
   guard --study servo.yaml                            until SIGTERM ends it
@@ -75,7 +76,7 @@ def run(argv: Sequence[str], interruption: Interruption) -> int:
         say=say,
     )
     with contextlib.closing(guard):
-        end_on_signals(guard)
+        end_on_signals(guard, by_hand=True)
         guard.open(wait=True)
         say(f"guards {', '.join(guard.nodes)} for studies like {study.name}")
         guard.serve()

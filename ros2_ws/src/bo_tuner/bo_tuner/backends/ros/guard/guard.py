@@ -155,6 +155,7 @@ class Guard:
             plan.name,
             plan.full_names(self._tuner.node.get_namespace()),
             sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
+            stands=isinstance(beats, TopicBeats),
         )
         self._told = -1.0
         self._run_began = 0.0
@@ -250,22 +251,28 @@ class Guard:
         self._tuner.close()
 
     def _refuse_others(self) -> None:
-        """Refuse nodes that another guard has."""
+        """Refuse nodes that another guard has; one whose tuner has just ended is waited for."""
         found: dict[str, State] = {}
 
         def hear(message: Any) -> None:
             state = State.read(message.data)
-            if state is not None:
+            if state is not None and set(state.nodes) & set(self._state.nodes):
                 found[state.guard] = state
 
         subscription = self._tuner.node.create_subscription(String, STATE_TOPIC, hear, LATEST)
-        self._tuner.spin_for(LOOK_AROUND)
+        deadline = time.monotonic() + CONNECT
+        while True:
+            found.clear()
+            self._tuner.spin_for(LOOK_AROUND)
+            stand = any(state.stands for state in found.values())
+            if not found or stand or time.monotonic() > deadline:
+                break
         self._tuner.node.destroy_subscription(subscription)
         for state in found.values():
-            if shared := sorted(set(state.nodes) & set(self._state.nodes)):
-                raise BackendError(
-                    f"{shared[0]} has a guard already, of study {state.study}; end that one first"
-                )
+            shared = sorted(set(state.nodes) & set(self._state.nodes))
+            raise BackendError(
+                f"{shared[0]} has a guard already, of study {state.study}; end that one first"
+            )
 
     def _look_at_nodes(self) -> None:
         for client in self._parameters.clients.values() if self._attached else ():
@@ -355,8 +362,12 @@ class Guard:
             add_act(self._record, act)
 
 
-def end_on_signals(guard: Guard) -> None:
-    """Let SIGTERM end the guard; what a terminal sends is for the tuner, which ends it."""
-    signal.signal(signal.SIGTERM, lambda *_: guard.end())
-    for signum in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+def end_on_signals(guard: Guard, *, by_hand: bool = False) -> None:
+    """Let SIGTERM end the guard, and Ctrl-C one that was started by hand.
+
+    What a terminal sends to a tuner is for the tuner alone, which then ends its guard.
+    """
+    for signum in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(signum, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, (lambda *_: guard.end()) if by_hand else signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: guard.end())

@@ -302,7 +302,8 @@ class GuardLink:
         nodes = set(self._plan.full_names(self._tuner.node.get_namespace()))
         for state in self._states.values():
             shared = sorted(nodes & set(state.nodes))
-            if not shared:
+            # That of a tuner which has just ended will end, too.
+            if not shared or not state.stands:
                 continue
             if state.digest != self._plan.digest:
                 raise BackendError(

@@ -82,6 +82,8 @@ class State(_Message):
         Whether the tuner was not in control, so that somebody is to look before it goes on.
     ends : bool
         Whether it watches no longer.
+    stands : bool
+        Whether it outlives a tuner, and takes heartbeats from any.
     """
 
     guard: str
@@ -94,3 +96,4 @@ class State(_Message):
     outcome: str = ""
     takes_over: bool = False
     ends: bool = False
+    stands: bool = False
