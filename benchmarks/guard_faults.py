@@ -41,6 +41,7 @@ from std_msgs.msg import Float64
 from bo_tuner.backends.ros.backend import RosBackend
 from bo_tuner.backends.ros.guard.link import GuardLink
 from bo_tuner.backends.ros.guard.plan import Plan
+from bo_tuner.backends.ros.isolation import isolated_environment
 from bo_tuner.backends.ros.node_parameters import NodeParameters
 from bo_tuner.backends.ros.run_watch import RunWatch
 from bo_tuner.backends.ros.tuner_node import TunerNode
@@ -102,6 +103,10 @@ class Observer:
                 return float("inf")
             time.sleep(0.0005)
         return found[0]
+
+    def is_alone(self) -> bool:
+        """Whether nobody is known any more who may send a set-point."""
+        return self.node.count_publishers("/setpoint") == 0
 
     def close(self) -> None:
         """Leave."""
@@ -178,6 +183,8 @@ def full_runs(repetitions: int, observer: Observer, rng: np.random.Generator) ->
                 tuner.kill()
                 tuner.join()
                 wait_for_guards(folder)
+                # One that was killed is in the graph until its lease ends.
+                wait_for(observer.is_alone)
         found[kind] = {
             "faults": repetitions,
             "unsafe": unsafe,
@@ -368,7 +375,7 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=1000, help="faults at random moments")
     parser.add_argument("--domain", type=int, default=87, help="ROS domain")
     arguments: argparse.Namespace = parser.parse_args()
-    os.environ["ROS_DOMAIN_ID"] = str(arguments.domain)
+    os.environ.update(isolated_environment(arguments.domain))
     state = tempfile.mkdtemp()
     os.environ["XDG_STATE_HOME"] = state
     result: dict[str, Any] = {"provenance": provenance(), "seed": SEED}
