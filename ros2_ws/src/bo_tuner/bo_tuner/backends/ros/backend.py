@@ -128,6 +128,7 @@ class RosBackend(SequentialBackend):
         self._guarded = guard
         self._halt = halt
         self._guard: GuardLink | None = None
+        self._taken_over = False
         self._ros_arguments = ros_arguments or []
         self._namespace = namespace_of(self._ros_arguments)
         self._interrupted = interrupted
@@ -264,10 +265,12 @@ class RosBackend(SequentialBackend):
             # node is to get these parameters.
             self._look()
             self._suspension.begin()
+            self._taken_over = False
             outcome = self._attempt(planned)
             self._suspension.look()
             seconds = self._suspension.seconds
-            if not seconds:
+            # What the guard has ended is not repeated until somebody has looked at the machine.
+            if not seconds or self._taken_over:
                 self._rates.note(outcome)
                 return outcome
         return Outcome(EvaluationState.LOST, {}, f"the tuner was suspended for {seconds:.0f} s")
@@ -315,6 +318,7 @@ class RosBackend(SequentialBackend):
     def _overruled(self, acted: GuardActedError) -> Outcome:
         """Return the outcome of an evaluation in which the guard has acted."""
         if acted.takes_over:
+            self._taken_over = True
             if self._halt is None or acted.ends:
                 raise BackendError(str(acted)) from acted
             self._halt(str(acted))

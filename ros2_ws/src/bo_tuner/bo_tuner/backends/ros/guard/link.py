@@ -41,8 +41,9 @@ START = 60.0
 FRESH = 0.35
 """Age [s] of a state from which on a newer one is waited for: this process may have been stopped,
 and a guard have acted meanwhile."""
-DEAD = 3.0
-"""Time [s] without a state after which a guard counts as dead."""
+DEAD, FORGOTTEN = 3.0, 25.0
+"""Time [s] without a state after which a guard counts as dead, and the same for a process that was
+stopped itself for so long that the middleware has to discover all others anew."""
 HEARD = 3.0
 """Time [s] to hear the state of a guard that is discovered."""
 LEAVE = 5.0
@@ -173,6 +174,7 @@ class GuardLink:
         self._heard: dict[str, float] = {}
         self._phase, self._run, self._acts = IDLE, 0, 0
         self._ended = ""
+        self._looked = 0.0
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
         # rclpy passes on what it knows of a message to whoever takes two arguments.
@@ -247,7 +249,9 @@ class GuardLink:
         if self._wire is None:
             return
         self._take()
-        waited = time.monotonic() + DEAD
+        now = time.monotonic()
+        waited = now + (DEAD if now - self._looked < 1.0 else FORGOTTEN)
+        self._looked = now
         # The clock is that of the stamps at which messages came in.
         while time.time() - self._heard.get(self._name, 0.0) > FRESH:
             problem = self._wire.problem
