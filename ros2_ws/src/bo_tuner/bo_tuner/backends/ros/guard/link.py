@@ -41,6 +41,8 @@ START = 60.0
 FRESH = 0.35
 """Age [s] of a state from which on a newer one is waited for: this process may have been stopped,
 and a guard have acted meanwhile."""
+STOPPED = 1.0
+"""Time [s] between two looks after which this process may have been stopped, or have computed."""
 DEAD, FORGOTTEN = 3.0, 25.0
 """Time [s] without a state after which a guard counts as dead, and the same for a process that was
 stopped itself for so long that the middleware has to discover all others anew."""
@@ -249,13 +251,14 @@ class GuardLink:
         if self._wire is None:
             return
         self._take()
-        now = time.monotonic()
-        waited = now + (DEAD if now - self._looked < 1.0 else FORGOTTEN)
-        self._looked = now
+        waited = time.monotonic() + DEAD
         # The clock is that of the stamps at which messages came in.
         while time.time() - self._heard.get(self._name, 0.0) > FRESH:
-            problem = self._wire.problem
-            if problem or time.monotonic() > waited:
+            problem, now = self._wire.problem, time.monotonic()
+            if now - self._looked > STOPPED:
+                waited = now + FORGOTTEN
+            self._looked = now
+            if problem or now > waited:
                 self._wire.close()
                 self._wire = None
                 self._ended = (
@@ -265,6 +268,7 @@ class GuardLink:
                 raise BackendError(self._ended)
             time.sleep(POLL_PERIOD)
             self._take()
+        self._looked = time.monotonic()
         state = self._states[self._name]
         # While it acts, nobody is to be in its way.
         while state.acts > self._acts and not state.outcome and time.monotonic() < waited:
