@@ -35,7 +35,7 @@ def say(**facts):
 
 
 def hang_in_run(backend):
-    """Do not look any more, 0.2 s after the start of a run, for 6 s."""
+    """Do not look any more, 0.2 s after the start of a run, for 2 s."""
     hung = []
 
     def hang():
@@ -44,7 +44,7 @@ def hang_in_run(backend):
             return
         if procedure._recorder.seconds > 0.2:
             hung.append(True)
-            time.sleep(6.0)
+            time.sleep(2.0)
 
     look = backend._look
     backend._look = lambda: (hang(), look())

@@ -29,8 +29,8 @@ pytestmark = pytest.mark.ros
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch, tmp_path):
-    """What the killed have left is no matter of other tests; a busy machine is not hung."""
-    monkeypatch.setenv("BO_TUNER_GUARD_TIMEOUT", "3")
+    """What the killed have left is no matter of other tests."""
+    monkeypatch.delenv("BO_TUNER_GUARD_TIMEOUT")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
