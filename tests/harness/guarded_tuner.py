@@ -1,8 +1,9 @@
 """A tuner as a process of its own, at work on the servo: ``guarded_tuner.py FOLDER KIND [GUARD]``.
 
 It says each step in a line, and performs evaluations, as many as it is told to on standard input.
-Each kind has another fault: ``plain`` has none, ``blind`` overlooks the abort condition, ``hung``
-does not look any more once the first run is in progress, and ``fit`` computes between two runs.
+Each kind has another fault: ``plain`` has none, ``blind`` overlooks the abort condition, ``slow``
+judges it late, ``hung`` does not look any more once the first run is in progress, and ``fit``
+computes between two runs.
 """
 
 import json
@@ -50,6 +51,20 @@ def hang_in_run(backend):
     backend._look = lambda: (hang(), look())
 
 
+def judge_late(watch, record):
+    """Judge the abort condition only once the guard has acted on it, as on a busy computer."""
+    holds = watch._holds
+
+    def late(self, condition, *times):
+        found = holds(self, condition, *times)
+        while condition is self._abort and found is not None and not record.exists():
+            self._tuner.served = time.monotonic()
+            time.sleep(0.01)
+        return found
+
+    watch._holds = late
+
+
 def main(folder, kind, **changes):
     merged = {**GUARDED, **changes}
     if kind == "short":
@@ -57,6 +72,8 @@ def main(folder, kind, **changes):
     if kind == "blind":
         run_watch.RunWatch._holds = lambda *_: None
         run_watch.RunWatch._holds_late = lambda *_: False
+    if kind == "slow":
+        judge_late(run_watch.RunWatch, Path(folder, "guard.jsonl"))
     backend = RosBackend(
         study(**merged), Path(folder), attach=True, guard=True, halt=lambda text: say(halt=text)
     )
@@ -73,7 +90,7 @@ def main(folder, kind, **changes):
                     sum(range(1000))
                 say(fitted=True)
                 continue
-            outcome = run(backend, UNSTABLE if kind == "blind" else 0.75)
+            outcome = run(backend, UNSTABLE if kind in ("blind", "slow") else 0.75)
             say(state=str(outcome.state), reason=outcome.reason)
     except BackendError as error:
         say(error=str(error))

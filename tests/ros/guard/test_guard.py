@@ -35,6 +35,17 @@ def patience(monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def long_lease(tmp_path, monkeypatch):
+    """Who is stopped for a moment of a busy computer is not forgotten."""
+    profile = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+    changed = profile.replace("<leaseDuration><sec>2<", "<leaseDuration><sec>60<")
+    assert changed != profile
+    path = tmp_path / "profile.xml"
+    path.write_text(changed)
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(path))
+
+
+@pytest.fixture
 def system(ros_environment):
     with at_work(System) as system:
         yield system
@@ -67,6 +78,10 @@ class Tuner:
 
     def expect(self, key):
         """The next thing that it says of a kind."""
+        return self.expect_all(key)[key]
+
+    def expect_all(self, key):
+        """The next line with a thing of a kind."""
 
         def is_there():
             return any(key in facts for facts in self.said)
@@ -74,7 +89,7 @@ class Tuner:
         wait_until(is_there, key, None if is_there() else self.process, lambda: self.said)
         found = next(facts for facts in self.said if key in facts)
         self.said.remove(found)
-        return found[key]
+        return found
 
     def end(self):
         """Let it end by itself."""
@@ -176,7 +191,7 @@ def test_a_tuner_that_is_killed_before_the_first_run(tuner, system):
     wait_until(lambda: is_safe(system), "a safe machine")
 
 
-def test_a_tuner_that_is_stopped_and_lives_again_waits_for_somebody(tuner, system):
+def test_a_tuner_that_is_stopped_and_lives_again_waits_for_somebody(long_lease, tuner, system):
     made = tuner()
     made.process.send_signal(signal.SIGSTOP)
     wait_until(lambda: is_safe(system), "a safe machine")
@@ -209,6 +224,40 @@ def test_an_abort_condition_that_the_tuner_overlooks(tuner, system):
     made = tuner("blind")
     assert "the abort condition holds" in made.expect("halt")
     assert made.expect("state") == "lost"
+    assert is_safe(system)
+
+
+def test_an_abort_condition_that_the_tuner_judges_late(tuner, system):
+    """It would have done the same, so nobody has to look before it goes on."""
+    made = tuner("slow")
+    said = made.expect_all("state")
+    assert said["state"] == "failed"
+    assert said["reason"].startswith("aborted at ")
+    assert "the guard has stopped the machine: the abort condition holds" in said["reason"]
+    assert not any("halt" in facts for facts in made.said)
+    assert is_safe(system)
+    made.process.kill()
+
+
+def test_a_tuner_that_was_stopped_until_ros_had_forgotten_it(tuner, system, peer):
+    """It goes on where the middleware lets it, or ends; it does not wait for what never comes."""
+    made = tuner()
+    made.process.send_signal(signal.SIGSTOP)
+    wait_until(lambda: is_safe(system), "a safe machine")
+    peer.spin_until(lambda: "bo_tuner" not in peer.node.get_node_names(), "the lease to end")
+    made.process.send_signal(signal.SIGCONT)
+
+    def told():
+        return [facts for facts in made.said if "error" in facts or "state" in facts]
+
+    wait_until(told, "an end", None, lambda: made.said)
+    (found,) = told()
+    if "error" in found:
+        assert found["error"].startswith("this process was stopped for ")
+        assert found["error"].endswith("look at the machine, then resume the run")
+        assert made.expect("closed")
+    else:
+        assert found["state"] == "lost"
     assert is_safe(system)
 
 
@@ -348,7 +397,9 @@ def test_a_run_that_was_killed_says_so_when_it_goes_on(system, tmp_path):
     assert "the guard has stopped the machine" in (runs / "report.html").read_text()
 
 
-def test_a_run_that_was_stopped_waits_until_somebody_lets_it_go_on(system, peer, tmp_path):
+def test_a_run_that_was_stopped_waits_until_somebody_lets_it_go_on(
+    long_lease, system, peer, tmp_path
+):
     budget = INITIAL | {"trials": 3, "validation_draws": 2}
     changes = guarded_tuner.GUARDED | {"budget": budget}
     changes["run"] = changes["run"] | {"end": {"after": 0.5}}

@@ -56,6 +56,10 @@ ATTEMPTS = 3
 """Times that an evaluation is run during which the tuner is suspended, until it counts as lost."""
 
 
+FORGOTTEN = 1.5
+"""Time [s] of silence after which ROS may take a process for dead: its lease is 2 s and more."""
+
+
 class _Opened(NamedTuple):
     """What an open backend has."""
 
@@ -317,6 +321,10 @@ class RosBackend(SequentialBackend):
 
     def _overruled(self, acted: GuardActedError) -> Outcome:
         """Return the outcome of an evaluation in which the guard has acted."""
+        aborted = "" if self._procedure is None else self._procedure.reason_of_abort
+        if acted.on_condition and aborted and not acted.ends:
+            # It was quicker than this process, which would have done the same.
+            return Outcome(EvaluationState.FAILED, {}, brief(f"{aborted}; {acted}"))
         if acted.takes_over:
             self._taken_over = True
             if self._halt is None or acted.ends:
@@ -439,13 +447,33 @@ class RosBackend(SequentialBackend):
             return safe_state.take_unfinished() and safe_state.park()
         if state is EvaluationState.LOST:
             # Of the node that was lost nothing else is to be expected than that it is not parked.
-            safe_state.stop()
+            if (problems := safe_state.stop()) and self._attach:
+                self._expect_to_be_known(problems)
             try:
                 self._opened.bringup.get_back()
             except (LostError, BackendError, StudyError) as error:
                 # The next evaluation will be lost in turn; three lost trials end the run.
                 return [f"not recovered: {error}"]
         return safe_state.recover()
+
+    def _expect_to_be_known(self, problems: list[str]) -> None:
+        """Refuse to go on if this process was stopped, and nodes do not answer it since then.
+
+        ROS takes a process that is silent for long for dead. One that lives again is discovered
+        anew, but its services may never be answered again (Fast DDS 2.14).
+
+        Raises
+        ------
+        BackendError
+            If that is so.
+        """
+        self._suspension.look()
+        seconds = self._suspension.longest
+        if seconds > FORGOTTEN:
+            raise BackendError(
+                f"this process was stopped for {seconds:.0f} s, and ROS took it for dead: "
+                f"{'; '.join(problems)}; look at the machine, then resume the run"
+            )
 
     @property
     def _opened(self) -> _Opened:

@@ -13,7 +13,7 @@ from bo_tuner.backends.ros.clock import RunClock, SimClock, Stopwatch, WallClock
 from bo_tuner.backends.ros.conditions import latest, sampled
 from bo_tuner.backends.ros.errors import DisturbedError, LostError, RefusedError, SilentError
 from bo_tuner.backends.ros.goals import Goal
-from bo_tuner.backends.ros.guard.link import GuardLink
+from bo_tuner.backends.ros.guard.link import GuardActedError, GuardLink
 from bo_tuner.backends.ros.own_topics import OwnTopic
 from bo_tuner.backends.ros.parameter_client import meet
 from bo_tuner.backends.ros.preparation import Preparation
@@ -183,6 +183,11 @@ class Procedure:
         self.recording.check(self._study.signals, largest_gaps)
 
     @property
+    def reason_of_abort(self) -> str:
+        """Tell why the last run was to be aborted, as far as was seen; empty if it was not."""
+        return self._watch.reason_of_abort
+
+    @property
     def unpublished(self) -> str:
         """Tell in a line of a signal that nothing publishes, but should; empty if none.
 
@@ -250,6 +255,11 @@ class Procedure:
             with guarded:
                 self._perform(START)
                 return self._recorder.recording(self._watch.wait_for_end())
+        except GuardActedError:
+            # It may only have been quicker.
+            with contextlib.suppress(FailedRunError):
+                self._watch.look_for_abort(self._recorder.seconds, self._recorder.seconds)
+            raise
         finally:
             self._is_recording = False
             self._recorder.end()

@@ -40,6 +40,11 @@ class RunWatch:
         Goals sent in runs; others may be sent while this looks on.
     topics
         What the steps publish.
+
+    Attributes
+    ----------
+    aborted : float or None
+        Time [s] of the run at which it was to be aborted, as far as was seen; None if it was not.
     """
 
     def __init__(
@@ -63,6 +68,7 @@ class RunWatch:
         self._end = expression(run.end.when, signals) if run.end.when else None
         self._judged = 0.0
         self._largest_gaps: Mapping[str, float] = {}
+        self.aborted: float | None = None
 
     def prepare(self) -> None:
         """Listen from now on to who else publishes what the steps publish."""
@@ -86,6 +92,7 @@ class RunWatch:
         """
         self._judged = 0.0
         self._largest_gaps = largest_gaps
+        self.aborted = None
 
     def wait(self, period: float) -> None:
         """Look on for a time [s]; raises as `judge`."""
@@ -140,17 +147,11 @@ class RunWatch:
         """
         now = self._now
         self.expect_own_messages()
-        self._recorder.poll()
         seen = min(now, end)
         since = self._since
-        # Whatever its stamp, a message that is here tells how the machine was.
-        aborted = self._holds(self._abort, since, max(seen, self._recorder.latest))
-        if aborted is None and self._holds_late(self._abort, now):
-            aborted = now
-        if aborted is not None:
-            raise FailedRunError(
-                f"aborted at {aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
-            )
+        self.look_for_abort(now, seen)
+        if self.aborted is not None:
+            raise FailedRunError(self.reason_of_abort)
         if stale := self._recorder.stale:
             # Two clocks may be behind them.
             raise DisturbedError(self._recorder.mixed or stale)
@@ -161,6 +162,31 @@ class RunWatch:
             goal.check()
         self._judged = seen
         return now
+
+    def look_for_abort(self, now: float, seen: float) -> None:
+        """Take the messages that are here, and see whether the run is to be aborted by them.
+
+        Parameters
+        ----------
+        now
+            Time of the run [s].
+        seen
+            Time of the run [s] that is judged.
+        """
+        self._recorder.poll()
+        if self.aborted is None:
+            # Whatever its stamp, a message that is here tells how the machine was.
+            latest = max(seen, self._recorder.latest)
+            self.aborted = self._holds(self._abort, self._since, latest)
+        if self.aborted is None and self._holds_late(self._abort, now):
+            self.aborted = now
+
+    @property
+    def reason_of_abort(self) -> str:
+        """Tell why the run was to be aborted; empty if it was not."""
+        if self.aborted is None:
+            return ""
+        return f"aborted at {self.aborted:.3f} s: {checks.quoted(self._run.abort_when)}"
 
     @property
     def _since(self) -> float:

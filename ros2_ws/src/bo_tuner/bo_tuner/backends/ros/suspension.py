@@ -33,6 +33,11 @@ class Suspension:
         """How long this process was suspended [s]; 0 if it was not."""
         return self._longest if self._longest > LONGEST else 0.0
 
+    @property
+    def longest(self) -> float:
+        """The longest gap between two looks [s], in which this process may have computed, too."""
+        return self._longest
+
 
 def _now() -> float:
     """Return a steady time [s] that goes on while the machine sleeps."""

@@ -12,6 +12,8 @@ from typing import Any, Protocol
 
 from action_msgs.srv import CancelGoal
 from rclpy.client import Client
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from bo_tuner.backends.ros import others
@@ -47,6 +49,8 @@ AGAIN = 0.5
 GIVE_UP, GONE = 600.0, 3.0
 """Time [s] for which a guard whose tuner has ended tries to leave the nodes safe, and the same of
 nodes that end with it."""
+ACKNOWLEDGED = 1
+"""Time [s] for the tuner to hear of the last act."""
 ASLEEP = 0.3
 """Gap [s] between two looks beyond which this process did not run."""
 
@@ -157,6 +161,7 @@ class Guard:
             sorted({self._tuner.node.resolve_topic_name(item.topic) for item in plan.stop}),
             stands=isinstance(beats, TopicBeats),
         )
+        self._publisher: Publisher | None = None
         self._told = -1.0
         self._run_began = 0.0
         self._was_in_run = False
@@ -247,7 +252,9 @@ class Guard:
         self._ending = True
 
     def close(self) -> None:
-        """Leave ROS."""
+        """Leave ROS, once the tuner has heard what came of the last act."""
+        if self._publisher is not None:
+            self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED))
         self._tuner.close()
 
     def _refuse_others(self) -> None:
@@ -301,6 +308,7 @@ class Guard:
                 "reason": cause.reason,
                 "outcome": "",
                 "takes_over": cause.takes_over,
+                "on_condition": cause.on_condition,
                 "ends": is_last,
             }
         )
@@ -348,6 +356,8 @@ class Guard:
         return [f"{self._plan.nodes[key]} is not safe: {why}" for key, why in failed.items()]
 
     def _tell(self) -> None:
+        if self._publisher is None:
+            return
         self._publisher.publish(String(data=str(self._state)))
         self._told = time.monotonic()
 

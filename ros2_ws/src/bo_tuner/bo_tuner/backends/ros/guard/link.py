@@ -60,13 +60,16 @@ class GuardActedError(LostError):
     ----------
     takes_over
         Whether the tuner was not in control, so that somebody is to look before it goes on.
+    on_condition
+        Whether the abort condition was the reason.
     ends
         Whether the guard watches no longer.
     """
 
-    def __init__(self, text: str, *, takes_over: bool, ends: bool) -> None:
+    def __init__(self, text: str, *, takes_over: bool, on_condition: bool, ends: bool) -> None:
         super().__init__(text)
         self.takes_over = takes_over
+        self.on_condition = on_condition
         self.ends = ends
 
 
@@ -283,6 +286,7 @@ class GuardLink:
                 f"the guard has stopped the machine: {state.reason}; "
                 f"{state.outcome or 'it is still at it'}",
                 takes_over=state.takes_over,
+                on_condition=state.on_condition,
                 ends=state.ends,
             )
 

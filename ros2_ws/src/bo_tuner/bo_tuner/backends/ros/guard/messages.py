@@ -80,6 +80,8 @@ class State(_Message):
         What came of that, in words; empty while it acts.
     takes_over : bool
         Whether the tuner was not in control, so that somebody is to look before it goes on.
+    on_condition : bool
+        Whether it acted on the abort condition.
     ends : bool
         Whether it watches no longer.
     stands : bool
@@ -95,5 +97,6 @@ class State(_Message):
     reason: str = ""
     outcome: str = ""
     takes_over: bool = False
+    on_condition: bool = False
     ends: bool = False
     stands: bool = False

@@ -19,10 +19,13 @@ class Cause:
     takes_over : bool
         Whether the tuner was not in control of the machine. It was if only the guard, or a node,
         was away for a while.
+    on_condition : bool
+        Whether the abort condition is why: a tuner that aborts the run, too, was only slower.
     """
 
     reason: str
     takes_over: bool = True
+    on_condition: bool = False
 
 
 class Watch:
@@ -108,7 +111,9 @@ class Watch:
         if now - self._heard > self._timeout:
             return Cause(f"no heartbeat of the tuner for {now - self._heard:.2f} s")
         if self._held_since is not None and now - self._held_since > CYCLE:
-            return Cause("the abort condition holds, and the tuner has not ended the run")
+            return Cause(
+                "the abort condition holds, and the tuner has not ended the run", on_condition=True
+            )
         if self._back:
             nodes, self._back = " and ".join(self._back), []
             return Cause(f"{nodes} could not be reached for a while", takes_over=False)
